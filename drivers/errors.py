@@ -1,0 +1,78 @@
+"""What can go wrong with a device, drawn in one file.
+
+    DriverError                    base; exit status 1 unless a class says otherwise
+    |-- BusError                       the bus itself
+    |   |-- BusUnavailable (OSError)       no such interface, interface down, bad URL           exit status 2
+    |   `-- BusTimeout (TimeoutError)      nobody answered in time
+    |-- DeviceError                    one device
+    |   |-- NodeAbsent (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
+    |   |-- WrongIdentity                  vendor, product or revision differ from the file      exit status 2
+    |   |-- DuplicateNode                  two nodes answer to one id                            exit status 2
+    |   |-- ConfigurationRefused           an SDO abort, or a read-back that differs from what was written
+    |   |-- DeviceFault                    the drive is in fault; carries the EMCY in words
+    |   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
+    |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
+    `-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
+"""
+
+
+class DriverError(Exception):
+    """Base of every error the drivers raise on purpose."""
+
+    exit_status = 1
+
+
+class BusError(DriverError):
+    """The bus itself failed."""
+
+
+class BusUnavailable(BusError, OSError):
+    """The interface does not exist, is down, or the bus URL cannot be read."""
+
+    exit_status = 2
+
+
+class BusTimeout(BusError, TimeoutError):
+    """Nobody answered in time."""
+
+
+class DeviceError(DriverError):
+    """One device failed."""
+
+
+class NodeAbsent(DeviceError, TimeoutError):
+    """A configured node gave neither boot-up nor an SDO answer."""
+
+    exit_status = 2
+
+
+class WrongIdentity(DeviceError):
+    """The node's identity object differs from the machine file."""
+
+    exit_status = 2
+
+
+class DuplicateNode(DeviceError):
+    """Two devices answer to one node id."""
+
+    exit_status = 2
+
+
+class ConfigurationRefused(DeviceError):
+    """The device aborted a write, or read back something else than was written."""
+
+
+class DeviceFault(DeviceError):
+    """The drive reports a fault; the message carries its EMCY in words."""
+
+
+class HeartbeatLost(DeviceError, TimeoutError):
+    """A supervised node has not sent its heartbeat in time."""
+
+
+class ProtocolError(DeviceError, ValueError):
+    """Bytes or registers that are no valid message of the protocol."""
+
+
+class MotionRefused(DriverError):
+    """A check before motion failed; nothing was moved."""

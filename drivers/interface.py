@@ -1,0 +1,85 @@
+"""The one interface the sample loop sees: exchange a command for a sample, and stop.
+
+Timing (docs/notation.md): `exchange(command_k)` puts command k on the wire at once, waits for tick k+1, sends SYNC k+1 and returns sample k+1.
+The drives apply command k at SYNC k+1, so the effort in sample k+1 already answers to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass
+class Sample:
+    """What was latched at one SYNC, in SI and the drives' units. One object is reused for every tick: copy what must be kept.
+
+    Arrays have the length of the axis list. A value that did not arrive is NaN (or -1 for a statusword) in this row;
+    `age_s` says how old the newest good value of that axis is.
+    """
+
+    axes: int
+    position: np.ndarray = field(init=False)  # rad or m
+    link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
+    effort: np.ndarray = field(init=False)  # in the drive's unit
+    statusword: np.ndarray = field(init=False)  # int64, -1 when missing
+    age_s: np.ndarray = field(init=False)
+    imu: np.ndarray = field(init=False)  # (6,) specific force m/s^2, angular rate rad/s
+    imu_time_s: float = field(default=float("nan"), init=False)
+    imu_counter: int = field(default=-1, init=False)
+    temperature_degC: np.ndarray = field(init=False)
+    hold_to_run: bool = field(default=True, init=False)
+    door_closed: bool = field(default=True, init=False)
+    brakes_open: np.ndarray = field(init=False)  # bool
+    io_age_s: float = field(default=0.0, init=False)
+    lateness_s: float = field(default=0.0, init=False)  # of this tick's SYNC against its absolute time
+    arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the tick's work starts here
+    fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
+
+    def __post_init__(self) -> None:
+        self.position = np.full(self.axes, np.nan)
+        self.link_position = np.full(self.axes, np.nan)
+        self.effort = np.full(self.axes, np.nan)
+        self.statusword = np.full(self.axes, -1, dtype=np.int64)
+        self.age_s = np.zeros(self.axes)
+        self.imu = np.full(6, np.nan)
+        self.temperature_degC = np.full(self.axes, np.nan)
+        self.brakes_open = np.zeros(self.axes, dtype=bool)
+
+
+class Clock(Protocol):
+    """Time as the drivers and the loop know it: wall time on a bench, virtual time in lockstep."""
+
+    def now(self) -> float:
+        """Seconds since an arbitrary start."""
+
+    def wait(self, seconds: float) -> None:
+        """Let that much time pass (the emulated machine moves on in lockstep)."""
+
+    def start_ticks(self, period_s: float) -> None:
+        """Tick 0 is now; later ticks are at absolute times."""
+
+    def wait_tick(self) -> float:
+        """Wait for the next tick and return its lateness [s]. Overrun ticks are skipped whole: see `missed`."""
+
+    @property
+    def missed(self) -> int:
+        """Ticks skipped so far because the work of one took longer than its period."""
+
+
+class MachineLink(Protocol):
+    """A machine that can be run in closed loop, real or emulated."""
+
+    def exchange(self, command: np.ndarray) -> Sample:
+        """Send `command` (n_axes,) in the drives' units, wait for the next tick and return what was latched at its SYNC.
+
+        Raises
+        ------
+        HeartbeatLost, DeviceFault, BusError
+            The motors have been told to stop before the error leaves this method.
+        """
+
+    def stop(self) -> None:
+        """Quick stop every drive, close the brakes, disable; from any state, any number of times, never raising."""

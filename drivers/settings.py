@@ -1,0 +1,116 @@
+"""What the drivers have to know about the devices of a machine, as frozen values. The bench builds these from a machine file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """One process data object as configured over SDO: what is in it and when it goes out."""
+
+    number: int  # 1..4 (or 1..512)
+    cob_id: int
+    transmission_type: int  # 1: every SYNC (TPDO), 1: applied at the next SYNC (RPDO)
+    entries: tuple[tuple[int, int, int], ...]  # (index, subindex, bits), in order
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Object 1018h as the machine file expects it; None is not compared."""
+
+    vendor_id: int | None
+    product_code: int | None
+    revision_number: int | None
+    serial_number: int | None
+
+
+@dataclass(frozen=True)
+class Node:
+    """One CANopen node of the machine."""
+
+    name: str  # key in [bus.nodes], e.g. "propeller_drive"
+    role: str  # "drive" (CiA 402) or "encoder" (CiA 406)
+    axis: str
+    node_id: int
+    eds: Path
+    identity: Identity
+    tpdos: tuple[Pdo, ...]
+    rpdos: tuple[Pdo, ...]
+    heartbeat_period_s: float
+    boot_timeout_s: float
+    writes: tuple[tuple[int, int, int], ...] = ()  # further (index, subindex, value) of the file, written and read back
+
+
+@dataclass(frozen=True)
+class AxisScaling:
+    """Between the wire and SI for one axis. position = sign * counts * resolution + offset; effort = sign * per mille / 1000 * rated."""
+
+    axis: str
+    position_resolution: float  # rad or m at the joint, per count
+    link_resolution: float  # rad or m per count of the link encoder; 0 when there is none
+    link_zero_counts: int  # raw count of the absolute link encoder at joint position zero
+    sign: int  # +1 or -1
+    rated: float  # rated current (or effort) in the drive's unit
+    limit: float  # |command| the loop saturates at
+    rated_torque_mNm: int  # object 6076h
+    rated_current_mA: int  # object 6075h
+
+
+@dataclass(frozen=True)
+class HomingSettings:
+    """How an axis finds its zero and what is checked on the way."""
+
+    axis: str
+    method: int  # CiA 402 homing method, 37: the present position is home
+    speed: float  # rad/s, for methods that move
+    acceleration: float  # rad/s^2
+    timeout_s: float
+    agreement_tolerance: float  # rad: |motor side - link encoder| after homing
+    direction_check_effort: float  # in the drive's unit, added to the holding effort
+    direction_check_travel: float  # rad that must be seen, in the right direction, before more is allowed
+    direction_check_timeout_s: float
+
+
+@dataclass(frozen=True)
+class ImuPort:
+    """The detector's IMU on a serial line, Xsens Xbus framing."""
+
+    name: str
+    device: str  # a path such as /dev/ttyUSB0; "" when the bench says where it is
+    baud: int
+    triggered_by_sync: bool  # False: runs on its own clock at rate_Hz
+    rate_Hz: float
+
+
+@dataclass(frozen=True)
+class IoMap:
+    """Modbus: where brakes, hold-to-run, door contact and temperatures live. Addresses are zero-based."""
+
+    url: str  # "tcp:HOST:PORT" or "rtu:/dev/ttyUSB1@115200"; "" when the bench says where it is
+    unit_id: int
+    poll_period_s: float
+    stale_after_s: float
+    brake_coils: dict[str, int]  # axis -> coil; 1 releases the brake
+    brake_feedback_inputs: dict[str, int]  # axis -> discrete input; 1: brake is open
+    hold_to_run_input: int  # discrete input; 1: pressed
+    door_input: int  # discrete input; 1: closed
+    temperature_registers: dict[str, int]  # axis -> input register, int16 in 0.1 degC
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """The whole bus of a machine."""
+
+    bitrate_bit_s: int
+    sync_cob_id: int
+    sync_period_s: float
+    master_node_id: int  # the bench's own heartbeat
+    master_heartbeat_period_s: float
+    answer_timeout_s: float  # after a SYNC, how long the loop waits for the last TPDO
+    nodes: tuple[Node, ...]
+    scalings: tuple[AxisScaling, ...]  # in axis order
+    homings: tuple[HomingSettings, ...]  # in axis order
+    imu: ImuPort | None
+    io: IoMap | None

@@ -1,0 +1,1 @@
+"""The emulated machine: plant and physics, sensors, CANopen nodes, serial and Modbus devices."""

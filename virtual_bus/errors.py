@@ -1,0 +1,15 @@
+"""What can go wrong in the emulated machine: an unusable plant, effect or device description."""
+
+
+class EmulatorError(Exception):
+    """Base of every error the emulated machine raises on purpose."""
+
+    exit_status = 2
+
+
+class PlantError(EmulatorError, ValueError):
+    """A tree of bodies that is no plant: a loop, a moving joint without inertia, an inertia that is not positive definite."""
+
+
+class EffectError(EmulatorError, ValueError):
+    """An effect that does not exist, acts where it may not, or has a parameter out of bounds."""

@@ -1,0 +1,142 @@
+"""What an emulated machine is made of, as frozen values in SI units. The bench builds these from a machine file.
+
+Frames, symbols and signs: docs/notation.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One degree of freedom between a body and its parent, at the origin of the body's frame."""
+
+    name: str
+    kind: str  # "revolute" or "prismatic"
+    axis: np.ndarray  # (3,) unit vector in the body's frame
+    stiffness: float = 0.0  # Nm/rad or N/m, towards rest_position
+    damping: float = 0.0  # Nm s/rad or N s/m
+    rest_position: float = 0.0  # rad or m
+    armature: float = 0.0  # kg m^2 or kg: rotor inertia times ratio squared, added to the joint's own inertia
+    brake_effort: float = 0.0  # Nm or N: what the joint's brake holds when it is closed; 0 means no brake
+
+
+@dataclass(frozen=True)
+class Body:
+    """One rigid body. At joint position zero its frame stands at position_m, orientation in the parent's frame."""
+
+    name: str
+    parent: str  # a body listed before, or "world"
+    position_m: np.ndarray  # (3,)
+    orientation: np.ndarray  # (3, 3) rotation, body to parent, at joint position zero
+    mass_kg: float
+    center_of_mass_m: np.ndarray  # (3,) in the body's frame
+    inertia_kg_m2: np.ndarray  # (3, 3) about the centre of mass, in the body's frame
+    joint: Joint | None = None  # None: welded to the parent
+
+
+@dataclass(frozen=True)
+class Tree:
+    """The plant: a tree of rigid bodies under gravity. Joint order is body order."""
+
+    bodies: tuple[Body, ...]
+    gravity_m_s2: np.ndarray  # (3,)
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        return tuple(body.joint for body in self.bodies if body.joint is not None)
+
+    def joint_index(self, name: str) -> int:
+        return [joint.name for joint in self.joints].index(name)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Turns a command in the drive's unit into effort on one joint: effort_on_joint = constant * ratio * command."""
+
+    axis: str
+    joint: str
+    unit: str  # "A", "V", "Nm" or "N"
+    constant: float  # motor effort per unit, at the motor's shaft (Nm/A, N/V, ...)
+    ratio: float  # motor turns per joint turn (1 for direct drive); negative never
+    limit: float  # |command| the loop saturates at, in unit
+    resolution: float  # smallest step of the target in unit; 0 means none
+    rated: float  # rated current (or effort) in unit: per mille values on the wire refer to it
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Position of the sum of one or more joints, quantised to resolution: floor(y / resolution + 1/2) * resolution."""
+
+    channel: str  # "position_<axis>" or "link_position_<axis>"
+    joints: tuple[str, ...]
+    resolution: float  # rad or m at the joint; 0 means none
+    absolute: bool
+
+
+@dataclass(frozen=True)
+class CurrentSensor:
+    """The drive's measured current (or effort), with white noise and quantisation."""
+
+    channel: str  # "current_<axis>" or "effort_<axis>"
+    axis: str
+    resolution: float
+    noise_rms: float
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Specific force and angular rate of a point of a body, in the sensor's own frame."""
+
+    name: str  # "imu": channels imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z
+    body: str
+    position_m: np.ndarray  # (3,) in the body's frame
+    orientation: np.ndarray  # (3, 3) rotation, sensor to body
+    accelerometer_noise_rms_m_s2: np.ndarray  # (3,) per sample
+    accelerometer_bias_m_s2: np.ndarray  # (3,)
+    accelerometer_bandwidth_Hz: float  # first-order low pass; 0 means none
+    accelerometer_resolution_m_s2: float
+    gyro_noise_rms_rad_s: np.ndarray  # (3,)
+    gyro_bias_rad_s: np.ndarray  # (3,)
+    gyro_bandwidth_Hz: float
+    gyro_resolution_rad_s: float
+
+
+@dataclass(frozen=True)
+class Thermometer:
+    """Winding temperature: ambient plus a first-order response to the copper loss."""
+
+    channel: str  # "temperature_<axis>"
+    axis: str
+    ambient_degC: float
+    rise_K_per_unit2: float  # steady rise per squared command unit
+    time_constant_s: float
+    resolution_K: float
+
+
+@dataclass(frozen=True)
+class EffectSetting:
+    """One effect of an effects file, bound to a place of this machine: parameters in SI, in the effect's own order."""
+
+    name: str
+    at: str
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True)
+class PlantSettings:
+    """Everything the emulated physics needs."""
+
+    tree: Tree
+    drives: tuple[Drive, ...]  # in axis order
+    encoders: tuple[Encoder, ...]
+    currents: tuple[CurrentSensor, ...]
+    imus: tuple[Imu, ...]
+    thermometers: tuple[Thermometer, ...]
+    sample_period_s: float
+    substeps: int  # plant steps per sample, a whole number
+    watched_bodies: tuple[str, ...] = ()  # whose pose the truth file holds
+    effects: tuple[EffectSetting, ...] = field(default=())
