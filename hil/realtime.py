@@ -1,0 +1,58 @@
+"""What the operating system grants a sample loop: a real-time scheduler, locked memory, no garbage collection."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+FIFO_PRIORITY = 50
+"""In the middle of the range: above ordinary interrupts' threads is not needed, below them is not either."""
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+
+
+@dataclass(frozen=True)
+class Scheduling:
+    """What was granted, for the report beside every lateness figure."""
+
+    scheduler: str
+    memory_locked: bool
+
+    def __str__(self) -> str:
+        return f"{self.scheduler}, memory {'locked' if self.memory_locked else 'not locked'}"
+
+
+@contextlib.contextmanager
+def real_time(wanted: bool = True) -> Iterator[Scheduling]:
+    """Ask for SCHED_FIFO and locked memory and freeze the garbage collector, for the length of the block.
+
+    What the system refuses is left as it is: a laptop without rights runs at the default scheduler, and the result says so.
+    """
+    scheduler, locked = "default scheduler", False
+    if wanted and sys.platform == "linux":
+        with contextlib.suppress(PermissionError, OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+            scheduler = f"SCHED_FIFO {FIFO_PRIORITY}"
+        with contextlib.suppress(OSError, AttributeError):
+            locked = ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0
+    gc.collect()
+    gc.freeze()
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield Scheduling(scheduler, locked)
+    finally:
+        if collecting:
+            gc.enable()
+        gc.unfreeze()
+        if scheduler != "default scheduler":
+            with contextlib.suppress(PermissionError, OSError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        if locked:
+            with contextlib.suppress(OSError, AttributeError):
+                ctypes.CDLL(None).munlockall()
