@@ -33,3 +33,4 @@ class AxisLimits:
     acceleration: float
     jerk: float
     tracking_error: float  # |reference - position| at which the loop stops the motors
+    unit: str = "rad"  # of position: "rad" or "m"

@@ -1,0 +1,203 @@
+"""The sample loop: one row per SYNC, feedback and excitation from precomputed plans, limits held, motors stopped on the way out.
+
+Nothing in a tick allocates, logs, prints or waits for anything but the next tick; rows leave through a sink that only copies.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from controllers.feedback import Feedback
+from controllers.settings import AxisLimits
+from drivers.interface import MachineLink, Sample
+from hil.errors import LoopAborted
+from hil.layout import RowLayout
+
+STALE_TICKS = 3
+"""A position that did not arrive is bridged with the last good one for so many ticks (12 ms at 256 Hz), then the motors are stopped."""
+
+OVERRUN_TICKS = 8
+"""So many ticks lost in one tick (31 ms at 256 Hz) mean that the loop no longer controls the machine: stop. Fewer are skipped, counted and go on."""
+
+PROGRESS_TICKS = 128
+"""How often the progress callback is told: twice a second at 256 Hz."""
+
+
+class Sink(Protocol):
+    """Where rows go."""
+
+    def put(self, row: np.ndarray) -> None:
+        """Copy one row; never blocks."""
+
+
+class TickClock(Protocol):
+    """What the loop asks a clock beside `drivers.interface.Clock`: when the last tick's work was done, and how many ticks were lost."""
+
+    idle_began_s: float
+    tick_began_s: float
+
+    @property
+    def missed(self) -> int:
+        """Ticks skipped so far."""
+
+
+class Signals(Protocol):
+    """What a plan holds, row by row, for all axes: arrays of shape (N, n_axes)."""
+
+    reference: np.ndarray
+    reference_raw: np.ndarray
+    excitation: np.ndarray
+    feedforward: np.ndarray | None
+
+
+@dataclass
+class StopRequest:
+    """Set from a signal handler or another thread; the loop looks at it once per tick."""
+
+    reason: str = ""
+
+    def ask(self, reason: str) -> None:
+        """Ask the loop to stop the motors and end; the first reason stands."""
+        self.reason = self.reason or reason
+
+
+@dataclass(frozen=True)
+class LoopTiming:
+    """How well the loop kept its time over one run."""
+
+    ticks: int
+    missed: int
+    lateness_s: np.ndarray
+    work_time_s: np.ndarray
+
+    def summary(self) -> dict[str, float]:
+        """Percentiles of lateness and work time in microseconds, and the ticks missed."""
+        table: dict[str, float] = {"ticks": self.ticks, "missed": self.missed}
+        for name, values in (("lateness", self.lateness_s), ("work_time", self.work_time_s)):
+            if values.size:
+                p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
+                table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
+        return table
+
+
+@dataclass
+class SampleLoop:
+    """One machine, one feedback, one row layout.
+
+    Parameters
+    ----------
+    link : MachineLink
+        The machine, real or emulated.
+    clock : TickClock
+        The clock the link ticks by.
+    feedback : Feedback
+        All axes' controllers.
+    limits : sequence of AxisLimits
+        Held against every sample.
+    layout : RowLayout
+        Which value goes to which column.
+    guard_io : bool
+        Hold-to-run, door and the age of the I/O are watched (False for a machine without I/O).
+    io_stale_s : float
+        Age of the I/O's state at which the motors are stopped.
+    """
+
+    link: MachineLink
+    clock: TickClock
+    feedback: Feedback
+    limits: Sequence[AxisLimits]
+    layout: RowLayout
+    guard_io: bool
+    io_stale_s: float
+    stop_request: StopRequest = field(default_factory=StopRequest)
+
+    def __post_init__(self) -> None:
+        axes = len(self.limits)
+        self.command = np.zeros(axes)
+        self._position = np.zeros(axes)
+        self._stale = np.zeros(axes, dtype=np.int64)
+        self._lower = np.array([limit.lower for limit in self.limits])
+        self._upper = np.array([limit.upper for limit in self.limits])
+        self._tracking = np.array([limit.tracking_error for limit in self.limits])
+        self._row = np.full(self.layout.width, np.nan)
+        self._zeros = np.zeros(axes)
+
+    def run(self, plan: Signals, sink: Sink | None = None, progress: Callable[[int], None] | None = None) -> LoopTiming:
+        """Walk through a plan, a row per tick.
+
+        Raises
+        ------
+        LoopAborted
+            A limit, a stale position, the I/O, an overrun or a stop request ended the run; the motors are stopped before it leaves.
+        DriverError
+            The link lost a device; it has stopped the motors.
+        """
+        rows = len(plan.reference)
+        lateness, work = np.zeros(rows), np.zeros(rows)
+        missed_before = missed_seen = self.clock.missed
+        handed_over_s = 0.0
+        done = 0
+        try:
+            for k in range(rows):
+                sample = self.link.exchange(self.command)
+                tail_s = self.clock.idle_began_s - handed_over_s if k else 0.0
+                reason = self._step(sample, plan, k)
+                lost = self.clock.missed - missed_seen
+                missed_seen += lost
+                if lost > OVERRUN_TICKS:
+                    reason = reason or f"the loop lost {lost} ticks in a row; more than {OVERRUN_TICKS} are not bridged"
+                handed_over_s = time.perf_counter()
+                lateness[k] = sample.lateness_s
+                work[k] = handed_over_s - self.clock.tick_began_s + tail_s
+                done = k + 1
+                if sink is not None:
+                    self.layout.fill(self._row, k, sample, plan, self.command, lateness[k], work[k])
+                    sink.put(self._row)
+                if reason:
+                    raise LoopAborted(f"row {k}: {reason}; the motors were stopped and {done} rows are kept")
+                if progress is not None and k % PROGRESS_TICKS == 0:
+                    progress(k)
+        except BaseException:
+            self.link.stop()
+            raise
+        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done])
+
+    def _step(self, sample: Sample, plan: Signals, k: int) -> str:
+        """Compute the next command; return why the motors must be stopped, or ''."""
+        position = sample.position
+        for axis in range(len(position)):
+            if position[axis] == position[axis]:
+                self._position[axis] = position[axis]
+                self._stale[axis] = 0
+            else:
+                self._stale[axis] += 1
+        reference = plan.reference[k]
+        feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
+        self.feedback.step(reference, self._position, plan.excitation[k], feedforward, self.command)
+        return self.stop_request.reason or self._violation(sample, reference)
+
+    def _violation(self, sample: Sample, reference: np.ndarray) -> str:
+        if sample.fault:
+            return sample.fault
+        for axis, limit in enumerate(self.limits):
+            if self._stale[axis] > STALE_TICKS:
+                return f"{limit.axis}: no position for {self._stale[axis]} ticks, {STALE_TICKS} are bridged"
+            position = self._position[axis]
+            if not self._lower[axis] <= position <= self._upper[axis]:
+                return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
+            error = abs(reference[axis] - position)
+            if not error <= self._tracking[axis]:
+                return f"{limit.axis}: tracking error {error:.4f} {limit.unit} exceeds {limit.tracking_error:.4f} {limit.unit}"
+        if self.guard_io:
+            if not sample.hold_to_run:
+                return "hold-to-run was released"
+            if not sample.door_closed:
+                return "the door was opened"
+            if not sample.io_age_s <= self.io_stale_s:
+                return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
+        return ""
