@@ -1,0 +1,76 @@
+"""How a command answers: text for a person, JSON for a program, never both on one stream."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write the answer as JSON to FILE; - for standard output, and nothing else goes there.")]
+
+
+class Answer:
+    """One command's answer. Text goes to standard output, or to standard error when JSON has taken standard output."""
+
+    def __init__(self, json_to: str | None) -> None:
+        self._json_to = json_to
+        self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
+
+    def say(self, text: object = "") -> None:
+        """Print for a person."""
+        self.console.print(text, markup=False)
+
+    def table(self, table: object) -> None:
+        """Print a rich table."""
+        self.console.print(table)
+
+    def write(self, document: Any) -> None:
+        """Write the JSON document, where one was asked for."""
+        if self._json_to is None:
+            return
+        text = json.dumps(plain(document), indent=2, ensure_ascii=False)
+        if self._json_to == "-":
+            sys.stdout.write(text + "\n")
+        else:
+            Path(self._json_to).write_text(text + "\n", encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """The same value in JSON's own types: arrays as lists, NaN and infinities as null."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, set)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+@contextmanager
+def progress(console: Console) -> Iterator[Progress]:
+    """Progress bars for whatever takes longer than two seconds; drawn on a terminal, silent elsewhere."""
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=False,
+    ) as bars:
+        yield bars

@@ -1,0 +1,58 @@
+"""Where an emulator on this host says which pty and which Modbus port belong to its CAN bus, so that `run --bus URL` finds all three.
+
+A real machine needs none of this: its serial device and I/O address stand in the machine file or on the command line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class EmulatorCard:
+    """What an emulator published."""
+
+    bus: str
+    pid: int
+    imu_device: str  # "" when the machine has no IMU
+    io_url: str  # "" when it has no I/O
+
+
+def _folder() -> Path:
+    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return Path(base) / f"isocenter-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+
+
+def _card_path(bus_url: str) -> Path:
+    return _folder() / f"{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.json"
+
+
+@contextlib.contextmanager
+def published(card: EmulatorCard) -> Iterator[None]:
+    """Publish a card for the length of the block."""
+    path = _card_path(card.bus)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path.write_text(json.dumps(asdict(card)), encoding="utf-8")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            path.unlink()
+
+
+def find(bus_url: str) -> EmulatorCard | None:
+    """The card of a living emulator on that bus, or None."""
+    path = _card_path(bus_url)
+    try:
+        card = EmulatorCard(**json.loads(path.read_text(encoding="utf-8")))
+        os.kill(card.pid, 0)
+    except (OSError, ValueError, TypeError):
+        return None
+    return card
