@@ -1,0 +1,191 @@
+"""Feedback of all axes, once per sample: u = C_r r - C_y y + w + feedforward, saturated.
+
+A missing (not finite) reference or position freezes that axis's filters and repeats their last output; a command that would not be finite
+repeats the last one. So what leaves is always a number within the limits, and the returned mask says on which axes it is a stopgap: how
+long that may go on is the loop's decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from controllers.errors import DesignError
+from controllers.sections import preload_state, sections_step, standstill_states
+from controllers.settings import AxisController
+
+
+@njit(cache=True)
+def feedback_step(
+    sections: np.ndarray,
+    state: np.ndarray,
+    rows: np.ndarray,
+    limit: np.ndarray,
+    held: np.ndarray,
+    reference: np.ndarray,
+    position: np.ndarray,
+    excitation: np.ndarray,
+    feedforward: np.ndarray,
+    out: np.ndarray,
+) -> int:
+    """One sample of every axis; see `Feedback.step`. Callable from other compiled functions.
+
+    Parameters
+    ----------
+    sections, state : (n_sections, 6) and (n_sections, 2) arrays
+        All axes' cascades one below the other; `state` is advanced in place.
+    rows : (n_axes, 3) int array
+        First row of C_r, first row of C_y, end of C_y. C_r of no rows means one filter on r - y.
+    limit : (n_axes,) array
+    held : (n_axes, 2) array
+        Last output of the filters and last command, kept for missing values.
+    reference, position, excitation, feedforward, out : (n_axes,) arrays
+
+    Returns
+    -------
+    int
+        Bit i set: axis i had a missing value.
+    """
+    missing = 0
+    for axis in range(limit.shape[0]):
+        r, y = reference[axis], position[axis]
+        if np.isfinite(r) and np.isfinite(y):
+            first, middle, end = rows[axis, 0], rows[axis, 1], rows[axis, 2]
+            if first == middle:
+                held[axis, 0] = sections_step(sections[middle:end], state[middle:end], r - y)
+            else:
+                from_reference = sections_step(sections[first:middle], state[first:middle], r)
+                held[axis, 0] = from_reference - sections_step(sections[middle:end], state[middle:end], y)
+        else:
+            missing |= 1 << axis
+        u = held[axis, 0] + excitation[axis] + feedforward[axis]
+        if np.isfinite(u):
+            held[axis, 1] = min(max(u, -limit[axis]), limit[axis])
+        else:
+            missing |= 1 << axis
+        out[axis] = held[axis, 1]
+    return missing
+
+
+class Feedback:
+    """Controllers of all axes with their states.
+
+    Parameters
+    ----------
+    controllers : sequence of AxisController
+        In axis order.
+
+    Raises
+    ------
+    DesignError
+        Sections that are not finite rows (b0, b1, b2, 1, a1, a2).
+    """
+
+    def __init__(self, controllers: Sequence[AxisController]) -> None:
+        self.controllers = tuple(controllers)
+        blocks: list[np.ndarray] = []
+        rows: list[tuple[int, int, int]] = []
+        end = 0
+        for controller in self.controllers:
+            separate = controller.reference_sections
+            reference = np.empty((0, 6)) if separate is None else _checked(controller.axis, separate)
+            position = _checked(controller.axis, controller.position_sections)
+            rows.append((end, end + len(reference), end + len(reference) + len(position)))
+            end = rows[-1][2]
+            blocks += [reference, position]
+        self._sections = np.ascontiguousarray(np.vstack(blocks))
+        self._rows = np.array(rows, dtype=np.int64)
+        self._limit = np.array([controller.limit for controller in self.controllers], dtype=float)
+        self._state = np.zeros((end, 2))
+        self._held = np.zeros((len(self.controllers), 2))
+
+    def step(self, reference: np.ndarray, position: np.ndarray, excitation: np.ndarray, feedforward: np.ndarray, out: np.ndarray) -> int:
+        """Command of this sample, saturated, into `out`; all arrays (n_axes,) float64.
+
+        Returns
+        -------
+        int
+            Bit i set: axis i had a missing value, and its command stands on the last good one.
+        """
+        return feedback_step(
+            self._sections, self._state, self._rows, self._limit, self._held, reference, position, excitation, feedforward, out
+        )
+
+    def reset(self) -> None:
+        """All states to zero."""
+        self._state[:] = 0.0
+        self._held[:] = 0.0
+
+    def preload(self, holding_effort: np.ndarray, position: np.ndarray, feedforward: np.ndarray | None = None) -> None:
+        """States of a standstill that has lasted: r = y = `position`, command = `holding_effort`, of which `feedforward` brings its part.
+
+        Parameters
+        ----------
+        holding_effort, position, feedforward : (n_axes,) arrays
+            Efforts in the drives' units; `feedforward` None is zero.
+
+        Raises
+        ------
+        DesignError
+            An axis has no integrator to hold what feedforward leaves, or must hold more than its limit.
+        """
+        brought = np.zeros(len(self.controllers)) if feedforward is None else np.asarray(feedforward, dtype=float)
+        self.reset()
+        for axis, controller in enumerate(self.controllers):
+            holding = float(holding_effort[axis])
+            if abs(holding) > controller.limit:
+                raise DesignError(f"{controller.axis}: standstill takes {holding:.4g}, the limit is {controller.limit:.4g}")
+            share = holding - float(brought[axis])
+            first, middle, end = self._rows[axis]
+            try:
+                if first == middle:
+                    self._state[middle:end] = preload_state(self._sections[middle:end], share)
+                else:
+                    self._state[first:middle], self._state[middle:end] = standstill_states(
+                        self._sections[first:middle], self._sections[middle:end], float(position[axis]), share
+                    )
+            except DesignError as error:
+                raise DesignError(f"{controller.axis}: {error}") from None
+            self._held[axis] = share, holding
+
+    @property
+    def states(self) -> dict[str, dict[str, np.ndarray]]:
+        """Copies of all `zi` arrays: axis -> {"position": (n, 2)} and, with a separate C_r, {"reference": (m, 2)}."""
+        table: dict[str, dict[str, np.ndarray]] = {}
+        for controller, (first, middle, end) in zip(self.controllers, self._rows, strict=True):
+            table[controller.axis] = {"position": self._state[middle:end].copy()}
+            if middle > first:
+                table[controller.axis]["reference"] = self._state[first:middle].copy()
+        return table
+
+    def load_states(self, states: Mapping[str, Mapping[str, Any]]) -> None:
+        """Take over what `states` returned (arrays or nested lists).
+
+        Raises
+        ------
+        DesignError
+            An axis or filter is missing, or an array has another shape.
+        """
+        for controller, (first, middle, end) in zip(self.controllers, self._rows, strict=True):
+            for name, rows in (("reference", slice(first, middle)), ("position", slice(middle, end))):
+                if rows.start == rows.stop:
+                    continue
+                try:
+                    values = np.asarray(states[controller.axis][name], dtype=float)
+                except KeyError:
+                    raise DesignError(f"controller states: {controller.axis}.{name} is missing") from None
+                fits = (rows.stop - rows.start, 2)
+                if values.shape != fits:
+                    raise DesignError(f"controller states: {controller.axis}.{name} has shape {values.shape}, {fits} fits")
+                self._state[rows] = values
+        self._held[:] = 0.0
+
+
+def _checked(axis: str, sections: np.ndarray) -> np.ndarray:
+    table = np.asarray(sections, dtype=float)
+    if table.ndim != 2 or table.shape[1] != 6 or len(table) == 0 or not np.isfinite(table).all() or (table[:, 3] != 1.0).any():
+        raise DesignError(f"{axis}: sections must be finite rows (b0, b1, b2, 1, a1, a2), at least one")
+    return table
