@@ -1,0 +1,98 @@
+"""The tree of bodies from the file's [[body]] tables, with the checks that make it a plant."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.machine.messages import Complaint
+from hil.machine.schema import BodyTable, JointTable, MachineTable
+from hil.machine.units import ANGULAR, LINEAR
+from virtual_bus.settings import Body, Joint, Tree
+
+_UNIT_AXIS_TOLERANCE = 1e-6  # an axis written with six digits still counts as of unit length
+_TRIANGLE_TOLERANCE = 1e-9
+
+
+def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
+    """Bodies in file order. `armatures` are the rotors' inertias at the joints they drive (kg m^2 or kg)."""
+    bodies: list[Body] = []
+    rotates = {"world": False}
+    moves = {"world": False}
+    joint_names: set[str] = set()
+    for number, body in enumerate(table.body):
+        where: tuple[str | int, ...] = ("body", number)
+        if body.name in rotates:
+            raise Complaint((*where, "name"), "world is the ground's name" if body.name == "world" else "two bodies have this name")
+        if body.parent not in rotates:
+            later = [other.name for other in table.body[number:]]
+            reason = "is listed below its child; move it up" if body.parent in later else "no such body; bodies above: " + ", ".join(rotates)
+            raise Complaint((*where, "parent"), reason)
+        if body.joint is not None and body.joint.name in joint_names:
+            raise Complaint((*where, "joint", "name"), "two joints have this name")
+        rotates[body.name] = rotates[body.parent] or (body.joint is not None and body.joint.type == "revolute")
+        moves[body.name] = moves[body.parent] or body.joint is not None
+        inertia = _inertia(body, where, rotates[body.name], moves[body.name])
+        joint = None
+        if body.joint is not None:
+            joint_names.add(body.joint.name)
+            joint = _joint(body.joint, (*where, "joint"), armatures.get(body.joint.name, 0.0))
+        bodies.append(
+            Body(
+                name=body.name,
+                parent=body.parent,
+                position_m=np.array(body.position),
+                orientation=Rotation.from_euler("xyz", body.orientation).as_matrix(),
+                mass_kg=body.mass,
+                center_of_mass_m=np.array(body.center_of_mass),
+                inertia_kg_m2=inertia,
+                joint=joint,
+            )
+        )
+    if not joint_names:
+        raise Complaint(("body",), "no body has a joint; a machine needs at least one that moves")
+    return Tree(tuple(bodies), np.array(table.gravity))
+
+
+def _joint(joint: JointTable, where: tuple[str | int, ...], armature: float) -> Joint:
+    length = float(np.linalg.norm(joint.axis))
+    if abs(length - 1.0) > _UNIT_AXIS_TOLERANCE:
+        unit = "" if length == 0.0 or not np.isfinite(length) else f"; of unit length it is [{', '.join(f'{x / length:.9g}' for x in joint.axis)}]"
+        raise Complaint((*where, "axis"), f"has length {length:.6g}, must have 1{unit}")
+    allowed = ANGULAR if joint.type == "revolute" else LINEAR
+    for field in ("stiffness", "damping", "rest_position", "brake_effort"):
+        dimension = joint.dimension(field)
+        if dimension is not None and dimension not in allowed:
+            right = {"stiffness": "Nm_rad N_m", "damping": "Nm_s_rad N_s_m", "rest_position": "rad m", "brake_effort": "Nm N"}[field].split()
+            raise Complaint((*where, joint.key(field)), f"does not fit a {joint.type} joint; write {field}_{right[joint.type != 'revolute']}")
+    return Joint(
+        name=joint.name,
+        kind=joint.type,
+        axis=np.array(joint.axis) / length,
+        stiffness=joint.stiffness,
+        damping=joint.damping,
+        rest_position=joint.rest_position,
+        armature=armature,
+        brake_effort=joint.brake_effort,
+    )
+
+
+def _inertia(body: BodyTable, where: tuple[str | int, ...], rotates: bool, moves: bool) -> np.ndarray:
+    """(3, 3) about the centre of mass, checked to be that of a rigid body."""
+    xx, yy, zz, xy, xz, yz = body.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    key = (*where, body.key("inertia"))
+    if body.joint is not None and body.mass == 0.0:
+        raise Complaint((*where, body.key("mass")), "a body on a joint needs a mass")
+    if moves and rotates and body.mass > 0.0 and not body.has("inertia"):
+        raise Complaint(key, "is missing; a body that turns needs an inertia")
+    if not body.has("inertia"):
+        return inertia
+    if not np.all(np.isfinite(inertia)) or np.abs(inertia).max() > 1e12:
+        raise Complaint(key, "is out of range; no body of a machine has more than 1e12 kg m^2")
+    principal = np.linalg.eigvalsh(inertia)
+    if principal[0] < 0.0 or (rotates and body.mass > 0.0 and principal[0] <= 0.0):
+        raise Complaint(key, f"is not positive definite: its smallest principal moment is {principal[0]:.4g} kg m^2")
+    if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
+        raise Complaint(key, f"no rigid body has these principal moments: {principal[0]:.4g} + {principal[1]:.4g} < {principal[2]:.4g} (triangle inequality)")
+    return inertia

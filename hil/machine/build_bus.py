@@ -1,0 +1,241 @@
+"""The bus's settings from the file's [bus] tables: nodes, PDO maps, scalings, homing, serial IMU, Modbus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.canopen.objects import MAPPABLE
+from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, Node, Pdo
+from hil.machine.build import joint_of, require_effort_unit, require_kind, require_known
+from hil.machine.messages import Complaint
+from hil.machine.schema import MachineTable
+from hil.machine.schema_bus import BusTable, NodeTable, PdoTable
+from virtual_bus.settings import PlantSettings
+
+Where = tuple[str | int, ...]
+
+EDS_FOLDER = Path(__file__).resolve().parents[2] / "drivers" / "canopen" / "eds_files"
+
+# CiA 301 table 38 and 7.3.5: identifiers that belong to no PDO
+_RESERVED_COB_IDS: tuple[tuple[int, int, str], ...] = (
+    (0x000, 0x000, "NMT"),
+    (0x001, 0x07F, "reserved by CiA 301"),
+    (0x101, 0x180, "reserved by CiA 301"),
+    (0x081, 0x0FF, "EMCY"),
+    (0x100, 0x100, "TIME"),
+    (0x581, 0x5FF, "SDO answers"),
+    (0x601, 0x67F, "SDO requests"),
+    (0x6E0, 0x6FF, "reserved by CiA 301"),
+    (0x701, 0x77F, "heartbeats"),
+    (0x780, 0x7FF, "reserved by CiA 301"),
+)
+
+# what the loop cannot do without: role -> direction -> objects
+_NEEDED = {"drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword", "target_torque")}, "encoder": {"tpdo": ("position_value",)}}
+
+
+def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) -> BusSettings | None:
+    """The whole bus, or None for a machine that can only be simulated. EDS files are looked for in `folder`, then among the shipped ones."""
+    bus = table.bus
+    if bus is None:
+        return None
+    where: Where = ("bus",)
+    if bus.answer_timeout >= plant.sample_period_s:
+        raise Complaint((*where, bus.key("answer_timeout")), f"must be shorter than the sample period of {plant.sample_period_s:.6g} s")
+    _check_cob_ids(bus)
+    _check_nodes(bus, table)
+    for axis in table.drives:
+        if not table.limits.get(axis):
+            raise Complaint(("limits", axis), "is missing; a machine on a bus needs limits for every axis")
+        if axis not in table.controller:
+            raise Complaint(("controller", axis), "is missing; a machine on a bus needs a controller for every axis")
+    return BusSettings(
+        bitrate_bit_s=bus.bitrate_bit_s,
+        sync_cob_id=bus.sync_cob_id,
+        sync_period_s=plant.sample_period_s,
+        master_node_id=bus.master_node_id,
+        master_heartbeat_period_s=bus.master_heartbeat,
+        answer_timeout_s=bus.answer_timeout,
+        nodes=tuple(_node(name, node, folder) for name, node in bus.nodes.items()),
+        scalings=tuple(_scaling(axis, table, plant) for axis in table.drives),
+        homings=tuple(_homing(axis, table, plant) for axis in table.drives),
+        imu=_imu_port(bus, table),
+        io=_io(bus, table),
+    )
+
+
+def _check_nodes(bus: BusTable, table: MachineTable) -> None:
+    taken: dict[int, str] = {bus.master_node_id: "the bench (master_node_id)"}
+    served: dict[tuple[str, str], str] = {}
+    for name, node in bus.nodes.items():
+        where: Where = ("bus", "nodes", name)
+        require_known(node.axis, table.drives, (*where, "axis"), "axis")
+        if node.node_id in taken:
+            raise Complaint((*where, "node_id"), f"already the id of {taken[node.node_id]}; ids must differ")
+        taken[node.node_id] = name
+        if (node.role, node.axis) in served:
+            raise Complaint((*where, "axis"), f"already has the {node.role} {served[node.role, node.axis]}")
+        served[node.role, node.axis] = name
+        if node.role == "encoder" and f"link_position_{node.axis}" not in table.sensors:
+            raise Complaint((*where, "axis"), f"has no link encoder; add [sensors.link_position_{node.axis}]")
+        for direction, objects in _NEEDED[node.role].items():
+            mapped = [entry for pdo in getattr(node, direction) for entry in pdo.map]
+            for needed in objects:
+                if needed not in mapped and not any(_numbers(entry) == MAPPABLE[needed] for entry in mapped):
+                    raise Complaint((*where, direction), f"{needed} is mapped nowhere; a {node.role} needs it in a {direction.upper()}")
+    for axis in table.drives:
+        if ("drive", axis) not in served:
+            raise Complaint(("bus", "nodes"), f'no drive for axis {axis}; add a node with role = "drive", axis = "{axis}"')
+
+
+def _check_cob_ids(bus: BusTable) -> None:
+    taken = {bus.sync_cob_id: "SYNC"}
+    for name, node in bus.nodes.items():
+        for direction in ("tpdo", "rpdo"):
+            numbers: set[int] = set()
+            for position, pdo in enumerate(getattr(node, direction)):
+                where: Where = ("bus", "nodes", name, direction, position)
+                if pdo.number in numbers:
+                    raise Complaint((*where, "number"), f"{name} has this {direction.upper()} twice")
+                numbers.add(pdo.number)
+                for first, last, owner in _RESERVED_COB_IDS:
+                    if first <= pdo.cob_id <= last:
+                        raise Complaint((*where, "cob_id"), f"0x{pdo.cob_id:03X} belongs to {owner}; PDOs use 0x181 to 0x57F")
+                if pdo.cob_id in taken:
+                    raise Complaint((*where, "cob_id"), f"0x{pdo.cob_id:03X} already belongs to {taken[pdo.cob_id]}; COB-IDs must differ")
+                taken[pdo.cob_id] = f"{name} {direction.upper()}{pdo.number}"
+                _check_map(pdo, where)
+
+
+def _numbers(entry: str) -> tuple[int, int, int] | None:
+    """(index, subindex, bits) of a map entry; None when it cannot be read."""
+    if entry in MAPPABLE:
+        return MAPPABLE[entry]
+    parts = entry.split(":")
+    if len(parts) != 3:
+        return None
+    try:
+        index, subindex, bits = int(parts[0], 16), int(parts[1], 16), int(parts[2])
+    except ValueError:
+        return None
+    return (index, subindex, bits) if 1 <= index <= 0xFFFF and 0 <= subindex <= 0xFF and 1 <= bits <= 64 else None
+
+
+def _check_map(pdo: PdoTable, where: Where) -> None:
+    total = 0
+    for position, entry in enumerate(pdo.map):
+        numbers = _numbers(entry)
+        if numbers is None:
+            raise Complaint((*where, "map", position), 'no such object; write a name such as "statusword" or "0x6064:00:32" (index:subindex:bits)')
+        total += numbers[2]
+    if total > 64:
+        raise Complaint((*where, "map"), f"holds {total / 8:g} bytes; a PDO holds 8")
+    if total % 8:
+        raise Complaint((*where, "map"), f"holds {total} bits; a PDO holds whole bytes")
+
+
+def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
+    beside = None if folder is None else folder / node.eds
+    return Node(
+        name=name,
+        role=node.role,
+        axis=node.axis,
+        node_id=node.node_id,
+        eds=beside if beside is not None and beside.is_file() else EDS_FOLDER / node.eds,
+        identity=Identity(node.vendor_id, node.product_code, node.revision_number, node.serial_number),
+        tpdos=tuple(_pdo(pdo) for pdo in node.tpdo),
+        rpdos=tuple(_pdo(pdo) for pdo in node.rpdo),
+        heartbeat_period_s=node.heartbeat,
+        boot_timeout_s=node.boot_timeout,
+        writes=tuple((write.index, write.subindex, write.value) for write in node.write),
+    )
+
+
+def _pdo(pdo: PdoTable) -> Pdo:
+    entries = tuple(numbers for entry in pdo.map if (numbers := _numbers(entry)) is not None)
+    return Pdo(pdo.number, pdo.cob_id, pdo.transmission_type, entries)
+
+
+def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScaling:
+    index = list(table.drives).index(axis)
+    drive, table_drive = plant.drives[index], table.drives[axis]
+    resolution = {encoder.channel: encoder.resolution for encoder in plant.encoders}
+    zero = [node.zero_counts for node in table.bus.nodes.values() if (node.role, node.axis) == ("encoder", axis)] if table.bus else []
+    if table_drive.rated_current is None and table_drive.rated_effort is None:
+        raise Complaint(("drives", axis), f"needs rated_current_A (or rated_effort_{drive.unit}): targets on the wire are per mille of it")
+    if resolution[f"position_{axis}"] == 0.0:
+        raise Complaint(("sensors", f"position_{axis}"), "needs a resolution: positions on the wire are whole counts")
+    return AxisScaling(
+        axis=axis,
+        position_resolution=resolution[f"position_{axis}"],
+        link_resolution=resolution.get(f"link_position_{axis}", 0.0) if zero else 0.0,
+        link_zero_counts=zero[0] if zero else 0,
+        sign=table_drive.direction,
+        rated=drive.rated,
+        limit=drive.limit,
+        rated_torque_mNm=max(1, round(drive.rated * drive.constant * 1000.0)),
+        rated_current_mA=max(1, round(drive.rated * 1000.0)),
+    )
+
+
+def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSettings:
+    assert table.bus is not None
+    for name in table.bus.homing:
+        require_known(name, table.drives, ("bus", "homing", name), "axis")
+    homing = table.bus.homing.get(axis)
+    where: Where = ("bus", "homing", axis)
+    if homing is None:
+        raise Complaint(where, "is missing; every axis says how it finds its zero")
+    for field in ("speed", "acceleration", "agreement_tolerance", "direction_check_travel"):
+        require_kind(homing, field, joint_of(axis, table, plant.tree).kind, where)
+    require_effort_unit(homing, "direction_check_effort", table.drives[axis].effort_unit, where)
+    if homing.direction_check_effort > table.drives[axis].limit:
+        raise Complaint((*where, homing.key("direction_check_effort")), "is more than the drive's limit")
+    return HomingSettings(
+        axis=axis,
+        method=homing.method,
+        speed=homing.speed,
+        acceleration=homing.acceleration,
+        timeout_s=homing.timeout,
+        agreement_tolerance=homing.agreement_tolerance,
+        direction_check_effort=homing.direction_check_effort,
+        direction_check_travel=homing.direction_check_travel,
+        direction_check_timeout_s=homing.direction_check_timeout,
+    )
+
+
+def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:
+    if bus.imu is None:
+        return None
+    imus = [name for name, sensor in table.sensors.items() if sensor.type == "imu"]
+    require_known(bus.imu.sensor, imus, ("bus", "imu", "sensor"), "IMU")
+    return ImuPort(bus.imu.sensor, bus.imu.device, bus.imu.baud, bus.imu.triggered_by_sync, bus.imu.rate)
+
+
+def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
+    io = bus.io
+    if io is None:
+        return None
+    for field in ("brake_coils", "brake_feedback_inputs", "temperature_registers"):
+        addresses: dict[str, int] = getattr(io, field)
+        for axis in addresses:
+            require_known(axis, table.drives, ("bus", "io", field, axis), "axis")
+        if len(set(addresses.values())) < len(addresses):
+            raise Complaint(("bus", "io", field), "two axes share an address; addresses must differ")
+    inputs = [*io.brake_feedback_inputs.values(), io.hold_to_run_input, io.door_input]
+    if len(set(inputs)) < len(inputs):
+        raise Complaint(("bus", "io"), "two discrete inputs share an address; brake_feedback_inputs, hold_to_run_input and door_input must differ")
+    for axis in io.temperature_registers:
+        if f"temperature_{axis}" not in table.sensors:
+            raise Complaint(("bus", "io", "temperature_registers", axis), f"no such thermometer; add [sensors.temperature_{axis}]")
+    return IoMap(
+        url=io.url,
+        unit_id=io.unit_id,
+        poll_period_s=io.poll_period,
+        stale_after_s=io.stale_after,
+        brake_coils=io.brake_coils,
+        brake_feedback_inputs=io.brake_feedback_inputs,
+        hold_to_run_input=io.hold_to_run_input,
+        door_input=io.door_input,
+        temperature_registers=io.temperature_registers,
+    )

@@ -1,0 +1,100 @@
+"""Reading a machine file: TOML text to a checked `Machine`, and every error in one line."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from hil.errors import MachineFileError
+from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
+from hil.machine.build_bus import build_bus
+from hil.machine.messages import Complaint, from_validation, one_line
+from hil.machine.model import Machine
+from hil.machine.schema import MachineTable
+
+SHIPPED = Path(__file__).resolve().parent / "shipped"
+
+
+def list_shipped() -> dict[str, str]:
+    """Name and description of every machine that comes with the project."""
+    return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def load_machine(name_or_path: str | Path) -> Machine:
+    """Read a machine by its shipped name (`carm`, `emps`) or by the path of a machine file.
+
+    Raises
+    ------
+    MachineFileError
+        One line: file, key, value, what is wrong and what would be right.
+    """
+    path = SHIPPED / f"{name_or_path}.toml"
+    if not (isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()):
+        path = Path(name_or_path)
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MachineFileError(f"{path}: byte {error.start} is no UTF-8; TOML files are UTF-8 text") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        shipped = ", ".join(sorted(entry.stem for entry in SHIPPED.glob("*.toml")))
+        reason = getattr(error, "strerror", None) or "cannot be read"
+        raise MachineFileError(f"{name_or_path}: {reason}; give a machine file's path or a shipped name: {shipped}") from None
+    return machine_from_text(text, path)
+
+
+def machine_from_text(text: str, path: Path | None = None, label: str = "") -> Machine:
+    """Read a machine from the text of its file, as recordings keep it.
+
+    Parameters
+    ----------
+    text
+        TOML text of a machine file.
+    path
+        Where the text was read; EDS files named in it are looked for beside it first.
+    label
+        How messages call the file when it has no path.
+
+    Raises
+    ------
+    MachineFileError
+        One line: file, key, value, what is wrong and what would be right.
+    """
+    file = str(path) if path is not None else label or "machine file"
+    raw = parse_toml(text, file)
+    try:
+        table = MachineTable.model_validate(raw)
+        plant = build_plant(table)
+        return Machine(
+            name=table.name,
+            description=table.description,
+            text=text,
+            hash=hashlib.sha256(text.encode("utf-8")).hexdigest(),
+            path=path,
+            axes=tuple(table.drives),
+            sample_rate_Hz=table.timing.sample_rate,
+            units=build_units(table, plant.tree),
+            plant=plant,
+            controllers=build_controllers(table),
+            limits=build_limits(table, plant.tree),
+            geometry=build_geometry(table),
+            bus=build_bus(table, plant, None if path is None else path.parent),
+        )
+    except ValidationError as error:
+        raise MachineFileError(one_line(file, raw, from_validation(error))) from None
+    except Complaint as complaint:
+        raise MachineFileError(one_line(file, raw, complaint)) from None
+
+
+def parse_toml(text: str, file: str) -> dict:
+    """TOML text to a dictionary; a syntax error names its line in one line."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        message = " ".join(str(error).split())
+        raise MachineFileError(f"{file}: no valid TOML: {message}") from None
+    except (ValueError, RecursionError) as error:  # digits beyond Python's limit; brackets nested too deep
+        reason = "nested too deep" if isinstance(error, RecursionError) else "a number has too many digits"
+        raise MachineFileError(f"{file}: no valid TOML: {reason}") from None

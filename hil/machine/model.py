@@ -1,0 +1,60 @@
+"""A machine as the bench knows it: the file's text and what each floor needs of it, in SI and the drives' units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from controllers.settings import AxisController, AxisLimits
+from drivers.settings import BusSettings
+from virtual_bus.settings import EffectSetting, PlantSettings
+
+
+@dataclass(frozen=True)
+class AxisUnits:
+    """Units an axis is recorded in."""
+
+    axis: str
+    position: str  # "rad" or "m"
+    effort: str  # "A", "V", "Nm" or "N"
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Where source and detector sit, for imaging."""
+
+    isocenter_m: np.ndarray  # (3,) in the world
+    source_body: str
+    source_position_m: np.ndarray  # (3,) focal spot, in the source body's frame
+    detector_body: str
+    detector_center_m: np.ndarray  # (3,) in the detector body's frame
+    detector_size_m: np.ndarray  # (2,)
+    detector_pixels: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine file, read and checked. Axis order is the order of its drives."""
+
+    name: str
+    description: str
+    text: str  # the file, as it is kept in recordings
+    hash: str  # sha256 of the text
+    path: Path | None  # None when it came out of a recording
+    axes: tuple[str, ...]
+    sample_rate_Hz: float
+    units: tuple[AxisUnits, ...]
+    plant: PlantSettings
+    controllers: tuple[AxisController, ...]  # () for an open-loop machine
+    limits: tuple[AxisLimits, ...]  # infinite where the file says nothing
+    geometry: Geometry | None
+    bus: BusSettings | None
+
+    def axis_index(self, axis: str) -> int:
+        return self.axes.index(axis)
+
+    def with_effects(self, effects: tuple[EffectSetting, ...]) -> Machine:
+        """The same machine with other physics added by name."""
+        return replace(self, plant=replace(self.plant, effects=tuple(effects)))
