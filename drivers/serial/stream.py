@@ -1,0 +1,85 @@
+"""Byte streams that never wait: what the IMU driver reads from and writes to."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import Protocol
+
+import serial
+
+from drivers.errors import BusUnavailable
+
+READ_BYTES = 4096
+
+
+class ByteStream(Protocol):
+    """One end of a serial line. Neither method waits."""
+
+    def read(self) -> bytes:
+        """All bytes that have arrived, or none."""
+
+    def write(self, data: bytes) -> None:
+        """Send; what does not fit the buffer is lost, as on a UART without handshake."""
+
+
+class SerialStream:
+    """A serial port or pseudo terminal in raw mode.
+
+    Raises
+    ------
+    BusUnavailable
+        The port does not exist, is in use, or refuses the baud rate.
+    """
+
+    def __init__(self, device: str, baud: int) -> None:
+        self.device = device
+        try:
+            self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True if os.name == "posix" else None)
+        except (OSError, ValueError) as error:
+            reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+            raise BusUnavailable(
+                f"serial port {device} at {baud} baud: {reason}; name a port that exists and that nobody else uses"
+            ) from error
+        if hasattr(self._port, "set_low_latency_mode"):
+            # A USB adapter collects bytes for 16 ms by default: four ticks at 256 Hz. Pseudo terminals know no such mode.
+            with contextlib.suppress(ValueError, OSError):
+                self._port.set_low_latency_mode(True)
+        self._port.reset_input_buffer()
+        self._descriptor = self._port.fileno() if os.name == "posix" else -1
+
+    def read(self) -> bytes:
+        """All bytes that have arrived, or none.
+
+        Raises
+        ------
+        BusUnavailable
+            The port is gone, e.g. an unplugged adapter.
+        """
+        try:
+            if self._descriptor < 0:
+                return bytes(self._port.read(self._port.in_waiting))
+            return os.read(self._descriptor, READ_BYTES)  # one system call; pyserial's read takes three
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise BusUnavailable(f"serial port {self.device} is gone: {error.strerror or error}") from error
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting.
+
+        Raises
+        ------
+        BusUnavailable
+            The port is gone.
+        """
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            return
+        except OSError as error:
+            raise BusUnavailable(f"serial port {self.device} is gone: {error.strerror or error}") from error
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._port.close()

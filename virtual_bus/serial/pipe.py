@@ -1,0 +1,42 @@
+"""A serial line inside this process: two ends, bytes in order, nothing waits and nothing runs in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+CAPACITY_BYTES = 65_536  # what an operating system buffers for a port nobody reads; further bytes are lost
+
+
+class PipeEnd:
+    """One end of the line, with the face of `drivers.serial.stream.ByteStream`."""
+
+    def __init__(self) -> None:
+        self._received = bytearray()
+        self._peer = self
+        self.on_data: Callable[[], None] | None = None  # called after bytes have arrived at this end
+
+    def connect(self, peer: PipeEnd) -> None:
+        """Join two ends, both ways."""
+        self._peer, peer._peer = peer, self
+
+    def read(self) -> bytes:
+        """All bytes that have arrived, or none."""
+        if not self._received:
+            return b""
+        data = bytes(self._received)
+        self._received.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the other end, which may answer before this returns."""
+        peer = self._peer
+        peer._received += data[: max(0, CAPACITY_BYTES - len(peer._received))]
+        if peer.on_data is not None:
+            peer.on_data()
+
+
+def pipe() -> tuple[PipeEnd, PipeEnd]:
+    """Two connected ends: (the bench's, the device's)."""
+    bench, device = PipeEnd(), PipeEnd()
+    bench.connect(device)
+    return bench, device

@@ -1,0 +1,228 @@
+"""The emulated detector IMU: a Xsens tracker as seen from its serial line.
+
+It answers the configuration dialogue, keeps its states (waking, config, measurement) and sends MTData2 messages, triggered by SYNC or on
+its own clock. Source: Xsens, MT Low Level Communication Protocol, MT0101P.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from drivers.serial.stream import ByteStream
+from drivers.serial.xbus import (
+    FORMAT_BITS,
+    MAX_RATE,
+    NO_SYNC,
+    PRECISION_BITS,
+    STATUS_FILTER_VALID,
+    STATUS_SELF_TEST_PASSED,
+    STATUS_SYNC_IN,
+    SYNC_FUNCTION_SEND_LATEST,
+    SYNC_LINE_IN1,
+    DataId,
+    ErrorCode,
+    Message,
+    MessageId,
+    Precision,
+    Reading,
+    StreamParser,
+    TIME_TICKS_Hz,
+    decode_output_configuration,
+    decode_sync_settings,
+    encode,
+    encode_output_configuration,
+    encode_reading,
+    encode_sync_settings,
+)
+
+OUTPUT_CLOCK_Hz = 32_000  # rates are whole divisions of it: 100, 250, 256, 400, 500, 1000, 2000 Hz and others
+MAX_OUTPUT_RATE_Hz = 2000
+DEFAULT_RATE_Hz = 100  # after power-on
+WAKE_UP_WINDOW_S = 0.5  # how long the device waits for WakeUpAck before it starts measuring
+
+ACCOMPANYING = (DataId.PACKET_COUNTER, DataId.SAMPLE_TIME_FINE, DataId.STATUS_WORD)
+INERTIAL = (DataId.ACCELERATION, DataId.RATE_OF_TURN)
+
+
+class State(Enum):
+    """What the device is doing."""
+
+    WAKING = "waking"
+    CONFIG = "config"
+    MEASUREMENT = "measurement"
+
+
+class EmulatedImu:
+    """A Xsens tracker on a byte stream.
+
+    Parameters
+    ----------
+    stream : ByteStream
+        The device's end of the line: a `Pty` or one end of a `pipe()`.
+    clock_error_ppm : float
+        How much faster the device's clock runs than the machine's time.
+    product_code, device_id, firmware
+        What the device says of itself.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        *,
+        clock_error_ppm: float = 0.0,
+        product_code: str = "MTi-100-2A5G4",
+        device_id: int = 0x07700001,
+        firmware: tuple[int, int, int] = (1, 9, 0),
+    ) -> None:
+        self._stream = stream
+        self._clock_rate = 1.0 + clock_error_ppm * 1e-6
+        self._identity = {
+            MessageId.REQ_DEVICE_ID: device_id.to_bytes(4, "big"),
+            MessageId.REQ_PRODUCT_CODE: product_code.encode("ascii").ljust(20),
+            MessageId.REQ_FIRMWARE_REVISION: bytes(firmware),
+        }
+        self._outputs: list[tuple[int, int]] = [
+            *((identifier, MAX_RATE) for identifier in ACCOMPANYING),
+            *((identifier, DEFAULT_RATE_Hz) for identifier in INERTIAL),
+        ]
+        self._sync = NO_SYNC
+        self._time_s = 0.0  # machine time
+        self._imu: tuple[float, ...] = (0.0,) * 6
+        self._start()
+
+    @property
+    def state(self) -> State:
+        """What the device is doing."""
+        return self._state
+
+    def on_sync(self, imu: np.ndarray, time_s: float) -> None:
+        """The SYNC line rises at `time_s` [s]: sample `imu` (6,), specific force [m/s^2] and angular rate [rad/s] in the sensor's frame."""
+        self.advance(time_s)
+        self._imu = tuple(imu.tolist())
+        if self._state is State.MEASUREMENT and self._sync.function == SYNC_FUNCTION_SEND_LATEST:
+            pulse = self._pulses - self._sync.skip_first
+            self._pulses += 1
+            if pulse >= 0 and pulse % (self._sync.skip_factor + 1) == 0:
+                self._send(self._time_s * self._clock_rate, STATUS_SYNC_IN)
+
+    def advance(self, time_s: float) -> None:
+        """Let machine time pass up to `time_s` [s]: a device on its own clock sends what has become due, from the reading it holds."""
+        self._time_s = time_s
+        if self._state is State.WAKING and time_s - self._started_s >= WAKE_UP_WINDOW_S:
+            self._measure()
+        if self._state is State.MEASUREMENT and self._sync.function != SYNC_FUNCTION_SEND_LATEST:
+            device_time = time_s * self._clock_rate
+            while (due := self._measuring_since + (self._sent + 1) / self._rate_Hz) <= device_time:
+                self._sent += 1
+                self._send(due, 0)
+
+    def serve(self) -> None:
+        """Answer what has arrived on the line."""
+        damaged = self._parser.checksum_errors
+        messages = self._parser.feed(self._stream.read())
+        for message in messages:
+            self._answer(message)
+        if not messages and self._parser.checksum_errors > damaged:
+            self._refuse(ErrorCode.INVALID_MESSAGE)
+
+    def _start(self) -> None:
+        """Power on, or reset."""
+        self._state = State.WAKING
+        self._parser = StreamParser()
+        self._started_s = self._time_s
+        self._counter = 0
+        self._pulses = 0
+        self._sent = 0
+        self._measuring_since = 0.0
+        self._stream.write(encode(MessageId.WAKE_UP))
+
+    def _measure(self) -> None:
+        self._state = State.MEASUREMENT
+        self._precision = {identifier & ~FORMAT_BITS: Precision(identifier & PRECISION_BITS) for identifier, _ in self._outputs}
+        self._rate_Hz = max((rate for identifier, rate in self._outputs if identifier & ~FORMAT_BITS in INERTIAL), default=DEFAULT_RATE_Hz)
+        self._measuring_since = self._time_s * self._clock_rate
+        self._sent = self._pulses = 0
+
+    def _send(self, device_time_s: float, status: int) -> None:
+        """One MTData2 message of what is configured."""
+        precision = self._precision
+        reading = Reading(
+            counter=self._counter if DataId.PACKET_COUNTER in precision else None,
+            time_ticks=int(device_time_s * TIME_TICKS_Hz + 0.5) & 0xFFFFFFFF if DataId.SAMPLE_TIME_FINE in precision else None,
+            acceleration=self._imu[:3] if DataId.ACCELERATION in precision else None,
+            rate_of_turn=self._imu[3:] if DataId.RATE_OF_TURN in precision else None,
+            status=STATUS_SELF_TEST_PASSED | STATUS_FILTER_VALID | status if DataId.STATUS_WORD in precision else None,
+        )
+        self._counter = (self._counter + 1) & 0xFFFF
+        self._stream.write(encode_reading(reading, precision.get(DataId.ACCELERATION, Precision.FLOAT32)))
+
+    def _acknowledge(self, command: int, data: bytes = b"") -> None:
+        self._stream.write(encode(command + 1, data))
+
+    def _refuse(self, code: ErrorCode) -> None:
+        self._stream.write(encode(MessageId.ERROR, bytes((code,))))
+
+    def _answer(self, message: Message) -> None:
+        command, data = message
+        if command == MessageId.WAKE_UP_ACK:
+            if self._state is State.WAKING:
+                self._state = State.CONFIG
+        elif command == MessageId.RESET:
+            self._acknowledge(command)
+            self._start()
+        elif command == MessageId.GO_TO_CONFIG:
+            self._state = State.CONFIG
+            self._acknowledge(command)
+        elif self._state is not State.CONFIG:
+            self._refuse(ErrorCode.INVALID_MESSAGE)
+        elif command == MessageId.GO_TO_MEASUREMENT:
+            self._acknowledge(command)
+            self._measure()
+        elif command in self._identity:
+            self._acknowledge(command, self._identity[MessageId(command)])
+        elif command == MessageId.SET_OUTPUT_CONFIGURATION:
+            self._set_outputs(data)
+        elif command == MessageId.SET_SYNC_SETTINGS:
+            self._set_sync(data)
+        else:
+            self._refuse(ErrorCode.INVALID_MESSAGE)
+
+    def _set_outputs(self, data: bytes) -> None:
+        if len(data) % 4:
+            self._refuse(ErrorCode.INVALID_PARAMETER)
+            return
+        if data:
+            granted = [(identifier, _granted_rate(identifier, rate)) for identifier, rate in decode_output_configuration(data)]
+            if 0 in (rate for _, rate in granted):
+                self._refuse(ErrorCode.INVALID_PARAMETER)
+                return
+            self._outputs = granted
+        self._acknowledge(MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(self._outputs))
+
+    def _set_sync(self, data: bytes) -> None:
+        if len(data) not in (0, 12):
+            self._refuse(ErrorCode.INVALID_PARAMETER)
+            return
+        if data:
+            (setting,) = decode_sync_settings(data)
+            if setting != NO_SYNC and (setting.function, setting.line) != (SYNC_FUNCTION_SEND_LATEST, SYNC_LINE_IN1):
+                self._refuse(ErrorCode.INVALID_PARAMETER)
+                return
+            self._sync = setting
+            self._acknowledge(MessageId.SET_SYNC_SETTINGS)
+        else:
+            self._acknowledge(MessageId.SET_SYNC_SETTINGS, encode_sync_settings([self._sync]))
+
+
+def _granted_rate(identifier: int, rate: int) -> int:
+    """The rate the device gives where `rate` [Hz] is asked; 0 for an output it does not have."""
+    kind = identifier & ~FORMAT_BITS
+    if kind in ACCOMPANYING:
+        return MAX_RATE
+    if kind not in INERTIAL:
+        return 0
+    if rate in (0, MAX_RATE):
+        return MAX_OUTPUT_RATE_Hz
+    return min(MAX_OUTPUT_RATE_Hz, OUTPUT_CLOCK_Hz // max(1, round(OUTPUT_CLOCK_Hz / rate)))
