@@ -1,0 +1,42 @@
+"""The bus tests pass over a real SocketCAN vcan0: in place where this kernel has one, in a user-mode kernel elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
+
+INSIDE = Path(__file__).parent / "inside"
+ROOT = Path(__file__).parents[2]
+TIMEOUT_S = 600.0
+
+
+def test_two_processes_over_vcan0(pytestconfig: pytest.Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
+    monkeypatch.chdir(ROOT)
+    command = [sys.executable, "-m", "pytest", "-m", "vcan", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-v", str(INSIDE)]
+    environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
+    here, kernel = vcan_here(), ""
+    if here:
+        kernel = kernel_missing()
+        if kernel:
+            line = f"not proven: the stack over a real vcan0 ({here}; {kernel}). To prove it: sudo apt-get install {PACKAGES}, then run the tests as root."
+            if os.environ.get("CI"):
+                pytest.fail(line)
+            pytest.skip(line)
+        outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
+    else:
+        done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
+    where = "in a user-mode kernel" if here else "in place"
+    assert outcome.status is not None, f"the user-mode kernel did not finish:\n{outcome.console}\n{outcome.output}"
+    assert outcome.status == 0, f"bus tests over vcan0 ({where}):\n{outcome.output}"
+    passed = re.search(r"(\d+) passed", outcome.output)
+    assert passed and int(passed[1]) > 0, f"no bus test ran:\n{outcome.output}"
+    assert "skipped" not in outcome.output.splitlines()[-1], f"a bus test was skipped:\n{outcome.output}"
+    print(f"over vcan0 {where}: {outcome.output.splitlines()[-1]}")

@@ -1,0 +1,127 @@
+"""A second Linux kernel as an ordinary process, for machines whose own kernel has no CAN: the bus tests run in it over a real vcan0.
+
+Debian's `user-mode-linux` ships the kernel with the modules can, can-raw, vcan and slcan. The host's file system is its root, so the same
+Python environment serves. Its clock jitters: behaviour is proven there, timing is not.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+INTERFACE = "vcan0"
+KERNEL = "linux.uml"
+PACKAGES = "user-mode-linux can-utils kmod iproute2"
+
+MEMORY = "2G"
+BOOT_ALLOWANCE_S = 60.0
+"""Booting takes four to eight seconds on a shared machine; the rest is for a loaded one."""
+
+_INIT = """#!/bin/sh
+mount -t proc proc /proc
+mount -t sysfs sysfs /sys
+mkdir -p /dev/pts /dev/shm
+mount -t devpts devpts /dev/pts
+mount -t tmpfs tmpfs /dev/shm
+mount -t tmpfs tmpfs /run
+mount -t tmpfs tmpfs /tmp
+modules=/usr/lib/uml/modules/$(uname -r)/kernel
+for module in net/can/can net/can/can-raw net/can/can-bcm drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan; do
+    insmod $modules/$module.ko
+done
+ip link set lo up
+ip link add dev {interface} type vcan
+ip link set {interface} up
+export XDG_RUNTIME_DIR=/run {environment}
+cd {folder}
+{command} > {result}/output 2>&1 < /dev/null
+echo $? > {result}/status.tmp
+mv {result}/status.tmp {result}/status
+sync
+halt -f
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind: its exit status (None when the kernel never came that far) and what it printed."""
+
+    status: int | None
+    output: str
+    console: str
+
+
+def vcan_here() -> str:
+    """'' when this kernel's vcan0 can be used (it is brought up if we may), else why not."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except (AttributeError, OSError) as error:
+        return f"this kernel has no CAN ({error})"
+    if not Path(f"/sys/class/net/{INTERFACE}").exists():
+        subprocess.run(["ip", "link", "add", "dev", INTERFACE, "type", "vcan"], capture_output=True, check=False)
+        subprocess.run(["ip", "link", "set", INTERFACE, "up"], capture_output=True, check=False)
+    state = Path(f"/sys/class/net/{INTERFACE}/flags")
+    if not state.exists() or not int(state.read_text(), 16) & 1:
+        return f"{INTERFACE} is not up and we may not bring it up"
+    return ""
+
+
+def kernel_missing() -> str:
+    """'' when a user-mode kernel can be booted here, else what is missing."""
+    missing = [tool for tool in (KERNEL, "ip", "insmod", "candump") if shutil.which(tool) is None]
+    if missing:
+        return f"{', '.join(missing)} not found (as root: apt-get install {PACKAGES})"
+    if os.geteuid() != 0:
+        return "booting a user-mode kernel on the host's file system needs root"
+    return ""
+
+
+def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, str], timeout_s: float) -> Outcome:
+    """Boot, run `command` in the current folder, halt.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Program and arguments; paths as on the host.
+    environment : mapping
+        Variables set for it, beside XDG_RUNTIME_DIR=/run.
+    timeout_s : float
+        For the command; booting has an allowance of its own.
+
+    Returns
+    -------
+    Outcome
+    """
+    with tempfile.TemporaryDirectory(prefix="isocenter-vcan-", dir="/var/tmp") as folder:
+        script = Path(folder) / "init"
+        script.write_text(
+            _INIT.format(
+                interface=INTERFACE,
+                environment=" ".join(f"{name}={shlex.quote(value)}" for name, value in environment.items()),
+                folder=shlex.quote(os.getcwd()),
+                command=shlex.join(command),
+                result=folder,
+            ),
+            encoding="utf-8",
+        )
+        script.chmod(0o755)
+        boot = [KERNEL, f"mem={MEMORY}", "rootfstype=hostfs", "rootflags=/", "rw", f"init={script}", "con=null", "con0=fd:0,fd:1"]
+        try:
+            console = subprocess.run(
+                boot, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=timeout_s + BOOT_ALLOWANCE_S, check=False
+            ).stdout.decode(errors="replace")
+        except subprocess.TimeoutExpired as late:
+            console = (late.stdout or b"").decode(errors="replace") + f"\nstill running after {timeout_s:.0f} s"
+        status, output = Path(folder) / "status", Path(folder) / "output"
+        return Outcome(
+            int(status.read_text()) if status.exists() else None,
+            output.read_text(errors="replace") if output.exists() else "",
+            console,
+        )
