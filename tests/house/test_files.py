@@ -1,0 +1,53 @@
+"""Files can be read in a sitting, say what they are for, hold nothing unfinished and no path of somebody's machine."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("hil", "drivers", "controllers", "virtual_bus")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+A_SITTING = 450
+UNFINISHED = re.compile(r"\b(TO" + r"DO|FIX" + r"ME|NotImplemented" + r"Error)\b")
+PRIVATE_PATH = re.compile(r"(?<![\w.])/(home|root|Users|wo" + r"rk)/\w")
+
+
+def tracked_texts() -> list[Path]:
+    """Every text file under version control; the packages alone where this is no checkout."""
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listing.returncode:
+        return SOURCES
+    names = [name for name in listing.stdout.decode().split("\0") if name]
+    return [ROOT / name for name in names if Path(name).suffix in {".py", ".md", ".toml", ".sh", ".html", ".eds", ""} and (ROOT / name).is_file()]
+
+
+def test_no_file_is_longer_than_a_sitting():
+    assert {str(path.relative_to(ROOT)): n for path in SOURCES if (n := len(path.read_text().splitlines())) > A_SITTING} == {}
+
+
+def test_nothing_is_left_unfinished():
+    assert [str(path.relative_to(ROOT)) for path in SOURCES if UNFINISHED.search(path.read_text())] == []
+
+
+def test_no_path_of_one_persons_machine_is_tracked():
+    assert [str(path.relative_to(ROOT)) for path in tracked_texts() if PRIVATE_PATH.search(path.read_text(errors="replace"))] == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_module_and_public_definition_says_what_it_is(package):
+    silent = []
+    for path in SOURCES:
+        if path.relative_to(ROOT).parts[0] != package:
+            continue
+        tree = ast.parse(path.read_text())
+        if tree.body and not ast.get_docstring(tree):
+            silent.append(str(path.relative_to(ROOT)))
+        for node in tree.body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_") and not ast.get_docstring(node):
+                silent.append(f"{path.relative_to(ROOT)}: {node.name}")
+    assert silent == []
