@@ -69,6 +69,7 @@ class RowLayout:
             self._add("imu_counter", [("imu_counter", "")])
         self._add("sync_lateness", [("sync_lateness", "s")])
         self._add("work_time", [("work_time", "s")])
+        self._add("answer_time", [("answer_time", "s")])
 
     def _add(self, group: str, channels: list[tuple[str, str]]) -> None:
         self._groups[group] = slice(len(self.channels), len(self.channels) + len(channels))
@@ -79,8 +80,12 @@ class RowLayout:
         """Number of columns."""
         return len(self.channels)
 
-    def fill(self, row: np.ndarray, k: int, sample: Sample, plan: Signals, command: np.ndarray, lateness_s: float, work_time_s: float) -> None:
-        """Write tick k into `row` (width,). Missing values are NaN."""
+    def fill(self, row: np.ndarray, k: int, sample: Sample, plan: Signals, command: np.ndarray, timing_s: tuple[float, float, float]) -> None:
+        """Write tick k into `row` (width,). Missing values are NaN.
+
+        `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it that was
+        spent waiting for the devices' answers.
+        """
         groups = self._groups
         row[0] = k * self.period_s
         row[groups["reference"]] = plan.reference[k]
@@ -102,5 +107,4 @@ class RowLayout:
             row[groups["imu"]] = sample.imu
             row[groups["imu_time"]] = sample.imu_time_s
             row[groups["imu_counter"]] = sample.imu_counter if sample.imu_counter >= 0 else np.nan
-        row[groups["sync_lateness"]] = lateness_s
-        row[groups["work_time"]] = work_time_s
+        row[groups["sync_lateness"]], row[groups["work_time"]], row[groups["answer_time"]] = timing_s

@@ -74,11 +74,12 @@ class LoopTiming:
     missed: int
     lateness_s: np.ndarray
     work_time_s: np.ndarray
+    answer_time_s: np.ndarray
 
     def summary(self) -> dict[str, float]:
-        """Percentiles of lateness and work time in microseconds, and the ticks missed."""
+        """Percentiles of lateness, work time and the answers' share of it in microseconds, and the ticks missed."""
         table: dict[str, float] = {"ticks": self.ticks, "missed": self.missed}
-        for name, values in (("lateness", self.lateness_s), ("work_time", self.work_time_s)):
+        for name, values in (("lateness", self.lateness_s), ("work_time", self.work_time_s), ("answer_time", self.answer_time_s)):
             if values.size:
                 p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
                 table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
@@ -138,7 +139,7 @@ class SampleLoop:
             The link lost a device; it has stopped the motors.
         """
         rows = len(plan.reference)
-        lateness, work = np.zeros(rows), np.zeros(rows)
+        lateness, work, answer = np.zeros(rows), np.zeros(rows), np.zeros(rows)
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
         done = 0
@@ -154,9 +155,10 @@ class SampleLoop:
                 handed_over_s = time.perf_counter()
                 lateness[k] = sample.lateness_s
                 work[k] = handed_over_s - self.clock.tick_began_s + tail_s
+                answer[k] = sample.arrived_s - self.clock.tick_began_s
                 done = k + 1
                 if sink is not None:
-                    self.layout.fill(self._row, k, sample, plan, self.command, lateness[k], work[k])
+                    self.layout.fill(self._row, k, sample, plan, self.command, (lateness[k], work[k], answer[k]))
                     sink.put(self._row)
                 if reason:
                     raise LoopAborted(f"row {k}: {reason}; the motors were stopped and {done} rows are kept")
@@ -165,7 +167,7 @@ class SampleLoop:
         except BaseException:
             self.link.stop()
             raise
-        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done])
+        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done])
 
     def _step(self, sample: Sample, plan: Signals, k: int) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
