@@ -80,7 +80,9 @@ class RowLayout:
         """Number of columns."""
         return len(self.channels)
 
-    def fill(self, row: np.ndarray, k: int, sample: Sample, plan: Signals, command: np.ndarray, timing_s: tuple[float, float, float]) -> None:
+    def fill(
+        self, row: np.ndarray, k: int, sample: Sample, plan: Signals, command: np.ndarray, timing_s: tuple[float, float, float]
+    ) -> None:
         """Write tick k into `row` (width,). Missing values are NaN.
 
         `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it that was

@@ -22,7 +22,7 @@ STALE_TICKS = 3
 """A position that did not arrive is bridged with the last good one for so many ticks (12 ms at 256 Hz), then the motors are stopped."""
 
 OVERRUN_TICKS = 8
-"""So many ticks lost in one tick (31 ms at 256 Hz) mean that the loop no longer controls the machine: stop. Fewer are skipped, counted and go on."""
+"""More ticks lost at once (31 ms at 256 Hz) mean that the loop no longer controls the machine: stop. Fewer are skipped and counted."""
 
 PROGRESS_TICKS = 128
 """How often the progress callback is told: twice a second at 256 Hz."""

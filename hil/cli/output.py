@@ -15,7 +15,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write the answer as JSON to FILE; - for standard output, and nothing else goes there.")]
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write the answer as JSON to FILE; - for standard output, and nothing else goes there."),
+]
 
 
 class Answer:
