@@ -1,4 +1,4 @@
-"""The emulated detector IMU: a Xsens tracker as seen from its serial line.
+"""The emulated detector IMU: a Xsens tracker as seen from its serial line, bytes in and bytes out.
 
 It answers the configuration dialogue, keeps its states (waking, config, measurement) and sends MTData2 messages, triggered by SYNC or on
 its own clock. Source: Xsens, MT Low Level Communication Protocol, MT0101P.
@@ -10,7 +10,6 @@ from enum import Enum
 
 import numpy as np
 
-from drivers.serial.stream import ByteStream
 from drivers.serial.xbus import (
     FORMAT_BITS,
     MAX_RATE,
@@ -55,12 +54,10 @@ class State(Enum):
 
 
 class EmulatedImu:
-    """A Xsens tracker on a byte stream.
+    """A Xsens tracker. Every method that makes it speak returns the bytes it puts on the line.
 
     Parameters
     ----------
-    stream : ByteStream
-        The device's end of the line: a `Pty` or one end of a `pipe()`.
     clock_error_ppm : float
         How much faster the device's clock runs than the machine's time.
     product_code, device_id, firmware
@@ -69,14 +66,12 @@ class EmulatedImu:
 
     def __init__(
         self,
-        stream: ByteStream,
         *,
         clock_error_ppm: float = 0.0,
         product_code: str = "MTi-100-2A5G4",
         device_id: int = 0x07700001,
         firmware: tuple[int, int, int] = (1, 9, 0),
     ) -> None:
-        self._stream = stream
         self._clock_rate = 1.0 + clock_error_ppm * 1e-6
         self._identity = {
             MessageId.REQ_DEVICE_ID: device_id.to_bytes(4, "big"),
@@ -90,53 +85,52 @@ class EmulatedImu:
         self._sync = NO_SYNC
         self._time_s = 0.0  # machine time
         self._imu: tuple[float, ...] = (0.0,) * 6
-        self._start()
+        self.power_on()
 
     @property
     def state(self) -> State:
         """What the device is doing."""
         return self._state
 
-    def on_sync(self, imu: np.ndarray, time_s: float) -> None:
+    def power_on(self) -> bytes:
+        """Start anew; output and sync settings are kept in the device. Says WakeUp and waits half a second for its acknowledge."""
+        self._state = State.WAKING
+        self._parser = StreamParser()
+        self._started_s = self._time_s
+        self._counter = 0
+        return encode(MessageId.WAKE_UP)
+
+    def on_sync(self, imu: np.ndarray, time_s: float) -> bytes:
         """The SYNC line rises at `time_s` [s]: sample `imu` (6,), specific force [m/s^2] and angular rate [rad/s] in the sensor's frame."""
-        self.advance(time_s)
+        due = self.advance(time_s)
         self._imu = tuple(imu.tolist())
         if self._state is State.MEASUREMENT and self._sync.function == SYNC_FUNCTION_SEND_LATEST:
             pulse = self._pulses - self._sync.skip_first
             self._pulses += 1
             if pulse >= 0 and pulse % (self._sync.skip_factor + 1) == 0:
-                self._send(self._time_s * self._clock_rate, STATUS_SYNC_IN)
+                return due + self._mtdata2(time_s * self._clock_rate, STATUS_SYNC_IN)
+        return due
 
-    def advance(self, time_s: float) -> None:
+    def advance(self, time_s: float) -> bytes:
         """Let machine time pass up to `time_s` [s]: a device on its own clock sends what has become due, from the reading it holds."""
         self._time_s = time_s
         if self._state is State.WAKING and time_s - self._started_s >= WAKE_UP_WINDOW_S:
             self._measure()
-        if self._state is State.MEASUREMENT and self._sync.function != SYNC_FUNCTION_SEND_LATEST:
-            device_time = time_s * self._clock_rate
-            while (due := self._measuring_since + (self._sent + 1) / self._rate_Hz) <= device_time:
-                self._sent += 1
-                self._send(due, 0)
+        if self._state is not State.MEASUREMENT or self._sync.function == SYNC_FUNCTION_SEND_LATEST:
+            return b""
+        sent = b""
+        while (due := self._measuring_since + (self._sent + 1) / self._rate_Hz) <= time_s * self._clock_rate:
+            self._sent += 1
+            sent += self._mtdata2(due, 0)
+        return sent
 
-    def serve(self) -> None:
-        """Answer what has arrived on the line."""
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes from the line and answer the messages that are complete now."""
         damaged = self._parser.checksum_errors
-        messages = self._parser.feed(self._stream.read())
-        for message in messages:
-            self._answer(message)
+        messages = self._parser.feed(data)
         if not messages and self._parser.checksum_errors > damaged:
-            self._refuse(ErrorCode.INVALID_MESSAGE)
-
-    def _start(self) -> None:
-        """Power on, or reset."""
-        self._state = State.WAKING
-        self._parser = StreamParser()
-        self._started_s = self._time_s
-        self._counter = 0
-        self._pulses = 0
-        self._sent = 0
-        self._measuring_since = 0.0
-        self._stream.write(encode(MessageId.WAKE_UP))
+            return _error(ErrorCode.INVALID_MESSAGE)
+        return b"".join(self._answer(message) for message in messages)
 
     def _measure(self) -> None:
         self._state = State.MEASUREMENT
@@ -145,8 +139,8 @@ class EmulatedImu:
         self._measuring_since = self._time_s * self._clock_rate
         self._sent = self._pulses = 0
 
-    def _send(self, device_time_s: float, status: int) -> None:
-        """One MTData2 message of what is configured."""
+    def _mtdata2(self, device_time_s: float, status: int) -> bytes:
+        """One message of what is configured."""
         precision = self._precision
         reading = Reading(
             counter=self._counter if DataId.PACKET_COUNTER in precision else None,
@@ -156,64 +150,62 @@ class EmulatedImu:
             status=STATUS_SELF_TEST_PASSED | STATUS_FILTER_VALID | status if DataId.STATUS_WORD in precision else None,
         )
         self._counter = (self._counter + 1) & 0xFFFF
-        self._stream.write(encode_reading(reading, precision.get(DataId.ACCELERATION, Precision.FLOAT32)))
+        return encode_reading(reading, precision.get(DataId.ACCELERATION, Precision.FLOAT32))
 
-    def _acknowledge(self, command: int, data: bytes = b"") -> None:
-        self._stream.write(encode(command + 1, data))
-
-    def _refuse(self, code: ErrorCode) -> None:
-        self._stream.write(encode(MessageId.ERROR, bytes((code,))))
-
-    def _answer(self, message: Message) -> None:
+    def _answer(self, message: Message) -> bytes:
         command, data = message
         if command == MessageId.WAKE_UP_ACK:
             if self._state is State.WAKING:
                 self._state = State.CONFIG
-        elif command == MessageId.RESET:
-            self._acknowledge(command)
-            self._start()
-        elif command == MessageId.GO_TO_CONFIG:
+            return b""
+        if command == MessageId.RESET:
+            return _acknowledge(command) + self.power_on()
+        if command == MessageId.GO_TO_CONFIG:
             self._state = State.CONFIG
-            self._acknowledge(command)
-        elif self._state is not State.CONFIG:
-            self._refuse(ErrorCode.INVALID_MESSAGE)
-        elif command == MessageId.GO_TO_MEASUREMENT:
-            self._acknowledge(command)
+            return _acknowledge(command)
+        if self._state is not State.CONFIG:
+            return _error(ErrorCode.INVALID_MESSAGE)
+        if command == MessageId.GO_TO_MEASUREMENT:
             self._measure()
-        elif command in self._identity:
-            self._acknowledge(command, self._identity[MessageId(command)])
-        elif command == MessageId.SET_OUTPUT_CONFIGURATION:
-            self._set_outputs(data)
-        elif command == MessageId.SET_SYNC_SETTINGS:
-            self._set_sync(data)
-        else:
-            self._refuse(ErrorCode.INVALID_MESSAGE)
+            return _acknowledge(command)
+        if command in self._identity:
+            return _acknowledge(command, self._identity[MessageId(command)])
+        if command == MessageId.SET_OUTPUT_CONFIGURATION:
+            return self._set_outputs(data)
+        if command == MessageId.SET_SYNC_SETTINGS:
+            return self._set_sync(data)
+        return _error(ErrorCode.INVALID_MESSAGE)
 
-    def _set_outputs(self, data: bytes) -> None:
+    def _set_outputs(self, data: bytes) -> bytes:
+        """Grant rates; without data it is a request."""
         if len(data) % 4:
-            self._refuse(ErrorCode.INVALID_PARAMETER)
-            return
+            return _error(ErrorCode.INVALID_PARAMETER)
         if data:
             granted = [(identifier, _granted_rate(identifier, rate)) for identifier, rate in decode_output_configuration(data)]
-            if 0 in (rate for _, rate in granted):
-                self._refuse(ErrorCode.INVALID_PARAMETER)
-                return
+            if any(rate == 0 for _, rate in granted):
+                return _error(ErrorCode.INVALID_PARAMETER)
             self._outputs = granted
-        self._acknowledge(MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(self._outputs))
+        return _acknowledge(MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(self._outputs))
 
-    def _set_sync(self, data: bytes) -> None:
+    def _set_sync(self, data: bytes) -> bytes:
+        """One setting, or none; without data it is a request."""
         if len(data) not in (0, 12):
-            self._refuse(ErrorCode.INVALID_PARAMETER)
-            return
-        if data:
-            (setting,) = decode_sync_settings(data)
-            if setting != NO_SYNC and (setting.function, setting.line) != (SYNC_FUNCTION_SEND_LATEST, SYNC_LINE_IN1):
-                self._refuse(ErrorCode.INVALID_PARAMETER)
-                return
-            self._sync = setting
-            self._acknowledge(MessageId.SET_SYNC_SETTINGS)
-        else:
-            self._acknowledge(MessageId.SET_SYNC_SETTINGS, encode_sync_settings([self._sync]))
+            return _error(ErrorCode.INVALID_PARAMETER)
+        if not data:
+            return _acknowledge(MessageId.SET_SYNC_SETTINGS, encode_sync_settings([self._sync]))
+        (setting,) = decode_sync_settings(data)
+        if setting != NO_SYNC and (setting.function, setting.line) != (SYNC_FUNCTION_SEND_LATEST, SYNC_LINE_IN1):
+            return _error(ErrorCode.INVALID_PARAMETER)
+        self._sync = setting
+        return _acknowledge(MessageId.SET_SYNC_SETTINGS)
+
+
+def _acknowledge(command: int, data: bytes = b"") -> bytes:
+    return encode(command + 1, data)
+
+
+def _error(code: ErrorCode) -> bytes:
+    return encode(MessageId.ERROR, bytes((code,)))
 
 
 def _granted_rate(identifier: int, rate: int) -> int:
