@@ -1,0 +1,1 @@
+"""Figures: drawing apart from computing; every function returns a matplotlib Figure."""

@@ -1,0 +1,91 @@
+"""Covariances of frequency response matrices: from closed-loop outputs to the plant, nonlinear from total, bounds from degrees of freedom.
+
+vec(.) stacks columns: element (i, j) of an n_y x n_u matrix has index j n_y + i.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+
+def plant_covariance(G: np.ndarray, inputs: np.ndarray, covariance_z: np.ndarray) -> np.ndarray:
+    """Covariance of vec(G) from the covariance of the columns of the averaged closed-loop outputs, (3.18).
+
+    Parameters
+    ----------
+    G : (L, n_y, n_u) frequency response.
+    inputs : (L, n_u, n_u) averaged input matrix U_c; one column per experiment.
+    covariance_z : (L, n_z, n_z) of one column of the averaged [Y; U], or (L, n_y, n_y) where the inputs are known exactly.
+
+    Returns
+    -------
+    (L, n_y n_u, n_y n_u) Hermitian.
+    """
+    inverse = np.linalg.inv(inputs)
+    return kronecker(np.conj(_hermitian(inverse) @ inverse), output_covariance(G, covariance_z))
+
+
+def output_covariance(G: np.ndarray, covariance_z: np.ndarray) -> np.ndarray:
+    """Q C_z Q^H with Q = [I, -G] of (3.18): the covariance of y - G u. Passes (L, n_y, n_y) through."""
+    n_y = G.shape[1]
+    if covariance_z.shape[-1] == n_y:
+        return covariance_z
+    Q = np.concatenate((np.broadcast_to(np.eye(n_y), (len(G), n_y, n_y)), -G), axis=2)
+    return Q @ covariance_z @ _hermitian(Q)
+
+
+def kronecker(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Kronecker product of stacks: (L, a, a), (L, b, b) to (L, a b, a b)."""
+    product = A[:, :, None, :, None] * B[:, None, :, None, :]
+    size = A.shape[1] * B.shape[1]
+    return product.reshape(len(A), size, size)
+
+
+def nonlinear_covariance(total: np.ndarray, noise: np.ndarray, realisations: int) -> np.ndarray:
+    """Covariance of the stochastic nonlinear distortion of one realisation, (3.20) times M.
+
+    (3.20) as printed belongs to the mean over M realisations. Variances are clipped at zero element by element; a covariance
+    between two elements is kept only where both variances are positive, and bounded by them.
+    """
+    difference = realisations * (total - noise)
+    variance = np.maximum(np.real(np.diagonal(difference, axis1=1, axis2=2)), 0.0)
+    bound = np.sqrt(variance[:, :, None] * variance[:, None, :])
+    magnitude = np.abs(difference)
+    shrunk = difference * np.minimum(1.0, np.divide(bound, magnitude, out=np.zeros_like(bound), where=magnitude > 0.0))
+    diagonal = np.arange(variance.shape[1])
+    shrunk[:, diagonal, diagonal] = variance
+    return shrunk
+
+
+def variances(covariance: np.ndarray, n_y: int, n_u: int) -> np.ndarray:
+    """Diagonal of a covariance of vec(G) as a matrix like G: (L, n_y n_u, n_y n_u) to (L, n_y, n_u)."""
+    diagonal = np.real(np.diagonal(covariance, axis1=1, axis2=2))
+    return diagonal.reshape(-1, n_u, n_y).transpose(0, 2, 1)
+
+
+def circle_factor(dof: np.ndarray | float, probability: float) -> np.ndarray:
+    """Radius of the confidence circle of a complex value in units of its estimated standard deviation.
+
+    |error|^2 / variance is F(2, 2 dof) for a circular complex error and a variance estimated with `dof` complex degrees of freedom.
+    """
+    dof = np.asarray(dof, float)
+    known = np.sqrt(-np.log1p(-probability))
+    safe = np.where(np.isfinite(dof), np.maximum(dof, 1e-9), 1.0)
+    return np.where(np.isfinite(dof), np.sqrt(stats.f.ppf(probability, 2, 2 * safe)), known)
+
+
+def hotelling_bound(size: int, dof: np.ndarray | float, probability: float) -> np.ndarray:
+    """Bound on e^H C^-1 e for a complex error vector of `size` with an estimated covariance of `dof` degrees of freedom (Hotelling's T^2).
+
+    NaN where dof < size: such a covariance has no inverse.
+    """
+    dof = np.asarray(dof, float)
+    left = dof - size + 1
+    usable = left > 0
+    value = dof * size / np.where(usable, left, 1.0) * stats.f.ppf(probability, 2 * size, 2 * np.where(usable, left, 1.0))
+    return np.where(usable, value, np.nan)
+
+
+def _hermitian(matrices: np.ndarray) -> np.ndarray:
+    return np.conj(np.swapaxes(matrices, -1, -2))

@@ -1,0 +1,188 @@
+"""From recordings of the bench to the estimators' arrays: which channels, which record is which realisation, rows that were lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.identification.errors import IdentificationError
+from hil.identification.records import PeriodicRecords, periodic_records
+from hil.recording.model import Recording
+
+PlantInput = Literal["command", "measured"]
+ACCELERATIONS = ("imu_x", "imu_y", "imu_z")
+SATURATED_RUN = 3  # equal commands in a row at the extreme value: a random-phase multisine with feedback never holds its peak
+
+
+def records_from(
+    recordings: Sequence[Recording],
+    *,
+    axes: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    plant_input: PlantInput = "command",
+    settle_periods: int | None = None,
+) -> PeriodicRecords:
+    """Arrange recordings of one pose as realisations and experiments.
+
+    Parameters
+    ----------
+    recordings : all experiments of all realisations, in any order; each states them in its metadata table `experiment`.
+    axes : inputs of the response; None takes every axis that is excited.
+    outputs : channel names; None takes the accelerations that exist and the axes' positions, the thesis's order (Sec. 3.2.1).
+    plant_input : "command" takes `command_A`, what the loop computed; "measured" takes `current_A` or `effort_A`.
+    settle_periods : None takes the metadata's.
+
+    Raises
+    ------
+    IdentificationError, RecordingError
+        Recordings that do not belong together, channels that are missing, an incomplete set of experiments.
+    """
+    if not recordings:
+        raise IdentificationError("no recordings given")
+    details = [_details(recording, index) for index, recording in enumerate(recordings)]
+    for key in ("period_samples", "start_pose", "excited_lines", "settle_periods"):
+        _same(details, key)
+    first = details[0]
+    machine_axes = recordings[0].axes
+    chosen_axes = tuple(axes) if axes else tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
+    if not chosen_axes:
+        raise IdentificationError("no axis is excited in any recording: the channels excitation_<axis> are zero or missing")
+    channels = tuple(outputs) if outputs else _default_outputs(recordings[0], machine_axes)
+    inputs = tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen_axes)
+    excitations = tuple(f"excitation_{axis}" for axis in chosen_axes)
+
+    order = _arrangement(details)
+    rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)
+    notes = _notes(recordings, machine_axes, chosen_axes, rows, first["period_samples"])
+    stacked = {
+        kind: np.stack([[_matrix(recordings[index], names, rows) for index in experiments] for experiments in order])
+        for kind, names in (("outputs", channels), ("inputs", inputs), ("excitation", excitations))
+    }
+    jog = first.get("jog") or {}
+    return periodic_records(
+        **stacked,
+        period_samples=first["period_samples"],
+        sample_rate_Hz=_sample_rate_Hz(recordings[0]),
+        lines=np.asarray(first["excited_lines"], int) if first.get("excited_lines") else None,
+        settle_periods=first.get("settle_periods", 0) if settle_periods is None else settle_periods,
+        output_names=channels,
+        input_names=inputs,
+        output_units=tuple(recordings[0].channel(name).unit for name in channels),
+        input_units=tuple(recordings[0].channel(name).unit for name in inputs),
+        pose=tuple(float(value) for value in first.get("start_pose") or ()),
+        unexcited_reference_lines=(int(jog["line"]),) if "line" in jog else (),
+        notes=notes,
+    )
+
+
+def by_pose(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Recordings grouped by their start pose, poses in ascending order."""
+    groups: dict[tuple[float, ...], list[Recording]] = {}
+    for recording in recordings:
+        groups.setdefault(tuple(recording.experiment.get("start_pose") or ()), []).append(recording)
+    return [groups[pose] for pose in sorted(groups)]
+
+
+def _details(recording: Recording, index: int) -> dict:
+    details = recording.experiment
+    samples = details.get("period_samples")
+    if not isinstance(samples, int) or samples < 2:
+        raise RecordingError(f"recording {index + 1} is not periodic: its metadata lacks experiment.period_samples")
+    return details
+
+
+def _same(details: Sequence[dict], key: str) -> None:
+    for index, other in enumerate(details):
+        if other.get(key) != details[0].get(key):
+            what = f"{details[0].get(key)} and {other.get(key)}" if key != "excited_lines" else "two different lists"
+            raise IdentificationError(f"recordings 1 and {index + 1} do not belong together: {key} is {what}")
+
+
+def _arrangement(details: Sequence[dict]) -> list[list[int]]:
+    """Indices of the recordings as [realisation][experiment]."""
+    places: dict[tuple[int, int], int] = {}
+    for index, item in enumerate(details):
+        place = (int(item.get("realisation", 0)), int(item.get("experiment", 0)))
+        if place in places:
+            raise IdentificationError(
+                f"recordings {places[place] + 1} and {index + 1} are both realisation {place[0]}, experiment {place[1]}; give each once"
+            )
+        places[place] = index
+    realisations, experiments = sorted({m for m, _ in places}), sorted({e for _, e in places})
+    for m in realisations:
+        for e in experiments:
+            if (m, e) not in places:
+                raise IdentificationError(f"realisation {m} lacks experiment {e}; every realisation needs the same experiments")
+    return [[places[m, e] for e in experiments] for m in realisations]
+
+
+def _is_excited(recording: Recording, axis: str) -> bool:
+    name = f"excitation_{axis}"
+    return name in recording and bool(np.nanmax(np.abs(recording[name]), initial=0.0) > 0.0)
+
+
+def _default_outputs(recording: Recording, axes: Sequence[str]) -> tuple[str, ...]:
+    return (*(name for name in ACCELERATIONS if name in recording), *(f"position_{axis}" for axis in axes))
+
+
+def _input_channel(recording: Recording, axis: str, plant_input: PlantInput) -> str:
+    if plant_input == "command":
+        return f"command_{axis}"
+    return f"current_{axis}" if f"current_{axis}" in recording else f"effort_{axis}"
+
+
+def _sample_rate_Hz(recording: Recording) -> float:
+    return round(1.0 / float(np.median(np.diff(recording.time))), 6)
+
+
+def _row_numbers(recording: Recording) -> np.ndarray:
+    """Row number of each row from its time: lost rows leave gaps."""
+    if recording.rows < 2:
+        raise RecordingError("a recording of fewer than two rows has no sample rate")
+    return np.rint((recording.time - recording.time[0]) * _sample_rate_Hz(recording)).astype(int)
+
+
+def _matrix(recording: Recording, names: Sequence[str], rows: int) -> np.ndarray:
+    """(rows, len(names)); lost rows are NaN, but for the excitation, which the plan repeats every period."""
+    numbers = _row_numbers(recording)
+    kept = numbers < rows
+    values = np.full((rows, len(names)), np.nan)
+    values[numbers[kept]] = recording.matrix(names)[kept]
+    if names[0].startswith("excitation_"):
+        samples = recording.experiment["period_samples"]
+        for start in range(samples, rows, samples):
+            part = values[start : start + samples]
+            missing = np.isnan(part)
+            part[missing] = values[:samples][: len(part)][missing]
+    return values
+
+
+def _notes(
+    recordings: Sequence[Recording], machine_axes: Sequence[str], chosen_axes: Sequence[str], rows: int, period_samples: int
+) -> tuple[str, ...]:
+    notes = []
+    lengths = {_row_numbers(recording)[-1] + 1 for recording in recordings}
+    if len({length // period_samples for length in lengths}) > 1:
+        notes.append(f"recordings differ in length; the first {rows // period_samples} periods of each are used")
+    for axis in chosen_axes:
+        saturated = sum(_is_saturated(recording[f"command_{axis}"]) for recording in recordings if f"command_{axis}" in recording)
+        if saturated:
+            notes.append(
+                f"command_{axis} saturates in {saturated} of {len(recordings)} recordings: the excitation is not what was designed"
+            )
+    idle = [axis for axis in machine_axes if axis not in chosen_axes]
+    if idle:
+        notes.append(f"{', '.join(idle)} not excited: the response is that of the machine with those loops closed")
+    return tuple(notes)
+
+
+def _is_saturated(command: np.ndarray) -> bool:
+    for extreme in (np.nanmax(command), np.nanmin(command)):
+        at = np.concatenate(([0], (command == extreme).astype(np.int8), [0]))
+        edges = np.flatnonzero(np.diff(at))
+        if len(edges) and (edges[1::2] - edges[::2]).max() >= SATURATED_RUN:
+            return True
+    return False

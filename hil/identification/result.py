@@ -1,0 +1,128 @@
+"""The result of an identification: a frequency response matrix with its covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from hil.identification.covariance import circle_factor, hotelling_bound, variances
+from hil.identification.errors import IdentificationError
+
+CovarianceKind = Literal["noise", "total", "nonlinear"]
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Distortion of the outputs on lines that were not excited, averaged over the records.
+
+    Attributes
+    ----------
+    lines : (K,) unexcited lines inside the excited band.
+    frequencies_Hz : (K,)
+    level : (K, n_y) mean |y - G u|^2 less the noise's share, not below zero; squared output units, amplitude of the Fourier coefficient.
+    noise : (K, n_y) the noise's share of the mean square.
+    dof : complex degrees of freedom of `level` before the noise is taken off: records averaged.
+    """
+
+    lines: np.ndarray
+    frequencies_Hz: np.ndarray
+    level: np.ndarray
+    noise: np.ndarray
+    dof: int
+
+    @property
+    def even(self) -> np.ndarray:
+        """(K,) bool: lines that even nonlinearities reach when only odd lines are excited."""
+        return self.lines % 2 == 0
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Frequency response matrix at the excited lines of one pose.
+
+    Attributes
+    ----------
+    lines, frequencies_Hz : (L,)
+    G : (L, n_y, n_u) complex, output unit per input unit, from the inputs to the outputs as sampled (`hil.identification.records`).
+    noise_covariance, total_covariance : (L, n_y n_u, n_y n_u) of vec(G), columns stacked; of this estimate, all averaging counted.
+        None where the data cannot tell (one period; one realisation without detection lines).
+    nonlinear_covariance : the same, of the stochastic nonlinear distortion of one realisation.
+    noise_covariance_z, total_covariance_z : (L, n_z, n_z) of one column of the averaged [Y; U] (Y alone in open loop); for fast local
+        methods of one line of the compensated outputs.
+    noise_dof, total_dof : (L,) complex degrees of freedom behind the covariances; 0 where there is none.
+    G_wz : (L, n_z, n_u) closed-loop response from the excitation to [y; u].
+    even_odd : distortion on unexcited lines, or None where every line of the band is excited.
+    pose : scheduling parameters in rad or m, empty if unknown.
+    method, settings, notes : how it was made; what a user should know about it.
+    """
+
+    lines: np.ndarray
+    frequencies_Hz: np.ndarray
+    G: np.ndarray
+    G_wz: np.ndarray
+    noise_covariance: np.ndarray | None
+    total_covariance: np.ndarray | None
+    nonlinear_covariance: np.ndarray | None
+    noise_covariance_z: np.ndarray | None
+    total_covariance_z: np.ndarray | None
+    noise_dof: np.ndarray
+    total_dof: np.ndarray
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    input_units: tuple[str, ...]
+    sample_rate_Hz: float
+    period_samples: int
+    method: str
+    settings: dict[str, float | int | str] = field(default_factory=dict)
+    even_odd: Distortion | None = None
+    pose: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def covariance(self, kind: CovarianceKind) -> np.ndarray:
+        """(L, n_y n_u, n_y n_u) of vec(G). Raises IdentificationError where the data could not tell it."""
+        chosen = {"noise": self.noise_covariance, "total": self.total_covariance, "nonlinear": self.nonlinear_covariance}[kind]
+        if chosen is None:
+            needs = {
+                "noise": "two periods or more",
+                "total": "two realisations, detection lines, or a fast local method",
+                "nonlinear": "a noise and a total covariance",
+            }
+            raise IdentificationError(f"this frequency response ({self.method}) has no {kind} covariance: it takes {needs[kind]}")
+        return chosen
+
+    def standard_deviation(self, kind: CovarianceKind = "total") -> np.ndarray:
+        """(L, n_y, n_u) standard deviation of each complex element, sqrt(E |error|^2)."""
+        return np.sqrt(np.maximum(variances(self.covariance(kind), *self.G.shape[1:]), 0.0))
+
+    def bound(self, probability: float = 0.95, kind: Literal["noise", "total"] | None = None) -> np.ndarray:
+        """(L, n_y, n_u) radius of the circle round each element of G that holds the true value with `probability`.
+
+        The errors are circular complex normal and their variances estimated, hence sqrt(F(2, 2 dof)). `kind` None takes the total
+        covariance where there is one, else the noise's.
+        """
+        if kind is None:
+            kind = "noise" if self.total_covariance is None else "total"
+        dof = self.noise_dof if kind == "noise" else self.total_dof
+        return circle_factor(dof, probability)[:, None, None] * self.standard_deviation(kind)
+
+    def column_distance(self, truth: np.ndarray, kind: Literal["noise", "total"] = "total") -> np.ndarray:
+        """(L, n_u) squared Mahalanobis distance of each column of G from `truth` (L, n_y, n_u); beside `column_distance_bound`.
+
+        NaN where there are fewer degrees of freedom than outputs: such a covariance has no inverse.
+        """
+        lines, n_y, n_u = self.G.shape
+        usable = (self.noise_dof if kind == "noise" else self.total_dof) >= n_y
+        covariance = self.covariance(kind)[usable]
+        distance = np.full((lines, n_u), np.nan)
+        for j in range(n_u):
+            block = covariance[:, j * n_y : (j + 1) * n_y, j * n_y : (j + 1) * n_y]
+            error = (self.G - truth)[usable, :, j]
+            distance[usable, j] = np.real(np.einsum("li,li->l", np.conj(error), np.linalg.solve(block, error[:, :, None])[:, :, 0]))
+        return distance
+
+    def column_distance_bound(self, probability: float = 0.95, kind: Literal["noise", "total"] = "total") -> np.ndarray:
+        """(L,) Hotelling's bound on `column_distance`; NaN where there are fewer degrees of freedom than outputs."""
+        return hotelling_bound(self.G.shape[1], self.noise_dof if kind == "noise" else self.total_dof, probability)
