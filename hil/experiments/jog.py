@@ -1,0 +1,128 @@
+"""Jog mode, alone or under a multisine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.jog import jog, jog_line
+from hil.errors import ExperimentError
+from hil.experiments.metadata import experiment_metadata
+from hil.experiments.plan import Plan, axis_indices, check_periods, period_in_samples, pose_array
+from hil.experiments.safety import Safety
+from hil.machine import Machine
+
+
+@dataclass(frozen=True)
+class Jog:
+    """A slow sine on the reference that keeps axes out of stick-slip. Thesis Sec. 3.3, corrected: 20 s base period, line 1.
+
+    Parameters
+    ----------
+    amplitude_rad : float
+        2 degrees unless given (m on a prismatic axis).
+    line : int, optional
+        Harmonic of the base period.
+    frequency_Hz : float, optional
+        Instead of `line`; 0.05 Hz when neither is given.
+    axes : tuple of str
+        Axes that jog; empty: all axes of the experiment.
+    """
+
+    amplitude_rad: float = np.radians(2.0)
+    line: int | None = None
+    frequency_Hz: float | None = None
+    axes: tuple[str, ...] = ()
+
+    def on_line(self, machine: Machine, period_samples: int) -> int:
+        """Line of the jog on this base period.
+
+        Raises
+        ------
+        ExperimentError
+            Off the grid, or given both ways.
+        """
+        if self.line is not None and self.frequency_Hz is not None:
+            raise ExperimentError(f"jog: line = {self.line} and frequency_Hz = {self.frequency_Hz:g} are both given; give one")
+        if self.line is not None:
+            return self.line
+        try:
+            return jog_line(0.05 if self.frequency_Hz is None else self.frequency_Hz, period_samples, machine.sample_rate_Hz)
+        except DesignError as error:
+            raise ExperimentError(str(error)) from None
+
+    def motion(self, machine: Machine, axes: tuple[str, ...], period_samples: int, settle_periods: int, periods: int) -> np.ndarray:
+        """Deviation from the start pose, (N, n_axes); `axes` jog unless this names its own.
+
+        Raises
+        ------
+        ExperimentError
+            A line outside the period's.
+        """
+        if not (np.isfinite(self.amplitude_rad) and self.amplitude_rad > 0.0):
+            raise ExperimentError(f"jog: amplitude_rad = {self.amplitude_rad:g}: must be positive")
+        try:
+            sine = jog(self.amplitude_rad, self.on_line(machine, period_samples), period_samples, settle_periods, periods)
+        except DesignError as error:
+            raise ExperimentError(str(error)) from None
+        deviation = np.zeros((len(sine), len(machine.axes)))
+        deviation[:, axis_indices(machine, self.axes or axes)] = sine[:, None]
+        return deviation
+
+    def described(self, machine: Machine, axes: tuple[str, ...], period_samples: int) -> dict[str, object]:
+        """The table a recording's metadata keeps."""
+        line = self.on_line(machine, period_samples)
+        return {
+            "axes": [machine.axes[i] for i in axis_indices(machine, self.axes or axes)],
+            "amplitude_rad": float(self.amplitude_rad),
+            "line": line,
+            "frequency_Hz": line * machine.sample_rate_Hz / period_samples,
+        }
+
+
+@dataclass(frozen=True)
+class JogOnly:
+    """The jog alone, for friction and backlash.
+
+    Parameters
+    ----------
+    pose : mapping
+        Start position by axis name [rad or m]; axes left out stand at zero.
+    axes : tuple of str
+        Axes that jog; empty: all.
+    jog : Jog
+    period_s : float
+    periods, settle_periods : int
+        Periods kept, and periods before them.
+    """
+
+    pose: Mapping[str, float] = field(default_factory=dict)
+    axes: tuple[str, ...] = ()
+    jog: Jog = field(default_factory=Jog)
+    period_s: float = 20.0
+    periods: int = 3
+    settle_periods: int = 1
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """One plan."""
+        check_periods(self.settle_periods, self.periods)
+        pose = pose_array(machine, self.pose)
+        period_samples = period_in_samples(machine, self.period_s)
+        deviation = self.jog.motion(machine, self.axes, period_samples, self.settle_periods, self.periods)
+        reference = pose + deviation
+        safety = Safety(machine, pose)
+        safety.check_reference("jog", reference)
+        safety.check_periodic("jog", deviation[-period_samples:], np.zeros((period_samples, len(pose))))
+        metadata = experiment_metadata(
+            "jog",
+            period_samples=period_samples,
+            settle_periods=self.settle_periods,
+            periods=self.periods,
+            start_pose=pose,
+            jog=self.jog.described(machine, self.axes, period_samples),
+            odd_even_split=self.jog.on_line(machine, period_samples) % 2 == 1,
+        )
+        return [safety.plan(reference, np.zeros_like(reference), pose, metadata)]

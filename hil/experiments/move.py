@@ -1,0 +1,43 @@
+"""Getting from one pose to another, all axes arriving together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.trajectory import move
+from hil.errors import ExperimentError
+from hil.experiments.metadata import experiment_metadata
+from hil.experiments.plan import Plan, pose_array
+from hil.experiments.safety import Safety
+from hil.machine import Machine
+
+
+@dataclass(frozen=True)
+class Move:
+    """From pose to pose within the machine's limits; how the bench gets to an experiment's start.
+
+    Parameters
+    ----------
+    start, goal : mapping
+        Positions by axis name [rad or m]; axes left out stand at zero.
+    """
+
+    start: Mapping[str, float]
+    goal: Mapping[str, float]
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """One plan."""
+        start, goal = pose_array(machine, self.start), pose_array(machine, self.goal)
+        try:
+            reference = move(start, goal, machine.limits, machine.sample_rate_Hz).position
+        except DesignError as error:
+            raise ExperimentError(f"move: {error}") from None
+        safety = Safety(machine, start)
+        safety.check_reference("move", reference)
+        safety.check_holding("move", reference)
+        metadata = experiment_metadata("move", period_samples=len(reference), settle_periods=0, periods=1, start_pose=start)
+        return [safety.plan(reference, np.zeros_like(reference), start, metadata)]

@@ -1,0 +1,152 @@
+"""Random-phase multisines under jog: the experiment that frequency responses are identified from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.jog import odd_even_split
+from controllers.lines import Band, checked_lines
+from controllers.multisine import Mixing, Phases, multisine
+from hil.errors import ExperimentError
+from hil.experiments.jog import Jog
+from hil.experiments.metadata import experiment_metadata
+from hil.experiments.plan import Plan, axis_indices, check_periods, period_in_samples, pose_array
+from hil.experiments.safety import Safety
+from hil.machine import Machine
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """Periodic excitation of one or several axes around one pose. Thesis Sec. 3.3.
+
+    Parameters
+    ----------
+    pose : mapping
+        Start position by axis name [rad or m]; axes left out stand at zero.
+    axes : tuple of str
+        Excited axes; empty: all.
+    experiments : "orthogonal" or "single"
+        As many experiments as axes: all axes at once, mixed orthogonally, or one axis at a time.
+    lines : tuple of int, or Band
+        Harmonics of the base period. A band leaves the jog's line out; explicit lines must not name it.
+    weights : tuple of float, optional
+        Relative amplitude per line of an explicit choice; flat when left out.
+    amplitude_A : float or mapping
+        Rms of the excitation of an axis while it is excited, one for all or by axis, in the drive's unit (A, unless it is V, Nm or N).
+    period_s : float
+        Base period; the lines are 1/period_s apart.
+    periods, settle_periods : int
+        Periods kept, and periods before them in which transients die out.
+    realisations : int
+        Draws of the phases.
+    phases : "random" or "optimised"
+        "optimised" lowers the crest factor to about 1.6, for single realisations; see `controllers.multisine`.
+    jog : Jog or None
+    seed : int
+    """
+
+    pose: Mapping[str, float] = field(default_factory=dict)
+    axes: tuple[str, ...] = ()
+    experiments: Mixing = "orthogonal"
+    lines: tuple[int, ...] | Band = field(default_factory=Band)
+    weights: tuple[float, ...] | None = None
+    amplitude_A: float | Mapping[str, float] = 1.0
+    period_s: float = 20.0
+    periods: int = 10
+    settle_periods: int = 1
+    realisations: int = 1
+    phases: Phases = "random"
+    jog: Jog | None = field(default_factory=Jog)
+    seed: int = 0
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """One plan per realisation and experiment, experiments first."""
+        try:
+            return self._plans(machine)
+        except DesignError as error:
+            raise ExperimentError(f"multisine: {error}") from None
+
+    def _plans(self, machine: Machine) -> list[Plan]:
+        check_periods(self.settle_periods, self.periods)
+        if self.realisations < 1:
+            raise ExperimentError(f"multisine: realisations = {self.realisations}: must be at least 1")
+        pose = pose_array(machine, self.pose)
+        excited = axis_indices(machine, self.axes)
+        rms = self._rms(machine, excited)
+        period_samples = period_in_samples(machine, self.period_s)
+        repeats = self.settle_periods + self.periods
+        jog_on_line = None if self.jog is None else self.jog.on_line(machine, period_samples)
+        lines = self._lines(machine, period_samples, jog_on_line)
+        split, why_not = odd_even_split(lines, jog_on_line)
+        deviation = np.zeros((repeats * period_samples, len(pose)))
+        jog_table = {}
+        if self.jog is not None:
+            deviation = self.jog.motion(machine, self.axes, period_samples, self.settle_periods, self.periods)
+            jog_table = self.jog.described(machine, self.axes, period_samples)
+        reference = pose + deviation
+        safety = Safety(machine, pose)
+        safety.check_reference("multisine", reference)
+        plans = []
+        for realisation in range(self.realisations):
+            drawn = multisine(
+                lines,
+                rms,
+                period_samples,
+                mixing=self.experiments,
+                weights=None if self.weights is None else np.array(self.weights),
+                seed=self.seed,
+                realisation=realisation,
+                phases=self.phases,
+            )
+            for experiment in range(len(excited)):
+                period = np.zeros((period_samples, len(pose)))
+                period[:, excited] = drawn.signals[experiment].T
+                asked = self.amplitude_A if not isinstance(self.amplitude_A, Mapping) else None
+                peaks = safety.check_periodic("multisine", deviation[-period_samples:], period, amplitude=asked)
+                crest, amplitude = np.zeros(len(pose)), np.zeros(len(pose))
+                crest[excited] = drawn.crest_factor[experiment]
+                amplitude[excited] = np.where(crest[excited] > 0.0, rms, 0.0)
+                metadata = experiment_metadata(
+                    "multisine",
+                    period_samples=period_samples,
+                    settle_periods=self.settle_periods,
+                    periods=self.periods,
+                    start_pose=pose,
+                    realisation=realisation,
+                    realisations=self.realisations,
+                    experiment=experiment,
+                    experiments=len(excited),
+                    excited_lines=lines,
+                    seed=self.seed,
+                    amplitude=amplitude,
+                    crest_factor=crest,
+                    jog=jog_table,
+                    odd_even_split=split,
+                )
+                notes = (peaks, *((why_not,) if why_not else ()))
+                plans.append(safety.plan(reference, np.tile(period, (repeats, 1)), pose, metadata, notes))
+        return plans
+
+    def _rms(self, machine: Machine, excited: np.ndarray) -> np.ndarray:
+        """Amplitude per excited axis."""
+        names = [machine.axes[index] for index in excited]
+        if not isinstance(self.amplitude_A, Mapping):
+            return np.full(len(names), float(self.amplitude_A))
+        if set(self.amplitude_A) != set(names):
+            raise ExperimentError(f"multisine: amplitudes are given for {', '.join(self.amplitude_A)}; excited are {', '.join(names)}")
+        return np.array([float(self.amplitude_A[name]) for name in names])
+
+    def _lines(self, machine: Machine, period_samples: int, jog_on_line: int | None) -> np.ndarray:
+        if isinstance(self.lines, Band):
+            if self.weights is not None:
+                raise ExperimentError("multisine: weights go with explicit lines, not with a band")
+            lines = self.lines.lines(period_samples, machine.sample_rate_Hz, self.seed)
+            return lines if jog_on_line is None else lines[lines != jog_on_line]
+        lines = checked_lines(self.lines, period_samples)
+        if jog_on_line is not None and jog_on_line in lines:
+            raise ExperimentError(f"multisine: line {jog_on_line} carries the jog; leave it out of the excited lines")
+        return lines

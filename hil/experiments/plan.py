@@ -1,0 +1,124 @@
+"""A plan: every row of one recording, known before the loop starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from hil.errors import ExperimentError
+from hil.machine import Machine
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One recording's worth of reference, excitation and feedforward.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        The machine's axes; columns of all arrays.
+    reference, reference_raw : (N, n_axes) arrays
+        After and before any shaper [rad or m].
+    excitation : (N, n_axes) array
+        w, in the drives' units.
+    feedforward : (N, n_axes) array or None
+        None where no axis asks for gravity feedforward.
+    start_pose : (n_axes,) array
+        Where the machine stands still before row 0.
+    metadata : dict
+        What goes into the recording as its experiment; plain values that TOML can hold.
+    notes : tuple of str
+        What the person at the bench should know: predicted peaks, a forfeited odd/even split.
+    """
+
+    axes: tuple[str, ...]
+    reference: np.ndarray
+    reference_raw: np.ndarray
+    excitation: np.ndarray
+    feedforward: np.ndarray | None
+    start_pose: np.ndarray
+    metadata: dict[str, Any]
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        shape = (len(self.reference), len(self.axes))
+        for name in ("reference", "reference_raw", "excitation", "feedforward", "start_pose"):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            expected = (len(self.axes),) if name == "start_pose" else shape
+            if values.shape != expected or not np.isfinite(values).all():
+                raise ExperimentError(f"plan: {name} must be finite and of shape {expected}, has {values.shape}")
+            values.setflags(write=False)
+
+    @property
+    def rows(self) -> int:
+        """Ticks the plan takes."""
+        return len(self.reference)
+
+
+class Experiment(Protocol):
+    """What can be planned on a machine."""
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """One plan per recording.
+
+        Raises
+        ------
+        ExperimentError
+            The experiment cannot or must not be run on this machine; names what would be right.
+        """
+
+
+def pose_array(machine: Machine, pose: Mapping[str, float]) -> np.ndarray:
+    """Positions (n_axes,) from a table by axis name; axes left out stand at zero."""
+    _known_axes(machine, pose, "pose")
+    values = np.array([float(pose.get(axis, 0.0)) for axis in machine.axes])
+    for position, limit in zip(values, machine.limits, strict=True):
+        if not limit.lower <= position <= limit.upper:
+            raise ExperimentError(
+                f"pose: {limit.axis} = {position:.5g} {limit.unit} is outside {limit.lower:.5g} to {limit.upper:.5g} {limit.unit}"
+            )
+    return values
+
+
+def axis_indices(machine: Machine, axes: tuple[str, ...]) -> np.ndarray:
+    """Columns of the named axes in machine order; all of them when none is named."""
+    _known_axes(machine, axes, "axes")
+    return np.array([index for index, axis in enumerate(machine.axes) if not axes or axis in axes])
+
+
+def period_in_samples(machine: Machine, period_s: float) -> int:
+    """Base period in samples.
+
+    Raises
+    ------
+    ExperimentError
+        It is no whole number of them; names the nearest that is.
+    """
+    samples = period_s * machine.sample_rate_Hz
+    if not 4.0 <= samples < 1e9:
+        raise ExperimentError(f"period_s = {period_s:g}: must hold at least 4 samples at {machine.sample_rate_Hz:g} Hz")
+    if abs(samples - round(samples)) > 1e-6:
+        nearest = round(samples) / machine.sample_rate_Hz
+        raise ExperimentError(
+            f"period_s = {period_s:.10g}: {samples:.6g} samples at {machine.sample_rate_Hz:g} Hz; {nearest:.10g} s holds whole ones"
+        )
+    return round(samples)
+
+
+def check_periods(settle_periods: int, periods: int) -> None:
+    """At least one period to keep, and none below zero to throw away."""
+    if periods < 1:
+        raise ExperimentError(f"periods = {periods}: must be at least 1")
+    if settle_periods < 0:
+        raise ExperimentError(f"settle_periods = {settle_periods}: must not be negative")
+
+
+def _known_axes(machine: Machine, names: Mapping[str, Any] | tuple[str, ...], what: str) -> None:
+    for name in names:
+        if name not in machine.axes:
+            raise ExperimentError(f"{what}: {machine.name} has no axis {name!r}; it has {', '.join(machine.axes)}")

@@ -1,0 +1,112 @@
+"""Linearised closed loop at a pose: what a period of jog and excitation makes of command and position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from controllers.sections import response
+from hil.errors import ExperimentError
+from hil.machine import Machine
+from virtual_bus.physics import Physics
+
+
+@dataclass(frozen=True)
+class Steady:
+    """One period of the steady response, arrays (N, n_axes), deviations from standstill."""
+
+    command: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+
+
+class ClosedLoop:
+    """The machine's linearisation under its controllers.
+
+    Between rows k and k+1 the plant feels command k-1 (docs/notation.md): a zero-order hold after one sample of delay.
+
+    Raises
+    ------
+    ExperimentError
+        The closed loop is not stable at this pose.
+    """
+
+    def __init__(self, machine: Machine, physics: Physics, pose: np.ndarray) -> None:
+        self.holding = np.asarray(physics.holding_effort(pose))
+        self._machine = machine
+        model = physics.linearise(pose)
+        outputs = [model.output_labels.index(f"position_{axis}") for axis in machine.axes]
+        period = 1.0 / machine.sample_rate_Hz
+        self._a, self._b, self._c, _, _ = scipy.signal.cont2discrete(
+            (model.A, model.B, model.C[outputs], np.zeros((len(outputs), model.ninputs))), period
+        )
+        self._check_stable(pose)
+
+    def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Steady:
+        """Response to one period of reference deviation and excitation, (N, n_axes) each.
+
+        U = (I + C_y G)^-1 (W + C_r R), Y = G U at the lines that are there.
+        """
+        samples, rate = len(deviation), self._machine.sample_rate_Hz
+        r, w = np.fft.rfft(deviation, axis=0), np.fft.rfft(excitation, axis=0)
+        size = np.abs(r).max(initial=0.0), np.abs(w).max(initial=0.0)
+        present = (np.abs(r) > 1e-12 * size[0]).any(axis=1) | (np.abs(w) > 1e-12 * size[1]).any(axis=1)
+        present[0] = False  # the mean is standstill
+        lines = np.flatnonzero(present)
+        frequencies = lines * rate / samples
+        from_reference, from_position = self._controllers(frequencies)
+        plant = self._plant(frequencies)
+        loop = np.eye(len(self.holding)) + from_position[:, :, None] * plant
+        u = np.linalg.solve(loop, (w[lines] + from_reference * r[lines])[:, :, None])
+        y = (plant @ u)[:, :, 0]
+        return Steady(
+            command=self._in_time(u[:, :, 0], lines, samples),
+            position=self._in_time(y, lines, samples),
+            speed=self._in_time(y * (2j * np.pi * frequencies)[:, None], lines, samples),
+        )
+
+    def _controllers(self, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """C_r and C_y of every axis, (n_frequencies, n_axes)."""
+        rate = self._machine.sample_rate_Hz
+        from_position = [response(each.position_sections, frequencies, rate) for each in self._machine.controllers]
+        from_reference = [
+            own if each.reference_sections is None else response(each.reference_sections, frequencies, rate)
+            for own, each in zip(from_position, self._machine.controllers, strict=True)
+        ]
+        return np.array(from_reference).T, np.array(from_position).T
+
+    def _plant(self, frequencies: np.ndarray) -> np.ndarray:
+        """Command to position, (n_frequencies, n_axes, n_axes)."""
+        z = np.exp(2j * np.pi * frequencies / self._machine.sample_rate_Hz)[:, None, None]
+        return self._c @ np.linalg.solve(z * np.eye(len(self._a)) - self._a, np.broadcast_to(self._b, (len(z), *self._b.shape))) / z
+
+    def _in_time(self, values: np.ndarray, lines: np.ndarray, samples: int) -> np.ndarray:
+        spectrum = np.zeros((samples // 2 + 1, values.shape[1]), dtype=complex)
+        spectrum[lines] = values
+        return np.fft.irfft(spectrum, samples, axis=0)
+
+    def _check_stable(self, pose: np.ndarray) -> None:
+        """Poles of plant, delay and C_y together lie inside the unit circle."""
+        blocks = [scipy.signal.sos2zpk(each.position_sections) for each in self._machine.controllers]
+        controller = [scipy.signal.zpk2ss(*block) for block in blocks]
+        n, m = len(self._a), len(self.holding)
+        sizes = [len(a) for a, _, _, _ in controller]
+        total = n + m + sum(sizes)
+        loop = np.zeros((total, total))
+        loop[:n, :n], loop[:n, n : n + m] = self._a, self._b  # plant fed by the delayed command
+        start = n + m
+        for axis, ((a, b, c, d), size) in enumerate(zip(controller, sizes, strict=True)):
+            own = slice(start, start + size)
+            loop[own, own] = a
+            loop[own, :n] = -b @ self._c[axis][None, :]
+            loop[n + axis, own] = c[0]
+            loop[n + axis, :n] = -d[0, 0] * self._c[axis]
+            start += size
+        radius = float(np.abs(np.linalg.eigvals(loop)).max())
+        if radius >= 1.0:
+            raise ExperimentError(
+                f"{self._machine.name}: the closed loop is not stable at {pose.round(4).tolist()} (largest pole radius {radius:.6f}); "
+                "lower the controller's gain"
+            )

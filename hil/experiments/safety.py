@@ -1,0 +1,195 @@
+"""What a plan would do to the machine, worked out before it runs and held against the limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hil.errors import ExperimentError
+from hil.experiments.plan import Plan
+from hil.experiments.prediction import ClosedLoop
+from hil.machine import Machine
+from virtual_bus.physics import Physics
+
+COMMAND_SHARE = 0.9
+"""Share of the drive's limit that a prediction may use: the rest is for the transient at the start, noise and what the model leaves out."""
+
+REFERENCE_SLACK = 1e-5
+"""Relative: rounding in the third differences of a reference, at rates up to 1 kHz, stays below it."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """offset(t) + a slope(t) must stay within lower and upper for the share a of the excitation asked for."""
+
+    what: str
+    unit: str
+    lower: float
+    upper: float
+    offset: np.ndarray
+    slope: np.ndarray
+
+    @property
+    def extreme(self) -> float:
+        """Value at a = 1 that comes nearest to its bound, or goes furthest beyond."""
+        values = self.offset + self.slope
+        middle = 0.5 * (self.lower + self.upper) if math.isfinite(self.lower + self.upper) else 0.0
+        return float(values[np.argmax(np.abs(values - middle))])
+
+    @property
+    def largest_share(self) -> float:
+        """Largest a >= 0 that keeps the bound; negative where even a = 0 breaks it."""
+        if (self.offset > self.upper).any() or (self.offset < self.lower).any():
+            return -1.0
+        room = np.where(self.slope > 0.0, self.upper - self.offset, self.offset - self.lower)
+        size = np.abs(self.slope)
+        moving = size > 0.0
+        return float((room[moving] / size[moving]).min()) if moving.any() else math.inf
+
+
+class Safety:
+    """One machine at one start pose.
+
+    Raises
+    ------
+    ExperimentError
+        The machine has no controller, cannot hold the pose, or is not stable there.
+    """
+
+    def __init__(self, machine: Machine, start_pose: np.ndarray) -> None:
+        if not machine.controllers:
+            raise ExperimentError(f"{machine.name} has no controller: it can be simulated, not run")
+        self._machine = machine
+        self._pose = start_pose
+        self._effort_units = [units.effort for units in machine.units]
+        self.check_holding("start pose", start_pose[None, :])
+
+    @cached_property
+    def _physics(self) -> Physics:
+        return Physics(self._machine.plant, noise=False)
+
+    @cached_property
+    def _loop(self) -> ClosedLoop:
+        return ClosedLoop(self._machine, self._physics, self._pose)
+
+    def check_holding(self, kind: str, reference: np.ndarray) -> None:
+        """Gravity along a reference (N, n_axes) leaves room below the drives' limits."""
+        way = reference[np.linspace(0, len(reference) - 1, min(len(reference), 25)).astype(int)]
+        efforts = np.array([self._physics.holding_effort(pose) for pose in way])
+        for axis, controller in enumerate(self._machine.controllers):
+            worst = int(np.abs(efforts[:, axis]).argmax())
+            if abs(efforts[worst, axis]) > COMMAND_SHARE * controller.limit:
+                unit = self._effort_units[axis]
+                raise ExperimentError(
+                    f"{kind}: holding {controller.axis} at {way[worst].round(4).tolist()} takes {efforts[worst, axis]:.3g} {unit}; "
+                    f"{COMMAND_SHARE:.0%} of its {controller.limit:g} {unit} limit may be used"
+                )
+
+    def check_reference(self, kind: str, reference: np.ndarray) -> None:
+        """Range, speed, acceleration and jerk of a reference (N, n_axes) that starts from standstill at the start pose."""
+        rate = self._machine.sample_rate_Hz
+        from_rest = np.vstack([np.tile(self._pose, (3, 1)), reference])
+        for axis, limit in enumerate(self._machine.limits):
+            position = from_rest[:, axis]
+            if position.min() < limit.lower - REFERENCE_SLACK or position.max() > limit.upper + REFERENCE_SLACK:
+                worst = position.min() if position.min() < limit.lower else position.max()
+                allowed = f"{limit.lower:.5g} to {limit.upper:.5g} {limit.unit}"
+                raise ExperimentError(f"{kind}: the reference of {limit.axis} goes to {worst:.5g} {limit.unit}; its range is {allowed}")
+            for order, name in enumerate(("speed", "acceleration", "jerk"), 1):
+                most = getattr(limit, name)
+                reached = float(np.abs(np.diff(position, order)).max() * rate**order)
+                if reached > most * (1.0 + REFERENCE_SLACK):
+                    hint = "; a jog needs a settling period to grow in" if kind in ("jog", "multisine") else ""
+                    value = f"{reached:.4g} {limit.unit}/s{'' if order == 1 else order}"
+                    raise ExperimentError(f"{kind}: the reference of {limit.axis} has a {name} of {value}, the limit is {most:.4g}{hint}")
+
+    def check_periodic(self, kind: str, deviation: np.ndarray, excitation: np.ndarray, amplitude: float | None = None) -> str:
+        """Steady periodic response of the linearised closed loop to one period of both, (N, n_axes) each, against every limit.
+
+        Parameters
+        ----------
+        amplitude : float, optional
+            What the excitation was asked for, to name the largest that would do.
+
+        Returns
+        -------
+        str
+            Predicted peak command per axis, for the person at the bench.
+
+        Raises
+        ------
+        ExperimentError
+            A limit would be broken; names the quantity, the limit and the largest amplitude that would do.
+        """
+        bounds = self._bounds(deviation, excitation)
+        tightest = min(bounds, key=lambda bound: bound.largest_share)
+        share = tightest.largest_share
+        if share < 1.0:
+            limit = f"{tightest.lower:.4g} to {tightest.upper:.4g} {tightest.unit}"
+            broken = f"{kind}: {tightest.what} would reach {tightest.extreme:.4g} {tightest.unit}; allowed is {limit}"
+            if share <= 0.0:
+                raise ExperimentError(f"{broken}, which holding and jog alone would break")
+            largest = rounded_down(share if amplitude is None else share * amplitude)
+            if amplitude is None:
+                raise ExperimentError(f"{broken}; at most {largest:.3g} times these amplitudes would do")
+            raise ExperimentError(f"{broken}; an amplitude of at most {largest:.3g} instead of {amplitude:g} would do")
+        commands = [bound for bound in bounds if bound.what.startswith("command")]
+        peaks = [
+            f"{axis} {np.abs(bound.offset + bound.slope).max():.2f} of {controller.limit:g} {bound.unit}"
+            for axis, bound, controller in zip(self._machine.axes, commands, self._machine.controllers, strict=True)
+        ]
+        return "predicted peak command: " + ", ".join(peaks)
+
+    def _bounds(self, deviation: np.ndarray, excitation: np.ndarray) -> list[Bound]:
+        loop = self._loop
+        moved, driven = loop.steady(deviation, np.zeros_like(excitation)), loop.steady(np.zeros_like(deviation), excitation)
+        bounds = []
+        for axis, (limit, controller) in enumerate(zip(self._machine.limits, self._machine.controllers, strict=True)):
+            most = COMMAND_SHARE * controller.limit
+            rows = [
+                (f"command of {limit.axis}", self._effort_units[axis], -most, most, loop.holding[axis] + moved.command, driven.command),
+                (f"position of {limit.axis}", limit.unit, limit.lower, limit.upper, self._pose[axis] + moved.position, driven.position),
+                (f"speed of {limit.axis}", f"{limit.unit}/s", -limit.speed, limit.speed, moved.speed, driven.speed),
+                (
+                    f"tracking error of {limit.axis}",
+                    limit.unit,
+                    -limit.tracking_error,
+                    limit.tracking_error,
+                    deviation - moved.position,
+                    -driven.position,
+                ),
+            ]
+            bounds += [Bound(what, unit, low, high, offset[:, axis], slope[:, axis]) for what, unit, low, high, offset, slope in rows]
+        return bounds
+
+    def plan(
+        self,
+        reference: np.ndarray,
+        excitation: np.ndarray,
+        start_pose: np.ndarray,
+        metadata: dict[str, Any],
+        notes: tuple[str, ...] = (),
+    ) -> Plan:
+        """The plan, with gravity feedforward where an axis asks for it."""
+        feedforward = gravity_feedforward(self._machine, self._physics, reference)
+        return Plan(self._machine.axes, reference, reference.copy(), excitation, feedforward, start_pose, metadata, notes)
+
+
+def gravity_feedforward(machine: Machine, physics: Physics, reference: np.ndarray) -> np.ndarray | None:
+    """Static holding effort at every row of a reference (N, n_axes), for the axes that ask for it; None when none does."""
+    asking = np.array([controller.gravity_feedforward for controller in machine.controllers])
+    if not asking.any():
+        return None
+    poses, rows = np.unique(reference, axis=0, return_inverse=True)
+    efforts = np.array([physics.holding_effort(pose) for pose in poses])
+    return np.where(asking, efforts[rows.reshape(-1)], 0.0)
+
+
+def rounded_down(value: float) -> float:
+    """Three significant digits, never above `value`."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / step * (1.0 - 1e-12)) * step

@@ -1,0 +1,77 @@
+"""A sweep of one axis at constant speed, as an acquisition makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.trajectory import sweep
+from hil.errors import ExperimentError
+from hil.experiments.metadata import experiment_metadata
+from hil.experiments.plan import Plan, axis_indices, pose_array
+from hil.experiments.safety import Safety
+from hil.machine import Machine
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Jerk-limited sweeps of one axis.
+
+    Parameters
+    ----------
+    axis : str
+    start, stop : float
+        Ends [rad or m].
+    speed : float
+        Of the constant part [rad/s or m/s]; 30 deg/s unless given.
+    pose : mapping
+        Positions of the other axes [rad or m]; those left out stand at zero.
+    dwell_s : float
+        Standstill before the first sweep and after each.
+    sweeps : int
+        1: there; 2: there and back; and so on. Whole numbers of there-and-back are periods of the recording.
+    """
+
+    axis: str
+    start: float
+    stop: float
+    speed: float = np.radians(30.0)
+    pose: Mapping[str, float] = field(default_factory=dict)
+    dwell_s: float = 1.0
+    sweeps: int = 1
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """One plan."""
+        if self.sweeps < 1:
+            raise ExperimentError(f"scan: sweeps = {self.sweeps}: must be at least 1")
+        if not 0.0 <= self.dwell_s < 1e6:
+            raise ExperimentError(f"scan: dwell_s = {self.dwell_s:g}: must not be negative")
+        axis = int(axis_indices(machine, (self.axis,))[0])
+        start = pose_array(machine, {**self.pose, self.axis: self.start})
+        try:
+            there = sweep(axis, start, self.stop, self.speed, machine.limits, machine.sample_rate_Hz).position
+        except DesignError as error:
+            raise ExperimentError(f"scan: {error}") from None
+        reference = self._with_dwells(there, machine.sample_rate_Hz)
+        safety = Safety(machine, start)
+        safety.check_reference("scan", reference)
+        safety.check_holding("scan", reference)
+        returns = self.sweeps // 2 if self.sweeps % 2 == 0 else 1
+        metadata = experiment_metadata(
+            "scan", period_samples=len(reference) // returns, settle_periods=0, periods=returns, start_pose=start
+        )
+        return [safety.plan(reference, np.zeros_like(reference), start, metadata)]
+
+    def _with_dwells(self, there: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
+        """Dwell, sweep, dwell, back: a period is there, dwell, back, dwell, and starts within its first dwell."""
+        rows = round(self.dwell_s * sample_rate_Hz)
+        blocks = []
+        for number in range(self.sweeps):
+            way = there if number % 2 == 0 else there[::-1]
+            blocks += [np.tile(way[0], (rows, 1)), way]
+        if self.sweeps % 2:
+            blocks.append(np.tile(blocks[-1][-1], (rows, 1)))
+        return np.vstack(blocks)
