@@ -1,0 +1,22 @@
+"""Recordings: one row per SYNC, as MDF4 or CSV, kept whatever is killed while they are made."""
+
+from hil.recording.formats import convert, read_recording, write_recording
+from hil.recording.framelog import FrameLog
+from hil.recording.metadata import recording_metadata
+from hil.recording.model import Channel, Recording
+from hil.recording.process import RecorderProcess
+from hil.recording.sink import JournalSink
+from hil.recording.warning import RecordingWarning
+
+__all__ = [
+    "Channel",
+    "FrameLog",
+    "JournalSink",
+    "RecorderProcess",
+    "Recording",
+    "RecordingWarning",
+    "convert",
+    "read_recording",
+    "recording_metadata",
+    "write_recording",
+]

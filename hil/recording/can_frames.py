@@ -1,0 +1,16 @@
+"""CAN frames as a log keeps them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class CanFrame(NamedTuple):
+    """One frame of a log; error frames, which are no frames of the bus, are left out by the readers."""
+
+    time_s: float  # since whatever the log counts from
+    channel: str
+    can_id: int
+    extended: bool
+    remote: bool
+    data: bytes

@@ -1,0 +1,211 @@
+"""From CAN frames to a recording: with a machine its PDOs as signals, a row per SYNC; without one the bare frames, a row each.
+
+SYNC k latches; the drives' and encoders' TPDOs that follow it are row k, and so are the RPDOs the loop sent before SYNC k+1: command k.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drivers.canopen.pdo import PdoCodec
+from drivers.errors import ProtocolError
+from drivers.settings import AxisScaling, BusSettings
+from hil.errors import RecordingError
+from hil.recording.blf import read_blf
+from hil.recording.can_frames import CanFrame
+from hil.recording.candump import read_candump
+from hil.recording.metadata import machine_table
+from hil.recording.model import CAN_FRAMES, Channel, Recording
+from hil.recording.warning import RecordingWarning
+
+if TYPE_CHECKING:
+    from hil.machine.model import AxisUnits, Machine
+
+STATUSWORD, POSITION_ACTUAL, TARGET_TORQUE, TORQUE_ACTUAL, CURRENT_ACTUAL, ENCODER_POSITION = 0x6041, 0x6064, 0x6071, 0x6077, 0x6078, 0x6004
+
+QUANTITY_OF = {
+    STATUSWORD: "statusword",
+    POSITION_ACTUAL: "position",
+    TARGET_TORQUE: "command",
+    TORQUE_ACTUAL: "effort",
+    CURRENT_ACTUAL: "effort",
+    ENCODER_POSITION: "link_position",
+}
+"""Which recorded quantity an object of the dictionary is."""
+
+QUANTITIES = ("command", "effort", "position", "link_position", "statusword")
+"""Their order in the recording."""
+
+BELIEVABLE_PERIOD = 0.2
+"""Where the median time between SYNCs is further from the machine's period than this share of it, the log's times are not the bus's."""
+
+PHASE_GAIN = 0.1
+"""How far the estimate of a SYNC's due time follows each one: jitter is averaged out, a drift of the adapter's clock is followed."""
+
+
+def read_can(path: Path, machine: Machine | None) -> Recording:
+    """Read a candump `.log` or a `.blf`.
+
+    Parameters
+    ----------
+    path : Path
+    machine : Machine, optional
+        Whose PDO maps and scalings turn frames into signals. None gives the frames themselves: `can_id`, `can_length`, `can_extended`,
+        `can_remote`, `byte_0`, ...
+
+    Raises
+    ------
+    RecordingError
+        No such log, or it holds nothing of the machine's.
+    """
+    frames = read_blf(path) if path.suffix.lower() == ".blf" else read_candump(path)
+    if not frames:
+        raise RecordingError(f"{path}: holds no frames")
+    try:
+        return _frame_table(frames) if machine is None else _signals(frames, machine, path)
+    except RecordingError as problem:
+        raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
+
+
+def _frame_table(frames: Sequence[CanFrame]) -> Recording:
+    widest = max(len(frame.data) for frame in frames)
+    bytes_ = np.full((len(frames), widest), np.nan)
+    for row, frame in enumerate(frames):
+        bytes_[row, : len(frame.data)] = list(frame.data)
+    start_s = frames[0].time_s
+    columns: dict[str, Any] = {
+        "can_id": [frame.can_id for frame in frames],
+        "can_length": [len(frame.data) for frame in frames],
+        "can_extended": [frame.extended for frame in frames],
+        "can_remote": [frame.remote for frame in frames],
+    }
+    columns |= {f"byte_{place}": bytes_[:, place] for place in range(widest)}
+    channels = {"time": Channel("s", np.array([frame.time_s - start_s for frame in frames]))}
+    channels |= {name: Channel("", np.asarray(values, dtype=np.float64)) for name, values in columns.items()}
+    return Recording(channels, {"kind": CAN_FRAMES, "buses": sorted({frame.channel for frame in frames})})
+
+
+def _signals(frames: Sequence[CanFrame], machine: Machine, path: Path) -> Recording:
+    if machine.bus is None:
+        raise RecordingError(f"machine {machine.name} has no bus, so its file does not say what the frames mean")
+    frames = _of_one_bus(frames, machine.bus)
+    syncs, raw = _rows(frames, machine.bus)
+    ticks, lateness = _ticks(np.array(syncs), machine.bus.sync_period_s, path)
+    channels = {"time": Channel("s", ticks * machine.bus.sync_period_s)}
+    offsets: dict[str, float] = {}
+    columns: dict[tuple[str, str], Channel] = {}
+    for units, scaling in zip(machine.units, machine.bus.scalings, strict=True):
+        scaled = {quantity: _scaled(raw[key], quantity, scaling) for quantity in QUANTITIES if (key := (scaling.axis, quantity)) in raw}
+        if "position" in scaled:
+            offsets[scaling.axis] = _home_offset(scaled)
+            scaled["position"] = scaled["position"] + offsets[scaling.axis]
+        for quantity, values in scaled.items():
+            columns[quantity, scaling.axis] = Channel(_unit(quantity, units), values)
+    for quantity in QUANTITIES:
+        for units in machine.units:
+            if (quantity, units.axis) in columns:
+                channels[_channel_name(quantity, units)] = columns[quantity, units.axis]
+    channels["sync_lateness"] = Channel("s", lateness)
+    return Recording(channels, {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}})
+
+
+def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> list[CanFrame]:
+    """Frames of the one bus in the log that has SYNCs."""
+    sync = bus.sync_cob_id & 0x7FF
+    buses = sorted({frame.channel for frame in frames if frame.can_id == sync and not frame.extended})
+    if not buses:
+        raise RecordingError(f"no SYNC (COB-ID {sync:03X}) in the log, so it has no rows")
+    if len(buses) > 1:
+        raise RecordingError(f"SYNCs on {' and '.join(buses)}: keep the lines of one of them")
+    return [frame for frame in frames if frame.channel == buses[0] and not frame.extended and not frame.remote]
+
+
+def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], dict[tuple[str, str], np.ndarray]]:
+    """Times of the SYNCs, and raw integers (N,) per (axis, quantity), NaN where none came."""
+    sync = bus.sync_cob_id & 0x7FF
+    codecs: dict[int, tuple[PdoCodec, list[tuple[int, tuple[str, str]]]]] = {}
+    for node in bus.nodes:
+        for pdo in (*node.tpdos, *node.rpdos):
+            wanted = [(place, (node.axis, QUANTITY_OF[index])) for place, (index, _, _) in enumerate(pdo.entries) if index in QUANTITY_OF]
+            codecs[pdo.cob_id & 0x7FF] = PdoCodec.of(pdo.entries), wanted
+    count = sum(frame.can_id == sync for frame in frames)
+    raw = {key: np.full(count, np.nan) for _, wanted in codecs.values() for _, key in wanted}
+    syncs: list[float] = []
+    for frame in frames:
+        if frame.can_id == sync:
+            syncs.append(frame.time_s)
+        elif syncs and frame.can_id in codecs:
+            codec, wanted = codecs[frame.can_id]
+            try:
+                values = codec.unpack(frame.data)
+            except ProtocolError as problem:
+                raise RecordingError(f"frame {frame.can_id:03X} after SYNC {len(syncs) - 1}: {problem}; is it the log of this machine?") from None
+            for place, key in wanted:
+                raw[key][len(syncs) - 1] = values[place]
+    if all(np.isnan(values).all() for values in raw.values()):
+        raise RecordingError(f"none of the machine's PDOs in the log ({', '.join(f'{cob_id:03X}' for cob_id in sorted(codecs))})")
+    return syncs, raw
+
+
+def _ticks(syncs_s: np.ndarray, period_s: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Tick number and lateness [s] of every SYNC; a tick that was skipped leaves a step in time, as it did on the bus."""
+    if syncs_s.size < 2:
+        return np.zeros(syncs_s.size), np.zeros(syncs_s.size)
+    steps = np.diff(syncs_s)
+    if np.any(steps < 0.0) or abs(np.median(steps) - period_s) > BELIEVABLE_PERIOD * period_s:
+        warnings.warn(
+            f"{path}: its time stamps ({np.median(steps) * 1e3:.4g} ms between SYNCs) are not the machine's ({period_s * 1e3:.4g} ms); SYNCs are counted instead",
+            RecordingWarning,
+            stacklevel=2,
+        )
+        return np.arange(syncs_s.size, dtype=np.float64), np.full(syncs_s.size, np.nan)
+    ticks, lateness = np.zeros(syncs_s.size), np.zeros(syncs_s.size)
+    due = syncs_s[0]
+    for row in range(1, syncs_s.size):
+        passed = max(1.0, np.rint((syncs_s[row] - due) / period_s))
+        ticks[row] = ticks[row - 1] + passed
+        due += passed * period_s
+        lateness[row] = syncs_s[row] - due
+        due += PHASE_GAIN * lateness[row]
+    return ticks, lateness
+
+
+def _scaled(raw: np.ndarray, quantity: str, scaling: AxisScaling) -> np.ndarray:
+    match quantity:
+        case "position":
+            return scaling.sign * scaling.position_resolution * _unwrapped(raw)
+        case "link_position":
+            return scaling.sign * scaling.link_resolution * (_unwrapped(raw) - scaling.link_zero_counts)
+        case "command" | "effort":
+            return scaling.sign * scaling.rated * raw / 1000.0
+        case _:
+            return raw
+
+
+def _unwrapped(counts: np.ndarray) -> np.ndarray:
+    """Counts of a 32-bit register that runs over, as one line."""
+    present = ~np.isnan(counts)
+    unwrapped = counts.copy()
+    unwrapped[present] = np.unwrap(counts[present], period=2.0**32)
+    return unwrapped
+
+
+def _home_offset(scaled: dict[str, np.ndarray]) -> float:
+    """What homing added to the motor side's position: the log does not say, so it is taken from the link encoder where there is one."""
+    if "link_position" not in scaled:
+        return 0.0
+    both = np.flatnonzero(~np.isnan(scaled["position"]) & ~np.isnan(scaled["link_position"]))
+    return float(scaled["link_position"][both[0]] - scaled["position"][both[0]]) if both.size else 0.0
+
+
+def _channel_name(quantity: str, units: AxisUnits) -> str:
+    return f"{'current' if quantity == 'effort' and units.effort == 'A' else quantity}_{units.axis}"
+
+
+def _unit(quantity: str, units: AxisUnits) -> str:
+    return {"command": units.effort, "effort": units.effort, "statusword": ""}.get(quantity, units.position)

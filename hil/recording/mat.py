@@ -1,0 +1,97 @@
+"""MATLAB files (`.mat`, up to version 7): vectors of equal length as channels of a machine whose file gives the units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.io
+
+from hil.errors import RecordingError
+from hil.recording.metadata import machine_table
+from hil.recording.model import Channel, Recording
+
+if TYPE_CHECKING:
+    from hil.machine.model import Machine
+
+EMPS_NAMES = {"t": "time", "qg": "reference", "qm": "position", "vir": "command", "pulses_N": "excitation"}
+"""Variables of the Electro-Mechanical Positioning System benchmark (Janot, Gautier, Brunot 2019) and what they are here."""
+
+_POSITIONS = ("reference", "position", "link_position")
+
+
+def read_mat(path: Path, machine: Machine | None, names: Mapping[str, str] | None = None) -> Recording:
+    """Read a MATLAB file.
+
+    Parameters
+    ----------
+    path : Path
+    machine : Machine
+        Gives axes and units.
+    names : mapping, optional
+        Variable of the file -> channel. Without it variables that bear a channel's name are taken, or those of the EMPS benchmark.
+
+    Raises
+    ------
+    RecordingError
+        No MATLAB file of that version, no machine, a variable that is not there or not a vector of numbers, vectors of different length.
+    """
+    if machine is None:
+        raise RecordingError(f"{path}: a .mat says neither machine nor units; name the machine with --machine")
+    variables = _load(path)
+    names = dict(names) if names is not None else _known_names(variables, machine, path)
+    missing = [variable for variable in names if variable not in variables]
+    if missing:
+        raise RecordingError(f"{path}: no variable {missing[0]}; it has {', '.join(variables)}")
+    channels = {channel: Channel(_unit(channel, machine, path), _vector(variables[name], name, path)) for name, channel in names.items()}
+    constants = {name: value.item() for name, value in variables.items() if name not in names and value.size == 1 and value.dtype.kind in "fiub"}
+    try:
+        return Recording(channels, {"machine": machine_table(machine), "source": {"file": path.name, "constants": constants}})
+    except RecordingError as problem:
+        raise RecordingError(f"{path}: {problem}") from None
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    try:
+        content: dict[str, Any] = scipy.io.loadmat(path)
+    except NotImplementedError:
+        raise RecordingError(f"{path}: a MATLAB 7.3 (HDF5) file; save it with -v7") from None
+    except Exception as problem:  # SciPy answers a damaged file with whatever its parser ran into
+        raise RecordingError(f"{path}: no MATLAB file, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
+    return {name: value for name, value in content.items() if not name.startswith("__") and isinstance(value, np.ndarray)}
+
+
+def _known_names(variables: Mapping[str, np.ndarray], machine: Machine, path: Path) -> dict[str, str]:
+    if "time" in variables:
+        return {name: name for name, value in variables.items() if value.size > 1}
+    if {"t", "qg", "qm", "vir"} <= variables.keys() and len(machine.axes) == 1:
+        axis = machine.axes[0]
+        return {name: quantity if quantity == "time" else f"{quantity}_{axis}" for name, quantity in EMPS_NAMES.items() if name in variables}
+    raise RecordingError(f"{path}: its variables ({', '.join(variables)}) are not channels' names; say which is which, such as t=time")
+
+
+def _vector(value: np.ndarray, name: str, path: Path) -> np.ndarray:
+    if value.dtype.kind not in "fiub" or value.ndim > 2 or min(value.shape) != 1:
+        raise RecordingError(f"{path}: variable {name} is no vector of numbers")
+    return value.ravel().astype(np.float64)
+
+
+def _unit(channel: str, machine: Machine, path: Path) -> str:
+    """The unit a channel of this machine is kept in."""
+    if channel == "time":
+        return "s"
+    for units in machine.units:
+        if channel.endswith(f"_{units.axis}"):
+            quantity = channel.removesuffix(f"_{units.axis}")
+            if quantity in {"statusword", "temperature", "data_age"}:
+                return {"statusword": "", "temperature": "degC", "data_age": "s"}[quantity]
+            return units.position if quantity in _POSITIONS or quantity == "reference_raw" else units.effort
+    fixed = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "rad/s", "gyro_y": "rad/s", "gyro_z": "rad/s"}
+    fixed |= {"imu_time": "s", "imu_counter": "", "sync_lateness": "s", "work_time": "s", "exposure_id": ""}
+    if channel not in fixed:
+        raise RecordingError(f"{path}: {channel} is no channel of machine {machine.name} with axes {', '.join(machine.axes)}")
+    return fixed[channel]

@@ -1,0 +1,146 @@
+"""MDF 4 recordings (`.mf4`): ordinary signals with units that asammdf and vendors' tools open, metadata as an attached TOML text.
+
+A missing sample has its invalidation bit set (and is NaN or 0 below it, for tools that ignore the bit). Counters and bit fields are integers.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from asammdf import MDF, Signal
+from asammdf.blocks.v4_constants import CompressionAlgorithm
+
+from hil.errors import RecordingError
+from hil.recording.atomic import write_atomically
+from hil.recording.channels import is_whole
+from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
+from hil.recording.model import UNEQUAL_STEP, Channel, Recording
+
+ATTACHMENT = "recording.toml"
+"""Name of the attached metadata."""
+
+MDF_VERSION = "4.10"
+"""The oldest version with invalidation bits and compression: most tools open it."""
+
+_UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
+
+
+def write_mdf4(recording: Recording, path: Path) -> None:
+    """Write a recording; RecordingError if the file cannot be written."""
+    metadata = {**recording.metadata, "check": {"rows": recording.rows, "crc32": _checksum(recording)}}
+    signals = [_signal(name, channel, recording.time) for name, channel in recording.channels.items() if name != "time"]
+    with MDF(version=MDF_VERSION) as mdf:
+        mdf.header.comment = f"isocenter recording; machine, experiment and initial states are in the attachment {ATTACHMENT}"
+        mdf.append(signals or [Signal(np.arange(recording.rows), recording.time, name="row")], comment="one row per SYNC", common_timebase=True)
+        mdf.attach(metadata_text(metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording", mime="application/toml")
+        content = io.BytesIO()
+        mdf.save(content, compression=CompressionAlgorithm.DEFLATE)
+    write_atomically(path, content.getvalue())
+
+
+def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
+    """Read a recording of ours, or any MDF 4 file whose signals share one time base.
+
+    Parameters
+    ----------
+    path : Path
+    machine : MachineFile, optional
+        Stands in for the metadata where nothing is attached.
+
+    Raises
+    ------
+    RecordingError
+        No MDF file, damaged, several time bases, no metadata and no machine.
+    """
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    try:
+        with MDF(path) as mdf:
+            metadata = _metadata(mdf, path, machine)
+            channels = _channels(mdf, path)
+    except RecordingError:
+        raise
+    except Exception as problem:  # asammdf answers a damaged file with whatever its parser ran into
+        raise RecordingError(f"{path}: no MDF 4 file, or damaged: {_first_line(problem)}") from None
+    check = metadata.pop("check", None)
+    try:
+        recording = Recording(channels, metadata)
+    except RecordingError as problem:
+        raise RecordingError(f"{path}: {problem}") from None
+    if check is not None and check != {"rows": recording.rows, "crc32": _checksum(recording)}:
+        raise RecordingError(f"{path}: its rows are not those that were recorded (check in {ATTACHMENT}): damaged, or edited with another tool")
+    return recording
+
+
+def _signal(name: str, channel: Channel, time: np.ndarray) -> Signal:
+    values, missing = channel.values, channel.missing
+    present = values[~missing]
+    if is_whole(name) and np.all(present == np.rint(present)) and np.all(np.abs(present) < 2.0**53):
+        values = np.where(missing, 0.0, values).astype(np.int64)
+    return Signal(values, time, unit=channel.unit, name=name, invalidation_bits=missing if missing.any() else None)
+
+
+def _metadata(mdf: Any, path: Path, machine: MachineFile | None) -> dict[str, Any]:
+    for attachment in mdf.attachments:
+        if attachment.file_name == ATTACHMENT:
+            return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}")
+    if machine is None:
+        raise RecordingError(f"{path}: no {ATTACHMENT} is attached, so it is no recording of ours; name the machine with --machine")
+    return {"machine": machine_table(machine)}
+
+
+def _channels(mdf: Any, path: Path) -> dict[str, Channel]:
+    channels: dict[str, Channel] = {}
+    time: np.ndarray | None = None
+    for signal in _signals(mdf):
+        if time is None:
+            time = signal.timestamps
+            channels["time"] = Channel("s", time)
+        elif time.shape != signal.timestamps.shape or np.any(np.abs(time - signal.timestamps) > _tolerance(time)):
+            raise RecordingError(f"{path}: {signal.name} has a time base of its own; a recording has one row per SYNC, so resample it to one raster first")
+        name = _UNFIT.sub("_", signal.name).strip()
+        if name in channels:
+            raise RecordingError(f"{path}: channel {name} is in it twice")
+        values = np.asarray(signal.samples, dtype=np.float64)
+        if signal.invalidation_bits is not None:
+            values = np.where(signal.invalidation_bits, np.nan, values)
+        channels[name] = Channel(signal.unit, values)
+    if time is None:
+        raise RecordingError(f"{path}: holds no numeric signals")
+    return channels
+
+
+def _signals(mdf: Any) -> Iterator[Signal]:
+    """Every numeric channel that is no time base, with its invalidation bits; one pass over the file."""
+    wanted = [
+        (None, number, index)
+        for number, group in enumerate(mdf.groups)
+        for index in range(len(group.channels))
+        if index != mdf.masters_db.get(number)
+    ]
+    for signal in mdf.select(wanted, validate=False, copy_master=False) if wanted else ():
+        if signal.samples.ndim == 1 and signal.samples.dtype.kind in "fiub":
+            yield signal
+
+
+def _tolerance(time: np.ndarray) -> float:
+    return UNEQUAL_STEP * float(np.median(np.diff(time))) if time.size > 1 else 0.0
+
+
+def _checksum(recording: Recording) -> int:
+    """CRC of names, units and values: MDF has none of its own outside its compressed blocks."""
+    crc = 0
+    for name, channel in recording.channels.items():
+        crc = zlib.crc32(f"{name} [{channel.unit}]".encode(), crc)
+        crc = zlib.crc32(np.where(channel.missing, np.nan, channel.values).astype("<f8").tobytes(), crc)
+    return crc
+
+
+def _first_line(problem: Exception) -> str:
+    return str(problem).strip().partition("\n")[0] or type(problem).__name__

@@ -1,0 +1,79 @@
+"""What a recording says about itself: machine, experiment, initial states, software. Tables that TOML can hold."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Protocol
+
+from hil.errors import RecordingError
+from hil.recording.toml_text import plain, toml_text
+
+RECORDING_FORMAT = 1
+"""Key `recording_format`: marks a TOML text as a recording's metadata, so that a machine file of the same name is not taken for it."""
+
+
+class MachineFile(Protocol):
+    """What a recording keeps of a machine."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def text(self) -> str: ...
+    @property
+    def hash(self) -> str: ...
+    @property
+    def axes(self) -> tuple[str, ...]: ...
+
+
+def software_version() -> str:
+    """Name and version of what writes the recording."""
+    try:
+        return f"isocenter {version('isocenter')}"
+    except PackageNotFoundError:
+        return "isocenter"
+
+
+def machine_table(machine: MachineFile) -> dict[str, Any]:
+    """The metadata's table `machine`."""
+    return {"name": machine.name, "hash": machine.hash, "axes": list(machine.axes), "text": machine.text}
+
+
+def recording_metadata(
+    machine: MachineFile, experiment: Mapping[str, Any] | None = None, initial: Mapping[str, Any] | None = None, **tables: Any
+) -> dict[str, Any]:
+    """Metadata of a new recording.
+
+    Parameters
+    ----------
+    machine : MachineFile
+        A loaded machine.
+    experiment : mapping, optional
+        The plan's metadata: kind, period_samples, settle_periods, realisation, experiment, excited_lines, seed, ...
+    initial : mapping, optional
+        States at row 0: `controller_states` (per axis), `brakes`, `seed` of the emulator.
+    tables
+        Further tables.
+    """
+    parts = {"machine": machine_table(machine), "experiment": experiment, "initial": initial, **tables}
+    return plain({"software": software_version(), **{name: part for name, part in parts.items() if part is not None}})
+
+
+def metadata_text(metadata: Mapping[str, Any]) -> str:
+    """TOML text of a recording's metadata, marked as such."""
+    return toml_text({"recording_format": RECORDING_FORMAT, **{key: value for key, value in metadata.items() if key != "recording_format"}})
+
+
+def parse_metadata(text: str, where: str) -> dict[str, Any]:
+    """Metadata from its TOML text; `where` names the file in the error."""
+    try:
+        metadata = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as problem:
+        raise RecordingError(f"{where}: no TOML: {problem}") from None
+    if metadata.pop("recording_format", None) != RECORDING_FORMAT:
+        raise RecordingError(f"{where}: no recording's metadata: it lacks `recording_format = {RECORDING_FORMAT}`")
+    for table in ("machine", "experiment", "initial"):
+        if not isinstance(metadata.get(table, {}), dict):
+            raise RecordingError(f"{where}: `{table}` must be a table")
+    return metadata

@@ -1,0 +1,179 @@
+"""The loop's side of the recorder process: a copy and a counter per row."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.recording.formats import check_writable
+from hil.recording.journal import ChannelTable, Journal, part_path
+from hil.recording.recorder import finish_from_ring
+from hil.recording.ring import CONSUMED, HEARTBEAT, LOST, PRODUCED, Ring
+from hil.recording.toml_text import plain
+
+CAPACITY_ROWS = 32768
+"""Rows the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. So long may the disk be full or the recorder be away."""
+
+WATCH_ROWS = 128
+"""How often the loop looks whether the recorder lives: twice a second at 256 Hz, by a counter; only if that stands still the system is asked."""
+
+MOST_RESTARTS = 5
+"""A recorder that dies more often is not killed by accident; its rows then wait in the ring, and the loop's process writes them at the end."""
+
+CLOSE_TIMEOUT_S = 120.0
+"""Longest a recorder may take to finish: an hour's rows at 256 Hz take less."""
+
+
+class RecorderProcess:
+    """Records in a process of its own: for runs on the wall clock.
+
+    A context manager. `put` copies a row into shared memory and neither allocates, waits nor calls the system. The recorder brings the rows to disk every
+    50 ms. If the recorder is killed, another takes over where its journal ends; if the loop's process is killed, the recorder finishes the
+    recording; if both are, the journal has all but the last tenth of a second, and `read_recording` reads it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording to be, `.mf4` or `.csv`. Until `close` its rows are in `<path>.part`.
+    channels : sequence of (name, unit)
+        Columns of a row; `time` is one of them.
+    metadata : mapping
+        What is known beforehand (`hil.recording.recording_metadata`).
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written, an unfinished recording is there, or the recorder does not start.
+    """
+
+    def __init__(self, path: str | Path, channels: ChannelTable, metadata: Mapping[str, Any], capacity_rows: int = CAPACITY_ROWS) -> None:
+        self.path = Path(path).absolute()
+        check_writable(self.path)
+        Journal.create(part_path(self.path), channels, metadata).close()
+        self._ring = Ring(len(channels), capacity_rows)
+        self._counters = self._ring.counters
+        self._rows = self._ring.rows
+        self._capacity = capacity_rows
+        self._produced = 0
+        self._heartbeat = 0
+        self._restarts = 0
+        self._closed = False
+        self._recorder = self._start()
+        self._await_ready()
+
+    @property
+    def rows(self) -> int:
+        """Rows put so far."""
+        return self._produced
+
+    @property
+    def rows_lost(self) -> int:
+        """Rows that found the ring full."""
+        return self._counters[LOST]
+
+    @property
+    def pid(self) -> int:
+        """Process id of the present recorder."""
+        return self._recorder.pid
+
+    def put(self, row: np.ndarray) -> None:
+        """Copy one row (width,); if the ring is full the row is lost and counted."""
+        produced = self._produced
+        if produced - self._counters[CONSUMED] >= self._capacity:
+            self._counters[LOST] += 1
+        else:
+            self._rows[produced % self._capacity] = row
+            self._produced = produced = produced + 1
+            self._counters[PRODUCED] = produced
+        if produced % WATCH_ROWS == 0:
+            self._watch()
+
+    def close(self, metadata: Mapping[str, Any] | None = None) -> int:
+        """Write the recording, with further metadata tables, and end the recorder.
+
+        Returns
+        -------
+        int
+            Number of rows recorded; 0: no file was written.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written; the rows are kept in `<path>.part`.
+        """
+        if self._closed:
+            return self._produced
+        self._closed = True
+        tables = plain(metadata or {})
+        try:
+            answer = self._end_recorder((json.dumps(tables) + "\n").encode())
+            if answer.startswith("done "):
+                return int(answer.removeprefix("done "))
+            return finish_from_ring(self._ring, self.path, tables)  # the recorder was killed, or could not do it: this says why
+        finally:
+            self._counters = self._rows = None  # type: ignore[assignment]
+            self._ring.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close({"ended": {"error": str(value)}} if value is not None else None)
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        ring = self._ring
+        return subprocess.Popen(
+            [sys.executable, "-m", "hil.recording.recorder", ring.key, str(ring.width), str(ring.capacity), str(self.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            pass_fds=ring.inherited,
+            start_new_session=True,  # a Ctrl-C at the terminal is the loop's to answer
+        )
+
+    def _await_ready(self) -> None:
+        assert self._recorder.stdout is not None
+        answer = self._recorder.stdout.readline().decode().strip()
+        if answer != "ready":
+            self._closed = True
+            self._end_recorder(b"")
+            part_path(self.path).unlink(missing_ok=True)
+            raise RecordingError(answer.removeprefix("error ") or f"{self.path}: the recorder process did not start")
+
+    def _watch(self) -> None:
+        """Start another recorder if this one was killed. One that gave up of its own accord would do so again."""
+        heartbeat = self._counters[HEARTBEAT]
+        if heartbeat != self._heartbeat:
+            self._heartbeat = heartbeat
+            return
+        code = self._recorder.poll()
+        if code is not None and code < 0 and self._restarts < MOST_RESTARTS:
+            self._restarts += 1
+            self._close_pipes()
+            self._recorder = self._start()
+
+    def _end_recorder(self, words: bytes) -> str:
+        """Tell the recorder its last words and wait for its own; "" if it was killed."""
+        recorder = self._recorder
+        try:
+            output, _ = recorder.communicate(words, timeout=CLOSE_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            recorder.kill()
+            output, _ = recorder.communicate()
+        lines = output.decode(errors="replace").splitlines()
+        return next((line for line in lines if line.startswith("done ")), "")
+
+    def _close_pipes(self) -> None:
+        for pipe in (self._recorder.stdin, self._recorder.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
