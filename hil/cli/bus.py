@@ -1,0 +1,48 @@
+"""isocenter scan-bus | home: who is there, and the first careful motion."""
+
+from __future__ import annotations
+
+import typer
+
+from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load
+from hil.cli.output import Answer, JsonOption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command(
+        "scan-bus", help="Which nodes are on the bus, what they are, in which state.\n\nExample:  isocenter scan-bus --bus socketcan:vcan0"
+    )(scan_bus)
+    app.command(
+        help="Brakes, first-move direction check, homing, encoder agreement; leaves the machine braked."
+        "\n\nExample:  isocenter home --machine carm --bus socketcan:vcan0"
+    )(home)
+
+
+def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit rate [bit/s]."), json_to: JsonOption = None) -> None:
+    """One line per node."""
+    from drivers.bus_url import open_bus
+    from drivers.canopen.scan import scan_bus as scan
+    from hil.clock import WallClock
+
+    answer = Answer(json_to)
+    with open_bus(bus, bitrate) as wire:
+        nodes = scan(wire, WallClock())
+    for node in nodes:
+        answer.say(str(node))
+    if not nodes:
+        answer.say(f"{bus}: nobody answers")
+    answer.write({"bus": bus, "nodes": [vars(node) for node in nodes]})
+
+
+def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: IoOption = "", json_to: JsonOption = None) -> None:
+    """Say what was checked, axis by axis."""
+    from hil.bench import BenchOptions, open_bench
+
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
+        report = bench.commissioning
+    for line in report:
+        answer.say(line)
+    answer.write({"machine": machine.name, "bus": bus, "checks": report})

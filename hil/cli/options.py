@@ -1,0 +1,79 @@
+"""Options that several commands share, and how their text becomes SI."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.errors import ExperimentError
+
+if TYPE_CHECKING:
+    from hil.machine import Machine
+    from virtual_bus.settings import EffectSetting
+
+MachineOption = Annotated[str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")]
+MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")]
+BusOption = Annotated[
+    str,
+    typer.Option(
+        "--bus",
+        "-b",
+        metavar="URL",
+        help="lockstep:, virtual:NAME, socketcan:vcan0, udp:GROUP, slcan:/dev/ttyACM0@1000000 or any INTERFACE:CHANNEL of python-can.",
+    ),
+]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects file (TOML): physics added by name.")]
+PoseOption = Annotated[
+    str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
+]
+ImuOption = Annotated[str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, where the machine file names none.")]
+IoOption = Annotated[str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")]
+NominalPeriodOption = Annotated[float, typer.Option("--period", metavar="S", help="Base period; lines are its inverse apart.")]
+
+
+def load(name: str, effects: Path | None = None) -> Machine:
+    """Load a machine, with an effects file's physics added."""
+    from hil.machine import load_machine
+
+    machine = load_machine(name)
+    return machine.with_effects(read_effects(effects, machine)) if effects is not None else machine
+
+
+def read_effects(path: Path, machine: Machine) -> tuple[EffectSetting, ...]:
+    """Effects of a file, checked against the catalogue and the machine."""
+    from hil.machine.effects_file import read_effects_file
+
+    return read_effects_file(path, machine)
+
+
+def edge_scale(machine: Machine, axis: str) -> float:
+    """What one unit at the command line is in SI: a degree, or a millimetre on a prismatic axis."""
+    return math.pi / 180.0 if machine.units[machine.axis_index(axis)].position == "rad" else 1e-3
+
+
+def parse_pose(text: str, machine: Machine) -> dict[str, float]:
+    """`roll=30,propeller=-10` in rad (or m).
+
+    Raises
+    ------
+    ExperimentError
+        Not of that form, or no such axis.
+    """
+    pose = {}
+    for part in filter(None, text.split(",")):
+        axis, equals, number = part.partition("=")
+        axis = axis.strip()
+        try:
+            value = float(number)
+        except ValueError:
+            equals = ""
+            value = math.nan
+        if not equals or not math.isfinite(value):
+            raise ExperimentError(f"--pose {text}: {part!r} is not AXIS=NUMBER, such as roll=30")
+        if axis not in machine.axes:
+            raise ExperimentError(f"--pose {text}: {machine.name} has no axis {axis!r}; it has {', '.join(machine.axes)}")
+        pose[axis] = value * edge_scale(machine, axis)
+    return pose

@@ -1,0 +1,19 @@
+"""Which commands there are. Each module adds its own; what they need is imported when they run, so that --help stays fast."""
+
+from __future__ import annotations
+
+import typer
+
+from hil.cli import answers, bus, machine, physics, run, story
+
+
+def commands(app: typer.Typer) -> None:
+    """Add every command to the app, once."""
+    if app.registered_commands:
+        return
+    story.register(app)
+    app.add_typer(machine.app, name="machine")
+    physics.register(app)
+    bus.register(app)
+    app.add_typer(run.app, name="run")
+    answers.register(app)

@@ -1,0 +1,286 @@
+"""isocenter run EXPERIMENT: multisine, scan, jog, static, or an experiment file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+import typer
+from typer.core import TyperGroup
+
+from hil.cli.options import (
+    BusOption,
+    EffectsOption,
+    ImuOption,
+    IoOption,
+    MachineOption,
+    NominalPeriodOption,
+    PoseOption,
+    edge_scale,
+    load,
+    parse_pose,
+)
+from hil.cli.output import Answer, JsonOption, progress
+
+if TYPE_CHECKING:
+    from hil.experiments import Experiment
+    from hil.machine import Machine
+
+OutOption = Annotated[
+    Path, typer.Option("-o", "--out", metavar="REC", help="Recording to write (.mf4 or .csv); of several, each gets its realisation and experiment in its name.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of phases, and in lockstep of the emulator's noise.")]
+FrameLogOption = Annotated[Path | None, typer.Option("--frame-log", metavar="FILE", help="Write every CAN frame as candump does (.log).")]
+TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="In lockstep: what only the emulator knows (.csv).")]
+NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockstep: the emulated sensors' noise.")]
+
+
+class ExperimentGroup(TyperGroup):
+    """A group in which an experiment file stands where a command's name would."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """`run FILE.toml ...` is `run file FILE.toml ...`."""
+        if args and (args[0].endswith(".toml") or "/" in args[0]):
+            args = ["file", *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(
+    cls=ExperimentGroup,
+    no_args_is_help=True,
+    help="Run an experiment in closed loop and record it: multisine, scan, jog, static, or an experiment file (.toml)."
+    "\n\nExample:  isocenter run multisine --machine carm --bus lockstep: --pose roll=30 -o run.mf4",
+)
+
+
+@app.command(
+    help="Random-phase multisine under jog: what frequency responses are identified from."
+    "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4"
+)
+def multisine(
+    machine_name: MachineOption,
+    out: OutOption,
+    bus: BusOption = "lockstep:",
+    pose: PoseOption = "",
+    axes: Annotated[str, typer.Option("--axes", metavar="A,B", help="Excited axes; all unless given.")] = "",
+    experiments: Annotated[str, typer.Option("--experiments", help="orthogonal (all axes at once, mixed) or single.")] = "orthogonal",
+    band: Annotated[str, typer.Option("--band", metavar="LOW:HIGH", help="Excited band [Hz].")] = "0.15:40",
+    lines: Annotated[str, typer.Option("--lines", metavar="N,N,...", help="Excited lines instead of a band.")] = "",
+    every_line: Annotated[bool, typer.Option("--every-line", help="Even lines too; forfeits the odd/even split.")] = False,
+    amplitude: Annotated[float, typer.Option("--amplitude", help="Rms of the excitation, in the drive's unit.")] = 1.0,
+    period: NominalPeriodOption = 20.0,
+    periods: Annotated[int, typer.Option("--periods", help="Periods kept.")] = 10,
+    settle_periods: Annotated[int, typer.Option("--settle-periods", help="Periods before them, for transients.")] = 1,
+    realisations: Annotated[int, typer.Option("--realisations", help="Draws of the phases.")] = 1,
+    phases: Annotated[str, typer.Option("--phases", help="random, or optimised for a low crest factor.")] = "random",
+    jog_amplitude: Annotated[float, typer.Option("--jog", help="Jog amplitude in degrees (mm); 0 switches it off.")] = 2.0,
+    jog_frequency: Annotated[float | None, typer.Option("--jog-frequency", metavar="HZ", help="Jog frequency; line 1 of the period unless given.")] = None,
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    noise: NoiseOption = True,
+    frame_log: FrameLogOption = None,
+    truth: TruthOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Plan and run."""
+    from hil.experiments import Jog, Multisine
+
+    machine = load(machine_name, effects)
+    scale = edge_scale(machine, machine.axes[0])
+    jog = None
+    if jog_amplitude:
+        jog = Jog(amplitude_rad=jog_amplitude * scale, line=1 if jog_frequency is None else None, frequency_Hz=jog_frequency)
+    experiment = Multisine(
+        pose=parse_pose(pose, machine),
+        axes=_names(axes),
+        experiments=_one_of(experiments, ("orthogonal", "single"), "--experiments"),
+        lines=_lines(band, lines, every_line),
+        amplitude_A=amplitude,
+        period_s=period,
+        periods=periods,
+        settle_periods=settle_periods,
+        realisations=realisations,
+        phases=_one_of(phases, ("random", "optimised"), "--phases"),
+        jog=jog,
+        seed=seed,
+    )
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+
+
+@app.command(
+    help="A jerk-limited sweep of one axis at constant speed, as an acquisition makes it."
+    "\n\nExample:  isocenter run scan -m carm -b lockstep: --axis roll --from -90 --to 90 --speed 30 -o scan.mf4"
+)
+def scan(
+    machine_name: MachineOption,
+    out: OutOption,
+    axis: Annotated[str, typer.Option("--axis", help="Axis that sweeps.")],
+    start: Annotated[float, typer.Option("--from", help="Start, degrees (mm).")],
+    stop: Annotated[float, typer.Option("--to", help="End, degrees (mm).")],
+    speed: Annotated[float, typer.Option("--speed", help="Speed of the constant part, degrees/s (mm/s).")] = 30.0,
+    sweeps: Annotated[int, typer.Option("--sweeps", help="1: there; 2: there and back; and so on.")] = 1,
+    dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Standstill before and after each sweep.")] = 1.0,
+    bus: BusOption = "lockstep:",
+    pose: PoseOption = "",
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    noise: NoiseOption = True,
+    frame_log: FrameLogOption = None,
+    truth: TruthOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Plan and run."""
+    from hil.experiments import Scan
+
+    machine = load(machine_name, effects)
+    _known_axis(axis, machine)
+    scale = edge_scale(machine, axis)
+    experiment = Scan(axis, start * scale, stop * scale, speed * scale, parse_pose(pose, machine), dwell, sweeps)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+
+
+@app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
+def jog(
+    machine_name: MachineOption,
+    out: OutOption,
+    amplitude: Annotated[float, typer.Option("--amplitude", help="Degrees (mm).")] = 2.0,
+    axes: Annotated[str, typer.Option("--axes", metavar="A,B", help="Axes that jog; all unless given.")] = "",
+    period: NominalPeriodOption = 20.0,
+    periods: Annotated[int, typer.Option("--periods", help="Periods kept.")] = 2,
+    bus: BusOption = "lockstep:",
+    pose: PoseOption = "",
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    noise: NoiseOption = True,
+    frame_log: FrameLogOption = None,
+    truth: TruthOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Plan and run."""
+    from hil.experiments import Jog, JogOnly
+
+    machine = load(machine_name, effects)
+    shape = Jog(amplitude_rad=amplitude * edge_scale(machine, machine.axes[0]), line=1, axes=_names(axes))
+    experiment = JogOnly(jog=shape, pose=parse_pose(pose, machine), period_s=period, periods=periods)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+
+
+@app.command(help="Hold a pose: noise, drift, holding effort.\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4")
+def static(
+    machine_name: MachineOption,
+    out: OutOption,
+    seconds: Annotated[float, typer.Option("--seconds", help="How long.")] = 10.0,
+    bus: BusOption = "lockstep:",
+    pose: PoseOption = "",
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    noise: NoiseOption = True,
+    frame_log: FrameLogOption = None,
+    truth: TruthOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Plan and run."""
+    from hil.experiments import Static
+
+    machine = load(machine_name, effects)
+    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+
+
+@app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
+def from_file(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="Experiment file (TOML).")],
+    machine_name: MachineOption,
+    out: OutOption,
+    bus: BusOption = "lockstep:",
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    noise: NoiseOption = True,
+    frame_log: FrameLogOption = None,
+    truth: TruthOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Plan and run."""
+    from hil.experiments import read_experiment
+
+    machine = load(machine_name, effects)
+    _run(machine, read_experiment(path), out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+
+
+def _run(
+    machine: Machine,
+    experiment: Experiment,
+    out: Path,
+    bus: str,
+    seed: int,
+    imu: str,
+    io: str,
+    noise: bool,
+    frame_log: Path | None,
+    truth: Path | None,
+    json_to: str | None,
+) -> None:
+    from hil.bench import BenchOptions, open_bench, recording_paths
+
+    plans = experiment.plans(machine)
+    answer = Answer(json_to)
+    for note in dict.fromkeys(note for plan in plans for note in plan.notes):
+        answer.say(note)
+    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth)
+    records: list[dict[str, Any]] = []
+    with open_bench(machine, options, plans[0].start_pose) as bench:
+        answer.say(f"{machine.name} on {bus}: {bench.scheduling}")
+        with progress(answer.console) as bars:
+            for plan, path in zip(plans, recording_paths(out, plans), strict=True):
+                task = bars.add_task(path.name, total=plan.rows)
+                timing = bench.run(plan, path, lambda row, task=task: bars.update(task, completed=row))
+                bars.update(task, completed=plan.rows)
+                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary()})
+        scheduling = str(bench.scheduling)
+    for record in records:
+        timing_table = record["timing"]
+        line = f"{record['recording']}: {timing_table['ticks']} rows"
+        if not bus.startswith("lockstep:"):
+            line += (
+                f", {timing_table['missed']} ticks missed, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
+                f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
+            )
+        answer.say(line)
+    answer.write({"machine": machine.name, "hash": machine.hash, "bus": bus, "scheduler": scheduling, "recordings": records})
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def _known_axis(axis: str, machine: Machine) -> None:
+    if axis not in machine.axes:
+        raise click.UsageError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
+
+
+def _one_of(value: str, allowed: tuple[str, ...], option: str) -> Any:
+    if value not in allowed:
+        raise click.UsageError(f"{option} {value}: must be {' or '.join(allowed)}")
+    return value
+
+
+def _lines(band: str, lines: str, every_line: bool) -> Any:
+    from controllers.lines import Band
+
+    try:
+        if lines:
+            return tuple(int(line) for line in lines.split(","))
+        low, high = (float(part) for part in band.split(":"))
+    except ValueError:
+        raise click.UsageError(f"--lines {lines}: must be whole numbers" if lines else f"--band {band}: must be LOW:HIGH in Hz") from None
+    return Band(low, high, odd=not every_line)
