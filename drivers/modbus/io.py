@@ -1,0 +1,160 @@
+"""The I/O device as the loop sees it: brakes, hold-to-run, door contact and temperatures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
+from pymodbus.pdu.register_message import ReadInputRegistersRequest
+
+from drivers.errors import ProtocolError
+from drivers.interface import Sample
+from drivers.modbus.registers import MAX_READ_BITS, MAX_READ_REGISTERS, register_to_temperature
+from drivers.modbus.transport import Transport
+from drivers.settings import IoMap
+
+
+class Io(Protocol):
+    """What the machine link needs of the I/O device. Nothing here waits."""
+
+    def poll_due(self, now_s: float) -> None:
+        """Give the device its turn when a poll is due at `now_s`; nothing to do where another process polls."""
+
+    def update(self, sample: Sample) -> None:
+        """Copy the newest state into the sample."""
+
+    def command_brakes(self, brakes: Mapping[str, bool]) -> None:
+        """Open (True) or close the brakes of the named axes with the next poll."""
+
+
+class IoState:
+    """The newest state of the device. Arrays have the length of the axis list."""
+
+    def __init__(self, axes: int) -> None:
+        self.temperature_degC = np.full(axes, np.nan)
+        self.brakes_open = np.zeros(axes, dtype=bool)
+        self.hold_to_run = False
+        self.door_closed = False
+        self.time_s = -math.inf  # when it was read
+
+    def copy_to(self, sample: Sample, now_s: float, stale_after_s: float) -> None:
+        """Fill the sample. A state that is too old reads as the safe one: switch released, door open, no brake known to be open."""
+        age_s = now_s - self.time_s
+        sample.io_age_s = age_s
+        if age_s > stale_after_s:
+            sample.temperature_degC.fill(np.nan)
+            sample.brakes_open.fill(False)
+            sample.hold_to_run = False
+            sample.door_closed = False
+            return
+        sample.temperature_degC[:] = self.temperature_degC
+        sample.brakes_open[:] = self.brakes_open
+        sample.hold_to_run = self.hold_to_run
+        sample.door_closed = self.door_closed
+
+
+class IoDriver:
+    """Polls the device through a transport: two requests a poll, and one more when brakes are commanded.
+
+    Parameters
+    ----------
+    io_map : IoMap
+        Where everything lives.
+    transport : Transport
+        An `InProcessTransport` in lockstep; a `ClientTransport` waits and belongs into another process (`drivers.modbus.io_process`).
+    axes : tuple of str
+        Order of the axes in arrays.
+    """
+
+    def __init__(self, io_map: IoMap, transport: Transport, axes: tuple[str, ...]) -> None:
+        self.state = IoState(len(axes))
+        self._map = io_map
+        self._transport = transport
+        self._axes = axes
+        self._open = dict.fromkeys(io_map.brake_coils, False)
+        self._commanded = False
+        self._next_poll_s = -math.inf
+        self._now_s = 0.0
+        inputs = (*io_map.brake_feedback_inputs.values(), io_map.hold_to_run_input, io_map.door_input)
+        registers = tuple(io_map.temperature_registers.values())
+        self._inputs = _block("discrete inputs", inputs, MAX_READ_BITS)
+        self._registers = _block("input registers", registers, MAX_READ_REGISTERS) if registers else None
+
+    def poll_once(self, now_s: float) -> None:
+        """Write the brakes if commanded, read all inputs and registers.
+
+        Raises
+        ------
+        BusError, DeviceError
+            As `Transport.request`; the state keeps its age, a brake command stays pending.
+        """
+        if self._commanded:
+            self._write_brakes()
+            self._commanded = False
+        state, io_map = self.state, self._map
+        start, count = self._inputs
+        answer = self._transport.request(ReadDiscreteInputsRequest(address=start, count=count, dev_id=io_map.unit_id))
+        bits = answer.bits
+        if len(bits) < count:
+            raise ProtocolError(f"io: {len(bits)} discrete inputs in the answer where {count} were asked")
+        state.hold_to_run = bits[io_map.hold_to_run_input - start]
+        state.door_closed = bits[io_map.door_input - start]
+        for index, axis in enumerate(self._axes):
+            if axis in io_map.brake_feedback_inputs:
+                state.brakes_open[index] = bits[io_map.brake_feedback_inputs[axis] - start]
+        if self._registers is not None:
+            self._read_temperatures(*self._registers)
+        state.time_s = now_s
+
+    def poll_due(self, now_s: float) -> None:
+        """Poll when the period is over or a brake command waits. Errors as `poll_once`."""
+        self._now_s = now_s
+        if now_s >= self._next_poll_s or self._commanded:
+            self._next_poll_s = now_s + self._map.poll_period_s
+            self.poll_once(now_s)
+
+    def update(self, sample: Sample) -> None:
+        """Copy the newest state into the sample, aged by the last `poll_due`."""
+        self.state.copy_to(sample, self._now_s, self._map.stale_after_s)
+
+    def command_brakes(self, brakes: Mapping[str, bool]) -> None:
+        """Open (True) or close the brakes of the named axes with the next poll; axes without a brake are ignored."""
+        for axis, is_open in brakes.items():
+            if axis in self._open:
+                self._open[axis] = is_open
+        self._commanded = True
+
+    def _write_brakes(self) -> None:
+        for address, bits in _runs({self._map.brake_coils[axis]: is_open for axis, is_open in self._open.items()}):
+            self._transport.request(WriteMultipleCoilsRequest(address=address, bits=bits, dev_id=self._map.unit_id))
+
+    def _read_temperatures(self, start: int, count: int) -> None:
+        answer = self._transport.request(ReadInputRegistersRequest(address=start, count=count, dev_id=self._map.unit_id))
+        if len(answer.registers) != count:
+            raise ProtocolError(f"io: {len(answer.registers)} input registers in the answer where {count} were asked")
+        for index, axis in enumerate(self._axes):
+            register = self._map.temperature_registers.get(axis)
+            if register is not None:
+                self.state.temperature_degC[index] = register_to_temperature(answer.registers[register - start])
+
+
+def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:
+    """(first address, count) of the one read that covers all addresses."""
+    start, count = min(addresses), max(addresses) - min(addresses) + 1
+    if count > most:
+        raise ProtocolError(f"io: {what} {start} to {start + count - 1} do not fit one request of {most}; wire them closer together")
+    return start, count
+
+
+def _runs(coils: dict[int, bool]) -> list[tuple[int, list[bool]]]:
+    """Coils as (first address, values) of neighbours, so that no coil in between is touched."""
+    runs: list[tuple[int, list[bool]]] = []
+    for address in sorted(coils):
+        if runs and address == runs[-1][0] + len(runs[-1][1]):
+            runs[-1][1].append(coils[address])
+        else:
+            runs.append((address, [coils[address]]))
+    return runs

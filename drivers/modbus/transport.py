@@ -1,0 +1,167 @@
+"""Carries one Modbus request to the I/O device and its answer back: over TCP, over a serial line, or to a device in this process."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import socket
+from collections.abc import Callable
+from typing import Protocol
+
+import serial
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+
+from drivers.errors import BusTimeout, BusUnavailable, ConfigurationRefused, ProtocolError
+from drivers.modbus.registers import ExceptionCode
+
+ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
+RETRIES = 1
+MBAP_UNIT_OFFSET = 6
+
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # faults leave this module as exceptions, not on standard error
+
+
+class Transport(Protocol):
+    """One line to one Modbus device."""
+
+    def request(self, pdu: ModbusPDU) -> ModbusPDU:
+        """Send a request and return its answer.
+
+        Raises
+        ------
+        BusUnavailable
+            There is no such port, nobody listens, or the connection is gone.
+        BusTimeout
+            Nobody answered.
+        ConfigurationRefused
+            The device answered with an exception.
+        ProtocolError
+            The answer is damaged or comes from another unit.
+        """
+
+    def close(self) -> None:
+        """Give the line back."""
+
+
+class InProcessTransport:
+    """To a device in this process, every message encoded to bytes and decoded from bytes.
+
+    Parameters
+    ----------
+    serve : callable
+        Modbus/TCP bytes in, answers out: `EmulatedIo.serve`.
+    """
+
+    def __init__(self, serve: Callable[[bytes], bytes]) -> None:
+        self._serve = serve
+        self._framer = FramerSocket(DecodePDU(False))
+        self._transaction = 0
+
+    def request(self, pdu: ModbusPDU) -> ModbusPDU:
+        """Send a request and return its answer."""
+        self._transaction = self._transaction % 0xFFFF + 1
+        pdu.transaction_id = self._transaction
+        _, answer = self._framer.handleFrame(self._serve(self._framer.buildFrame(pdu)), pdu.dev_id, pdu.transaction_id)
+        if answer is None:
+            raise ProtocolError("io: the in-process device's answer is no Modbus message")
+        return _without_exception("io", pdu, answer)
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+class ClientTransport:
+    """To a device on TCP or on a serial line, through pymodbus. Waits for the answer: never use it in the loop's process.
+
+    Parameters
+    ----------
+    url : str
+        `tcp:HOST:PORT` or `rtu:/dev/ttyUSB1@115200`.
+    """
+
+    def __init__(self, url: str, timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+        self.name = f"io on {url}"
+        self._received = b""
+        self._timeout_s = timeout_s
+        kind, where, number = parse_io_url(url)
+        self._client: ModbusTcpClient | ModbusSerialClient
+        if kind == "tcp":
+            self._client = ModbusTcpClient(where, port=number, timeout=timeout_s, retries=RETRIES, trace_packet=self._trace)
+            self._open: Callable[[], object] = lambda: socket.create_connection((where, number), timeout_s).close()
+            self._unit_offset = MBAP_UNIT_OFFSET
+        else:
+            self._client = ModbusSerialClient(where, baudrate=number, timeout=timeout_s, retries=RETRIES, trace_packet=self._trace)
+            self._open = lambda: serial.Serial(where, number).close()
+            self._unit_offset = 0
+
+    def request(self, pdu: ModbusPDU) -> ModbusPDU:
+        """Send a request and return its answer; connects when needed."""
+        self._received = b""
+        if not self._client.connect():
+            raise BusUnavailable(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
+        try:
+            answer = self._client.execute(False, pdu)
+        except (ModbusException, OSError) as error:
+            self.close()
+            raise self._explained(pdu.dev_id) from error
+        return _without_exception(self.name, pdu, answer)
+
+    def close(self) -> None:
+        """Close the connection; the next request opens it again."""
+        self._client.close()
+
+    def _trace(self, sending: bool, data: bytes) -> bytes:
+        """What pymodbus has received so far: it tells a silent device from one that answers wrongly."""
+        if not sending:
+            self._received = data
+        return data
+
+    def _why_not(self) -> str:
+        """pymodbus logs the reason and returns False: ask the system again."""
+        try:
+            self._open()
+        except OSError as error:
+            known = error.errno is not None and error.errno > 0  # name resolution counts below zero
+            return os.strerror(error.errno) if known else error.strerror or str(error)
+        return "the line is in use"
+
+    def _explained(self, unit_id: int) -> Exception:
+        received = self._received
+        if not received:
+            return BusTimeout(f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate and cable")
+        if len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
+            return ProtocolError(f"{self.name}: unit {received[self._unit_offset]} answers where unit_id = {unit_id} was asked")
+        return ProtocolError(f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring and baud rate")
+
+
+def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> ModbusPDU:
+    if isinstance(answer, ExceptionResponse) or answer.isError():
+        try:
+            reason = ExceptionCode(answer.exception_code).name.lower().replace("_", " ")
+        except ValueError:
+            reason = "unknown exception"
+        last = request.address + max(1, request.count, len(request.bits)) - 1
+        raise ConfigurationRefused(
+            f"{name}: unit {request.dev_id} refuses function {request.function_code} at {request.address} to {last}:"
+            f" {reason} ({answer.exception_code}); compare unit_id and addresses with the device's manual"
+        )
+    return answer
+
+
+def parse_io_url(url: str) -> tuple[str, str, int]:
+    """`tcp:HOST:PORT` or `rtu:DEVICE@BAUD` as ("tcp", host, port) or ("rtu", device, baud).
+
+    Raises
+    ------
+    BusUnavailable
+        Neither of them.
+    """
+    if (match := re.fullmatch(r"tcp:(.+):(\d{1,5})", url)) and 0 < int(match[2]) <= 0xFFFF:
+        return "tcp", match[1].strip("[]"), int(match[2])
+    if (match := re.fullmatch(r"rtu:(.+)@(\d+)", url)) and int(match[2]) > 0:
+        return "rtu", match[1], int(match[2])
+    raise BusUnavailable(f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502 or rtu:/dev/ttyUSB1@115200")

@@ -1,0 +1,1 @@
+"""The emulated Modbus input/output device, and its servers for TCP and RTU."""

@@ -1,0 +1,221 @@
+"""The emulated input/output device: brakes, hold-to-run, door contact and temperatures behind Modbus.
+
+It answers every request, wrong ones included, as the Modbus Application Protocol Specification V1.1b3 (state diagrams of sec. 6) asks.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.modbus.registers import (
+    MAX_READ_BITS,
+    MAX_READ_REGISTERS,
+    MAX_WRITE_BITS,
+    ExceptionCode,
+    FunctionCode,
+    temperature_to_register,
+)
+from virtual_bus.modbus.framing import TcpFraming, rtu_frame, rtu_request, tcp_frame
+
+BRAKE_DELAY_S = 0.04  # spring-applied brakes open in 30 to 60 ms
+COIL_ON, COIL_OFF = 0xFF00, 0x0000
+BROADCAST = 0  # on a serial line: everybody obeys, nobody answers
+TCP_ANY_UNIT = (0x00, 0xFF)  # a device directly on TCP is addressed by its IP address alone
+
+
+@dataclass(frozen=True)
+class IoLayout:
+    """What is wired where. Addresses are zero-based; axes are named."""
+
+    unit_id: int
+    brake_coils: Mapping[str, int]  # 1 releases the brake
+    brake_feedback_inputs: Mapping[str, int]  # 1: brake is open
+    hold_to_run_input: int
+    door_input: int
+    temperature_registers: Mapping[str, int]
+
+
+class _Refusal(Exception):
+    """A request the device does not carry out."""
+
+    def __init__(self, code: ExceptionCode) -> None:
+        self.code = code
+
+
+class EmulatedIo:
+    """The device's memory, wiring and manners. Requests may come from a server's thread; everything else from the emulator's.
+
+    Parameters
+    ----------
+    layout : IoLayout
+        What is wired where. The device has exactly the coils, inputs and registers up to the last one wired.
+    axes : tuple of str
+        Order of the axes in arrays.
+    on_brakes : callable, optional
+        Called with a (n,) bool array, True where the brake is closed, whenever a brake has opened or closed; only ever from `advance`.
+    brake_delay_s : float
+        From a coil's change to the brake's.
+    """
+
+    def __init__(
+        self,
+        layout: IoLayout,
+        axes: tuple[str, ...],
+        on_brakes: Callable[[np.ndarray], None] | None = None,
+        brake_delay_s: float = BRAKE_DELAY_S,
+    ) -> None:
+        self.layout = layout
+        self.axes = axes
+        self.coils = [False] * (1 + max(layout.brake_coils.values(), default=-1))
+        self.discrete_inputs = [False] * (1 + max(*layout.brake_feedback_inputs.values(), layout.hold_to_run_input, layout.door_input))
+        self.input_registers = [0] * (1 + max(layout.temperature_registers.values(), default=-1))
+        self._on_brakes = on_brakes
+        self._brake_delay_s = brake_delay_s
+        self._open = np.zeros(len(axes), dtype=bool)
+        self._moving: list[tuple[float, bool] | None] = [None] * len(axes)  # (when it arrives, open or closed)
+        self._tcp = TcpFraming()
+        self._lock = threading.Lock()
+        self.set_hold_to_run(True)
+        self.set_door(True)
+
+    # ---- the machine's side -----------------------------------------------------------------------------
+
+    def set_hold_to_run(self, pressed: bool) -> None:
+        """The operator presses or releases the switch."""
+        self.discrete_inputs[self.layout.hold_to_run_input] = pressed
+
+    def set_door(self, closed: bool) -> None:
+        """The door contact closes or opens."""
+        self.discrete_inputs[self.layout.door_input] = closed
+
+    def set_temperature(self, axis: str, temperature_degC: float) -> None:
+        """What the winding's sensor of that axis shows; NaN: it is broken. Axes without a sensor are ignored."""
+        register = self.layout.temperature_registers.get(axis)
+        if register is not None:
+            self.input_registers[register] = temperature_to_register(temperature_degC)
+
+    @property
+    def brakes_closed(self) -> np.ndarray:
+        """(n,) bool, what the brakes really do."""
+        return ~self._open
+
+    def advance(self, time_s: float) -> None:
+        """Let machine time pass up to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows brakes."""
+        changed = False
+        for index, axis in enumerate(self.axes):
+            coil = self.layout.brake_coils.get(axis)
+            if coil is None:
+                continue
+            wanted = self.coils[coil]
+            moving = self._moving[index]
+            if moving is None or moving[1] != wanted:
+                moving = (time_s + self._brake_delay_s, wanted) if wanted != self._open[index] else None
+                self._moving[index] = moving
+            if moving is not None and time_s >= moving[0]:
+                self._moving[index] = None
+                self._open[index] = wanted
+                changed = True
+                feedback = self.layout.brake_feedback_inputs.get(axis)
+                if feedback is not None:
+                    self.discrete_inputs[feedback] = wanted
+        if changed and self._on_brakes is not None:
+            self._on_brakes(self.brakes_closed)
+
+    # ---- the line's side --------------------------------------------------------------------------------
+
+    def serve(self, data: bytes) -> bytes:
+        """Bytes of one Modbus/TCP connection in, the answers out."""
+        return self.serve_tcp(self._tcp, data)
+
+    def serve_tcp(self, framing: TcpFraming, data: bytes) -> bytes:
+        """The same for one of several connections, each with its own framing."""
+        answers = b""
+        for transaction, unit_id, pdu in framing.feed(data):
+            if unit_id == self.layout.unit_id or unit_id in TCP_ANY_UNIT:
+                answer = self.serve_pdu(pdu)
+            else:
+                answer = bytes((pdu[0] | 0x80, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND))
+            answers += tcp_frame(transaction, unit_id, answer)
+        return answers
+
+    def serve_rtu(self, frame: bytes) -> bytes:
+        """What arrived on a serial line between two silences in, the answer out: none to damaged, foreign and broadcast frames."""
+        request = rtu_request(frame)
+        if request is None or request[0] not in (self.layout.unit_id, BROADCAST):
+            return b""
+        answer = self.serve_pdu(request[1])
+        return rtu_frame(self.layout.unit_id, answer) if request[0] != BROADCAST else b""
+
+    def serve_pdu(self, pdu: bytes) -> bytes:
+        """Carry out one request; the answer, or an exception answer."""
+        function = pdu[0]
+        try:
+            with self._lock:
+                return bytes((function,)) + self._carry_out(function, pdu[1:])
+        except _Refusal as refusal:
+            return bytes((function | 0x80, refusal.code))
+
+    def _carry_out(self, function: int, data: bytes) -> bytes:
+        if function == FunctionCode.READ_DISCRETE_INPUTS:
+            return _read_bits(self.discrete_inputs, data)
+        if function == FunctionCode.READ_INPUT_REGISTERS:
+            return _read_registers(self.input_registers, data)
+        if function == FunctionCode.READ_COILS:
+            return _read_bits(self.coils, data)
+        if function == FunctionCode.WRITE_SINGLE_COIL:
+            return _write_coil(self.coils, data)
+        if function == FunctionCode.WRITE_MULTIPLE_COILS:
+            return _write_coils(self.coils, data)
+        raise _Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+
+
+def _range(data: bytes, size: int, available: int, most: int) -> tuple[int, int]:
+    """(address, count) of a request's first four bytes, checked in the order of the specification: value, then address."""
+    if len(data) != size:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    address, count = struct.unpack_from(">HH", data)
+    if not 1 <= count <= most:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    if address + count > available:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+    return address, count
+
+
+def _read_bits(bits: list[bool], data: bytes) -> bytes:
+    address, count = _range(data, 4, len(bits), MAX_READ_BITS)
+    packed = sum(bit << position for position, bit in enumerate(bits[address : address + count]))
+    size = (count + 7) // 8
+    return bytes((size,)) + packed.to_bytes(size, "little")
+
+
+def _read_registers(registers: list[int], data: bytes) -> bytes:
+    address, count = _range(data, 4, len(registers), MAX_READ_REGISTERS)
+    return struct.pack(f">B{count}H", 2 * count, *registers[address : address + count])
+
+
+def _write_coil(coils: list[bool], data: bytes) -> bytes:
+    if len(data) != 4:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    address, value = struct.unpack(">HH", data)
+    if value not in (COIL_ON, COIL_OFF):
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    if address >= len(coils):
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+    coils[address] = value == COIL_ON
+    return data
+
+
+def _write_coils(coils: list[bool], data: bytes) -> bytes:
+    if len(data) < 6 or data[4] != len(data) - 5:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    address, count = _range(data, 5 + data[4], len(coils), MAX_WRITE_BITS)
+    if data[4] != (count + 7) // 8:
+        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+    packed = int.from_bytes(data[5:], "little")
+    coils[address : address + count] = [bool(packed >> position & 1) for position in range(count)]
+    return data[:4]
