@@ -1,0 +1,57 @@
+"""A frequency response in words and as a JSON document."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from hil.identification.result import FrequencyResponse
+
+
+def response_lines(response: FrequencyResponse) -> list[str]:
+    """What a person wants to know first: lines, band, and per element how large noise and nonlinear distortion are."""
+    frequencies = response.frequencies_Hz
+    text = [f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz, {len(response.notes)} notes"]
+    text += [f"note: {note}" for note in response.notes]
+    text.append("median standard deviation relative to |G| (noise / total):")
+    for i, output in enumerate(response.output_names):
+        for j, source in enumerate(response.input_names):
+            noise, total = _relative(response, "noise", i, j), _relative(response, "total", i, j)
+            text.append(f"  {source} -> {output:22s} {_percent(noise)} / {_percent(total)}")
+    return text
+
+
+def response_document(response: FrequencyResponse) -> dict[str, Any]:
+    """JSON: names, units, lines, magnitudes and standard deviations; arrays of (lines, outputs, inputs)."""
+    document: dict[str, Any] = {
+        "method": response.method,
+        "settings": response.settings,
+        "notes": list(response.notes),
+        "inputs": [{"name": n, "unit": u} for n, u in zip(response.input_names, response.input_units, strict=True)],
+        "outputs": [{"name": n, "unit": u} for n, u in zip(response.output_names, response.output_units, strict=True)],
+        "lines": response.lines,
+        "frequencies_Hz": response.frequencies_Hz,
+        "magnitude": np.abs(response.G),
+        "phase_rad": np.angle(response.G),
+    }
+    document["noise_standard_deviation"] = _deviation(response, "noise")
+    document["total_standard_deviation"] = _deviation(response, "total")
+    return document
+
+
+def _deviation(response: FrequencyResponse, kind: Literal["noise", "total"]) -> np.ndarray | None:
+    known = response.noise_covariance if kind == "noise" else response.total_covariance
+    return None if known is None else response.standard_deviation(kind)
+
+
+def _relative(response: FrequencyResponse, kind: Literal["noise", "total"], i: int, j: int) -> float | None:
+    deviation = _deviation(response, kind)
+    if deviation is None:
+        return None
+    magnitude = np.abs(response.G[:, i, j])
+    return float(np.nanmedian(deviation[:, i, j] / np.where(magnitude > 0.0, magnitude, np.nan)))
+
+
+def _percent(value: float | None) -> str:
+    return "not known" if value is None else f"{100.0 * value:.3g} %"
