@@ -16,11 +16,10 @@ from canopen.objectdictionary import datatypes
 from drivers.errors import ProtocolError
 
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
-_NAMES = re.compile(r"^([0-9A-F]{4})NAME$")
 _COMMENT = re.compile(r"\s;.*$")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
 
-_VARIABLE, _DOMAIN_OBJECT, _ARRAY, _RECORD = 0x07, 0x02, 0x08, 0x09
+_VARIABLE, _DOMAIN_OBJECT = 0x07, 0x02
 _CANONICAL_KEYS = {
     key.lower(): key
     for key in (
@@ -136,9 +135,8 @@ def _clean(sections: Sections, node_id: int | None) -> str:
             raise ProtocolError(f"[{head}]: its object [{index}] is missing")
         name = index if subindex < 0 else f"{index}sub{subindex:X}"
         _emit(out, name, _object_keys(sections[head], name, node_id))
-    for head in sections:
-        if match := _NAMES.match(head):
-            _emit_names(out, match.group(1), sections)
+        if subindex < 0 and sections[head].get("CompactSubObj"):
+            _emit_compact_array(out, index, sections, node_id)
     return out.getvalue()
 
 
@@ -153,16 +151,21 @@ def _emit_dummies(out: io.StringIO, given: dict[str, str]) -> None:
     _emit(out, "DummyUsage", {f"Dummy{i:04d}": "1" if lower.get(f"dummy{i:04d}") in ("1", "0x1", "0x01") else "0" for i in range(1, 8)})
 
 
-def _emit_names(out: io.StringIO, index: str, sections: Sections) -> None:
-    """Names of a compact array's elements; the library needs them without holes."""
-    if "CompactSubObj" not in sections.get(index, {}):
-        return
-    count = _integer(sections[index]["CompactSubObj"], None, f"[{index}] CompactSubObj")
-    given = sections[f"{index}NAME"]
-    if not 0 < count < 255:
-        return
-    names = {str(i): given.get(str(i)) or f"{sections[index].get('ParameterName', index)}{i}" for i in range(1, count + 1)}
-    _emit(out, f"{index}Name", {"NrOfEntries": str(count), **names})
+def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_id: int | None) -> None:
+    """A compact array written out: every element has the array's type, and a name and a value of its own where the file lists them."""
+    keys = sections[index]
+    count = _integer(keys["CompactSubObj"], None, f"[{index}] CompactSubObj")
+    if not 0 <= count <= 254:
+        raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
+    names, values = sections.get(f"{index}NAME", {}), sections.get(f"{index}VALUE", {})
+    size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
+    _emit(out, f"{index}sub0", _object_keys(size, f"{index}sub0", node_id))
+    for i in range(1, count + 1):
+        element = {key: value for key, value in keys.items() if key not in ("CompactSubObj", "ObjectType")}
+        element["ParameterName"] = names.get(str(i)) or f"{keys.get('ParameterName', index)} {i}"
+        if str(i) in values:
+            element["ParameterValue"] = values[str(i)]
+        _emit(out, f"{index}sub{i:X}", _object_keys(element, f"{index}sub{i:X}", node_id))
 
 
 def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
@@ -184,11 +187,9 @@ def _object_keys(keys: dict[str, str], head: str, node_id: int | None) -> dict[s
     clean = {"ParameterName": keys.get("ParameterName") or f"Object {head}"}
     object_type = _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
     clean["ObjectType"] = str(object_type)
-    if keys.get("CompactSubObj"):
-        clean["CompactSubObj"] = str(_integer(keys["CompactSubObj"], None, f"[{head}] CompactSubObj"))
     if keys.get("StorageLocation"):
         clean["StorageLocation"] = keys["StorageLocation"]
-    if object_type not in (_VARIABLE, _DOMAIN_OBJECT) and "CompactSubObj" not in clean:
+    if object_type not in (_VARIABLE, _DOMAIN_OBJECT):
         return clean
     return clean | _variable_keys(keys, head, object_type, node_id)
 

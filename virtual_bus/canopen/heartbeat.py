@@ -1,0 +1,124 @@
+"""Heartbeat producer and consumer (CiA 301, 7.2.8.2.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from virtual_bus.canopen import abort
+from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.objects import Value, key_of
+
+if TYPE_CHECKING:
+    from virtual_bus.canopen.node import Node
+
+HEARTBEAT_ERROR = 0x8130
+
+
+class HeartbeatProducer:
+    """Tells the NMT state every 1017h milliseconds: at once when the time is written, one period after a boot-up."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.deadline_s = math.inf
+        node.objects.effects[key_of(0x1017)] = lambda value: self.start(at_once=True)
+
+    @property
+    def _period_s(self) -> float:
+        return self._node.objects.number(0x1017) * 1e-3
+
+    def start(self, *, at_once: bool) -> None:
+        """Begin with the period in the dictionary; 0 stops."""
+        first_s = 0.0 if at_once else self._period_s
+        self.deadline_s = self._node.now_s + first_s if self._period_s else math.inf
+        self._node.schedule(self.deadline_s)
+
+    def expire(self, now_s: float) -> None:
+        """Send what is due. After a long standstill of time one is sent, not a burst."""
+        if now_s >= self.deadline_s:
+            self._node.send_heartbeat()
+            self.deadline_s += self._period_s
+            if self.deadline_s <= now_s:
+                self.deadline_s = now_s + self._period_s
+
+
+class _Watch:
+    """One supervised node."""
+
+    __slots__ = ("deadline_s", "lost", "timeout_s")
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout_s = timeout_s
+        self.deadline_s = math.inf  # supervision starts with the first heartbeat
+        self.lost = False
+
+
+class HeartbeatConsumer:
+    """Supervises the nodes in 1016h. A node that falls silent raises EMCY 8130h and the node's loss-of-connection reaction."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._watches: dict[int, _Watch] = {}
+        self.deadline_s = math.inf
+        self._entries = [entry for entry in node.objects if entry.index == 0x1016 and entry.subindex]
+        for entry in self._entries:
+            node.objects.checks[entry.key] = lambda value, key=entry.key: self._check(key, value)  # type: ignore[misc]
+            node.objects.effects[entry.key] = lambda value: self.configure()
+
+    def _check(self, key: int, value: Value) -> None:
+        node_id, time_ms = int(value) >> 16 & 0x7F, int(value) & 0xFFFF
+        if int(value) >> 24 or not (node_id and time_ms):
+            return  # such an entry is not used
+        if any(entry.key != key and entry.value & 0xFFFF and int(entry.value) >> 16 == node_id for entry in self._entries):  # type: ignore[operator]
+            raise SdoAbort(abort.INCOMPATIBLE)
+
+    def configure(self) -> None:
+        """Take over 1016h; supervision of an unchanged entry goes on."""
+        watches = {}
+        for entry in self._entries:
+            value = int(entry.value)
+            node_id, timeout_s = value >> 16 & 0xFF, (value & 0xFFFF) * 1e-3
+            if not (1 <= node_id <= 127 and timeout_s):
+                continue
+            old = self._watches.get(node_id)
+            watches[node_id] = old if old is not None and old.timeout_s == timeout_s else _Watch(timeout_s)
+        self._watches = watches
+        self._set_deadline()
+        self._node.routes_changed()
+
+    def reset(self) -> None:
+        """Forget what was heard."""
+        self._watches = {}
+        self.configure()
+
+    @property
+    def supervised(self) -> tuple[int, ...]:
+        """Node ids listened to."""
+        return tuple(self._watches)
+
+    def heard(self, node_id: int) -> None:
+        """A heartbeat or boot-up of that node."""
+        watch = self._watches[node_id]
+        watch.deadline_s = self._node.now_s + watch.timeout_s
+        if watch.lost:
+            watch.lost = False
+            if not any(other.lost for other in self._watches.values()):
+                self._node.emergency.clear_error(HEARTBEAT_ERROR)
+        if watch.deadline_s < self.deadline_s or self.deadline_s == math.inf:
+            self.deadline_s = watch.deadline_s
+            self._node.schedule(self.deadline_s)
+
+    def expire(self, now_s: float) -> None:
+        """Whoever is overdue is lost."""
+        lost = []
+        for node_id, watch in self._watches.items():
+            if now_s >= watch.deadline_s:
+                watch.deadline_s, watch.lost = math.inf, True
+                lost.append(node_id)
+        self._set_deadline()
+        for node_id in lost:
+            self._node.heartbeat_lost(node_id)
+
+    def _set_deadline(self) -> None:
+        self.deadline_s = min((watch.deadline_s for watch in self._watches.values()), default=math.inf)
+        self._node.schedule(self.deadline_s)

@@ -1,0 +1,273 @@
+"""One CANopen device (CiA 301): NMT, SDO, PDO, SYNC, heartbeat, emergency, stored parameters.
+
+A node owns no bus and no clock. Frames and time go in by `receive` and `tick`, frames come out through `emit`. Profile devices derive from it and
+fill in the hooks at the end of the class.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import canopen
+
+from virtual_bus.canopen import communication, pdo_rules
+from virtual_bus.canopen.cob_id import CAN_ID
+from virtual_bus.canopen.emergency import Emergency
+from virtual_bus.canopen.heartbeat import HEARTBEAT_ERROR, HeartbeatConsumer, HeartbeatProducer
+from virtual_bus.canopen.nmt import STATE_AFTER, NmtCommand, NmtState
+from virtual_bus.canopen.objects import Objects, Value, key_of
+from virtual_bus.canopen.pdo import Rpdo, Tpdo
+from virtual_bus.canopen.sdo_server import SdoServer
+from virtual_bus.canopen.storage import COMMUNICATION, Storage
+from virtual_bus.canopen.sync_producer import SyncProducer
+
+Emit = Callable[[int, bytes], None]
+Handler = Callable[[bytes], None]
+
+_ALL_OBJECTS = range(0x1000, 0x10000)
+_SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
+_AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1 keeps the state
+
+
+class Node:
+    """One device on the bus.
+
+    Parameters
+    ----------
+    dictionary : canopen.ObjectDictionary
+        From `drivers.canopen.eds.load_object_dictionary`.
+    node_id : int
+        1 to 127.
+    emit : callable
+        Takes (CAN identifier, data) of every frame the device sends.
+    memory : path, optional
+        File of the stored parameters (1010h).
+    """
+
+    volatile: frozenset[int] = frozenset()  # indices of process data, never stored
+
+    def __init__(self, dictionary: canopen.ObjectDictionary, node_id: int, emit: Emit, memory: Path | None = None) -> None:
+        self.node_id = node_id
+        self.objects = Objects(dictionary)
+        self.emit = self._emit_on_bus = emit
+        self.state = NmtState.INITIALISING
+        self.now_s = 0.0
+        self.deadline_s = math.inf  # nothing is due before
+        self.routes: dict[int, Handler] = {}
+        self.on_routes: Callable[[], None] = lambda: None  # told when `routes` has been rebuilt
+        self._memory = Storage(self.objects, self.volatile, memory)
+        self.emergency = Emergency(self)
+        self._producer = HeartbeatProducer(self)
+        self._consumer = HeartbeatConsumer(self)
+        self._sync_producer = SyncProducer(self)
+        self._sdo = SdoServer(self.objects, self._send_sdo)
+        self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
+        self._tpdos = [Tpdo(self, number) for number in self._pdo_numbers(0x1800, 0x1A00)]
+        self._install_rules()
+        self._sync_rpdos: list[Rpdo] = []
+        self._sync_tpdos: list[Tpdo] = []
+        self._event_tpdos: list[Tpdo] = []
+        self._sync_length = 0
+
+    def _pdo_numbers(self, communication_base: int, mapping_base: int) -> list[int]:
+        return [n for n in range(512) if communication_base + n in self.objects and mapping_base + n in self.objects]
+
+    def _install_rules(self) -> None:
+        communication.install(self.objects)
+        for rpdo in self._rpdos:
+            pdo_rules.install(self.objects, rpdo.communication, rpdo.mapping, receive=True, changed=self._configure)
+        for tpdo in self._tpdos:
+            pdo_rules.install(self.objects, tpdo.communication, tpdo.mapping, receive=False, changed=self._configure)
+        for index in (0x1005, 0x1019):
+            self.objects.effects[key_of(index)] = lambda value: self._sync_settings_changed()
+
+    def _sync_settings_changed(self) -> None:
+        self._sync_producer.start()
+        self._configure()
+
+    # ---- life -----------------------------------------------------------------------------------------
+    def factory_setting(self, index: int, subindex: int, value: Value) -> None:
+        """What this very device left the factory with, in place of the data sheet's default."""
+        entry = self.objects.find(index, subindex)
+        entry.default = entry.value = value
+
+    def power_on(self, now_s: float) -> None:
+        """Initialise, boot up, wait in pre-operational."""
+        self.now_s = now_s
+        self._reset(_ALL_OBJECTS)
+
+    def _reset(self, indices: range) -> None:
+        self.state = NmtState.INITIALISING
+        self._memory.reset(indices)
+        self._sdo.reset()
+        self.emergency.reset()
+        self.deadline_s = math.inf
+        if indices is _ALL_OBJECTS:
+            self.application_reset()
+        self._consumer.reset()
+        self.emit(0x700 + self.node_id, bytes((NmtState.INITIALISING,)))
+        self._enter(NmtState.PRE_OPERATIONAL)
+        self._producer.start(at_once=False)
+        self._sync_producer.start()
+
+    def bus_off(self) -> None:
+        """The CAN controller has left the bus: nothing goes in or out until `bus_on`."""
+        self.emit = lambda can_id, data: None
+        self.routes = {}
+        self.on_routes()
+        self._communication_error("bus_off")
+
+    def bus_on(self) -> None:
+        """The controller is back."""
+        self.emit = self._emit_on_bus
+        self._configure()
+        self.emergency.raise_error(_BUS_OFF_RECOVERED)
+        self.emergency.clear_error(_BUS_OFF_RECOVERED)
+
+    @property
+    def may_tell(self) -> bool:
+        """Whether emergency messages are allowed in this state."""
+        return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+
+    # ---- time -----------------------------------------------------------------------------------------
+    def schedule(self, deadline_s: float) -> None:
+        """Something is due then."""
+        if deadline_s < self.deadline_s:
+            self.deadline_s = deadline_s
+
+    def tick(self, now_s: float) -> None:
+        """Time has come to `now_s`: whatever is due by then goes out."""
+        self.now_s = now_s
+        if now_s >= self.deadline_s:
+            timed = (self._consumer, self._producer, self._sync_producer, self.emergency, *self._rpdos, *self._tpdos)
+            self.deadline_s = math.inf
+            for part in timed:
+                part.expire(now_s)
+            self.deadline_s = min(part.deadline_s for part in timed)
+        for tpdo in self._event_tpdos:
+            tpdo.check_event()
+
+    # ---- frames ---------------------------------------------------------------------------------------
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """One data frame of the bus (remote frames are not for us)."""
+        self.now_s = now_s
+        handler = self.routes.get(can_id)
+        if handler is not None:
+            handler(data)
+
+    def sync(self, data: bytes) -> None:
+        """A SYNC, for a device that stands alone: what has come is applied, then what is mapped goes out."""
+        counter = self.begin_sync(data)
+        self.end_sync(counter)
+
+    def begin_sync(self, data: bytes) -> int | None:
+        """First half of a SYNC: apply synchronous RPDOs. Returns the SYNC's counter, None without one."""
+        if len(data) != self._sync_length:
+            self.emergency.raise_error(_SYNC_LENGTH_ERROR)
+            self.emergency.clear_error(_SYNC_LENGTH_ERROR)
+        for rpdo in self._sync_rpdos:
+            rpdo.on_sync()
+        return data[0] if data else None
+
+    def end_sync(self, counter: int | None) -> None:
+        """Second half: the actual values are in the dictionary, send the synchronous TPDOs."""
+        for tpdo in self._sync_tpdos:
+            tpdo.on_sync(counter)
+        for tpdo in self._event_tpdos:
+            tpdo.check_event()
+
+    def _on_nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return
+        try:
+            command = NmtCommand(data[0])
+        except ValueError:
+            return
+        if command is NmtCommand.RESET_NODE:
+            self.connection_lost("reset")
+            self._reset(_ALL_OBJECTS)
+        elif command is NmtCommand.RESET_COMMUNICATION:
+            self.connection_lost("reset")
+            self._reset(COMMUNICATION)
+        else:
+            self._enter(STATE_AFTER[command])
+            if command is NmtCommand.STOP:
+                self.connection_lost("stopped")
+
+    def _on_sdo(self, data: bytes) -> None:
+        self._sdo.receive(data)
+        for tpdo in self._event_tpdos:
+            tpdo.check_event()
+
+    def _send_sdo(self, data: bytes) -> None:
+        self.emit(0x580 + self.node_id, data)
+
+    def send_heartbeat(self) -> None:
+        """The NMT state."""
+        self.emit(0x700 + self.node_id, bytes((self.state,)))
+
+    # ---- errors ---------------------------------------------------------------------------------------
+    def heartbeat_lost(self, node_id: int) -> None:
+        """A supervised node is silent."""
+        self.emergency.raise_error(HEARTBEAT_ERROR, bytes((node_id,)))
+        self._communication_error("heartbeat")
+
+    def _communication_error(self, reason: str) -> None:
+        self.connection_lost(reason)
+        if self.state is NmtState.OPERATIONAL:
+            after = _AFTER_COMMUNICATION_ERROR.get(self.objects.number(0x1029, 1))
+            if after is not None:
+                self._enter(after)
+
+    # ---- state and routes -----------------------------------------------------------------------------
+    def _enter(self, state: NmtState) -> None:
+        self.state = state
+        self._configure()
+        for tpdo in self._event_tpdos:
+            tpdo.check_event()
+
+    def _configure(self) -> None:
+        operational = self.state is NmtState.OPERATIONAL
+        for pdo in (*self._rpdos, *self._tpdos):
+            pdo.configure(operational)
+        self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.alive and rpdo.synchronous]
+        self._sync_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and tpdo.synchronous]
+        self._event_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and not tpdo.synchronous]
+        self._sync_length = 1 if self.objects.number(0x1019) else 0
+        self.routes_changed()
+
+    def routes_changed(self) -> None:
+        """Rebuild the table of identifiers this device listens to."""
+        self.routes = {0x000: self._on_nmt}
+        if self.may_tell:
+            self.routes[0x600 + self.node_id] = self._on_sdo
+            if 0x1005 in self.objects:
+                self.routes[self.objects.number(0x1005) & CAN_ID] = self.sync
+        for rpdo in self._rpdos:
+            if rpdo.alive:
+                self.routes[rpdo.cob_id] = both(self.routes[rpdo.cob_id], rpdo.receive) if rpdo.cob_id in self.routes else rpdo.receive
+        for node_id in self._consumer.supervised:
+            self.routes[0x700 + node_id] = lambda data, node_id=node_id: self._consumer.heard(node_id)  # type: ignore[misc]
+        self.on_routes()
+
+    # ---- for profile devices --------------------------------------------------------------------------
+    def application_reset(self) -> None:
+        """All parameters have got their stored or default values."""
+
+    def process_data_arrived(self) -> None:
+        """An event-driven RPDO has been applied."""
+
+    def connection_lost(self, reason: str) -> None:
+        """The master is gone ("heartbeat", "bus_off") or has put the node to rest ("stopped", "reset")."""
+
+
+def both(first: Handler, second: Handler) -> Handler:
+    """Two PDOs on one identifier get the frame one after the other."""
+
+    def handle(data: bytes) -> None:
+        first(data)
+        second(data)
+
+    return handle

@@ -1,0 +1,228 @@
+"""Process data objects: what is in them, when they come and go (CiA 301, 7.2.2)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from canopen.objectdictionary import ODVariable
+
+from virtual_bus.canopen.objects import Entry, Objects, Value
+
+if TYPE_CHECKING:
+    from virtual_bus.canopen.node import Node
+
+MAX_SYNCHRONOUS = 240  # transmission types up to this one follow the SYNC
+EVENT_DRIVEN = (254, 255)
+_SIZE_ERROR, _EXCESS_ERROR, _RPDO_TIMEOUT = 0x8210, 0x8220, 0x8250  # EMCY codes
+
+
+class Layout:
+    """Packs and unpacks the mapped entries: with one struct where all are whole bytes, bit by bit otherwise."""
+
+    def __init__(self, entries: list[Entry]) -> None:
+        self.entries = entries
+        bits = sum(entry.bits for entry in entries)
+        self.length = (bits + 7) // 8
+        self._struct = struct.Struct("<" + "".join(entry.character for entry in entries)) if all(entry.character for entry in entries) else None
+
+    def pack(self) -> bytes:
+        """Present values, as they go into the frame."""
+        if self._struct is not None:
+            return self._struct.pack(*[entry.value for entry in self.entries])
+        frame = shift = 0
+        for entry in self.entries:
+            frame |= (int.from_bytes(entry.encode(entry.value), "little") & ((1 << entry.bits) - 1)) << shift
+            shift += entry.bits
+        return frame.to_bytes(self.length, "little")
+
+    def unpack(self, data: bytes) -> tuple[Value, ...]:
+        """One value per entry."""
+        if self._struct is not None:
+            return self._struct.unpack_from(data)
+        frame = int.from_bytes(data[: self.length], "little")
+        values: list[Value] = []
+        for entry in self.entries:
+            raw = frame & ((1 << entry.bits) - 1)
+            frame >>= entry.bits
+            values.append(entry.decode(raw.to_bytes((entry.bits + 7) // 8, "little")))
+        return tuple(values)
+
+
+def mapped_entries(objects: Objects, mapping_index: int) -> list[Entry]:
+    """The entries a mapping object names; dummy types become entries nobody reads."""
+    entries = []
+    for subindex in range(1, objects.number(mapping_index) + 1):
+        index, mapped_subindex, _ = split_mapping(objects.number(mapping_index, subindex))
+        entry = objects.get(index, mapped_subindex)
+        if entry is None and index < 0x20:
+            entry = dummy_entry(index)
+        if entry is not None:
+            entries.append(entry)
+    return entries
+
+
+def split_mapping(value: int) -> tuple[int, int, int]:
+    """(index, subindex, bits) of a mapping entry."""
+    return value >> 16, value >> 8 & 0xFF, value & 0xFF
+
+
+def dummy_entry(data_type: int) -> Entry:
+    """A gap of one basic type in an RPDO."""
+    variable = ODVariable(f"Dummy{data_type:04d}", data_type, 0)
+    variable.data_type = data_type
+    return Entry(variable)
+
+
+class Rpdo:
+    """A receive PDO: applied at the next SYNC, or at once for transmission types 254 and 255."""
+
+    def __init__(self, node: Node, number: int) -> None:
+        self._node = node
+        self.communication, self.mapping = 0x1400 + number, 0x1600 + number
+        self.cob_id = 0
+        self.alive = self.synchronous = False
+        self._pending: bytes | None = None
+        self._timeout_s = 0.0
+        self.deadline_s = math.inf
+        self._layout = Layout([])
+        self._effects: list[Callable[[Value], None] | None] = []
+
+    def configure(self, operational: bool) -> None:
+        """Take over what the dictionary says now."""
+        objects = self._node.objects
+        cob_id = objects.number(self.communication, 1)
+        self.cob_id = cob_id & 0x7FF
+        self._layout = Layout(mapped_entries(objects, self.mapping))
+        self.alive = operational and not cob_id >> 31 and bool(self._layout.entries)
+        self.synchronous = objects.number(self.communication, 2) <= MAX_SYNCHRONOUS
+        self._timeout_s = objects.number(self.communication, 5) * 1e-3
+        self._effects = [objects.effects.get(entry.key) for entry in self._layout.entries]
+        self._pending = None
+        self.deadline_s = math.inf
+
+    def receive(self, data: bytes) -> None:
+        """A frame with this PDO's identifier."""
+        layout, node = self._layout, self._node
+        if len(data) != layout.length:
+            node.emergency.raise_error(_SIZE_ERROR if len(data) < layout.length else _EXCESS_ERROR)
+            if len(data) < layout.length:
+                return
+        if self._timeout_s:
+            self.deadline_s = node.now_s + self._timeout_s
+            node.schedule(self.deadline_s)
+            node.emergency.clear_error(_RPDO_TIMEOUT)
+        if self.synchronous:
+            self._pending = data
+        else:
+            self._apply(data)
+            node.process_data_arrived()
+
+    def on_sync(self) -> None:
+        """Apply what came since the last SYNC."""
+        if self._pending is not None:
+            self._apply(self._pending)
+            self._pending = None
+
+    def _apply(self, data: bytes) -> None:
+        layout = self._layout
+        for entry, effect, value in zip(layout.entries, self._effects, layout.unpack(data), strict=True):
+            entry.value = value
+            if effect is not None:
+                effect(value)
+
+    def expire(self, now_s: float) -> None:
+        """The event timer ran out: the PDO is missing."""
+        if now_s >= self.deadline_s:
+            self.deadline_s = math.inf
+            self._node.emergency.raise_error(_RPDO_TIMEOUT)
+
+
+class Tpdo:
+    """A transmit PDO: every n-th SYNC, at the next SYNC after an event (0), or on events (254, 255) within inhibit and event time."""
+
+    def __init__(self, node: Node, number: int) -> None:
+        self._node = node
+        self.communication, self.mapping = 0x1800 + number, 0x1A00 + number
+        self.cob_id = 0
+        self.alive = self.synchronous = False
+        self._type = 0
+        self._start = 0  # SYNC counter value of the first transmission
+        self._counted = 0
+        self._inhibit_s = self._event_s = 0.0
+        self._not_before_s = -math.inf
+        self._next_event_s = math.inf
+        self._last: bytes | None = None  # what was sent last: a difference is an event
+        self.deadline_s = math.inf
+        self._layout = Layout([])
+
+    def configure(self, operational: bool) -> None:
+        """Take over what the dictionary says now."""
+        objects = self._node.objects
+        cob_id = objects.number(self.communication, 1)
+        was_alive = self.alive
+        self.cob_id = cob_id & 0x7FF
+        self._layout = Layout(mapped_entries(objects, self.mapping))
+        self.alive = operational and not cob_id >> 31 and bool(self._layout.entries)
+        self._type = objects.number(self.communication, 2)
+        self.synchronous = self._type <= MAX_SYNCHRONOUS
+        self._inhibit_s = objects.number(self.communication, 3) * 1e-4
+        self._event_s = objects.number(self.communication, 5) * 1e-3
+        self._start = objects.number(self.communication, 6) if objects.number(0x1019) else 0
+        if not (was_alive and self.alive):
+            self._counted, self._last, self._not_before_s = 0, None, -math.inf
+        self._next_event_s = self._node.now_s + self._event_s if self.alive and self._event_s and not self.synchronous else math.inf
+        self._set_deadline()
+
+    def on_sync(self, counter: int | None) -> None:
+        """The latched values are in the dictionary: send if it is this PDO's turn."""
+        if self._type == 1 and not self._start:
+            self._node.emit(self.cob_id, self._layout.pack())
+            return
+        if self._type == 0:
+            data = self._layout.pack()
+            if data != self._last:
+                self._send(data)
+            return
+        if self._start and not self._counted and counter != self._start:
+            return
+        if self._counted % self._type == 0 if self._start else (self._counted + 1) % self._type == 0:
+            self._send(self._layout.pack())
+        self._counted += 1
+
+    def check_event(self) -> None:
+        """Send when a mapped value has changed since the last transmission and the inhibit time allows."""
+        data = self._layout.pack()
+        if data == self._last:
+            return
+        if self._node.now_s >= self._not_before_s:
+            self._send(data)
+        else:
+            self._set_deadline()
+            self.deadline_s = min(self.deadline_s, self._not_before_s)
+            self._node.schedule(self.deadline_s)
+
+    def expire(self, now_s: float) -> None:
+        """Inhibit time over with an event pending, or event timer over."""
+        if not self.alive or self.synchronous:
+            self.deadline_s = math.inf
+        elif now_s >= self._next_event_s:
+            self._send(self._layout.pack())
+        elif now_s >= self.deadline_s:
+            self._set_deadline()
+            self.check_event()
+
+    def _send(self, data: bytes) -> None:
+        self._last = data
+        self._not_before_s = self._node.now_s + self._inhibit_s
+        if self._event_s and not self.synchronous:
+            self._next_event_s = self._node.now_s + self._event_s
+        self._set_deadline()
+        self._node.emit(self.cob_id, data)
+
+    def _set_deadline(self) -> None:
+        self.deadline_s = self._next_event_s
+        if self.deadline_s < math.inf:
+            self._node.schedule(self.deadline_s)

@@ -1,0 +1,85 @@
+"""The CiA 301 procedure for changing a PDO: off, count to zero, entries, count, on. Anything else is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from virtual_bus.canopen import abort, cob_id
+from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
+from virtual_bus.canopen.pdo import EVENT_DRIVEN, MAX_SYNCHRONOUS, dummy_entry, split_mapping
+
+MAX_PDO_BITS = 64
+_BASIC_DUMMY_TYPES = range(0x01, 0x08)
+
+
+def install(objects: Objects, communication: int, mapping: int, *, receive: bool, changed: Callable[[], None]) -> None:
+    """Hang the rules of one PDO into the dictionary; `changed` runs after every accepted write."""
+
+    def exists() -> bool:
+        return not objects.number(communication, 1) & cob_id.INVALID
+
+    def check_cob_id(value: Value) -> None:
+        cob_id.check_change(objects.number(communication, 1), int(value), exists=exists())
+
+    def check_transmission_type(value: Value) -> None:
+        if MAX_SYNCHRONOUS < int(value) < EVENT_DRIVEN[0]:
+            raise SdoAbort(abort.INVALID_VALUE)  # 241 to 251 are reserved, 252 and 253 need RTR, which is not supported
+
+    def check_while_off(value: Value) -> None:
+        if exists():
+            raise SdoAbort(abort.INVALID_VALUE)
+
+    def check_count(value: Value) -> None:
+        if exists():
+            raise SdoAbort(abort.UNSUPPORTED_ACCESS)
+        check_mapping(objects, mapping, int(value), receive=receive)
+
+    def check_entry(value: Value) -> None:
+        if exists() or objects.number(mapping):
+            raise SdoAbort(abort.UNSUPPORTED_ACCESS)
+        if value:
+            mappable_entry(objects, int(value), receive=receive)
+
+    checks = {key_of(communication, 1): check_cob_id, key_of(communication, 2): check_transmission_type, key_of(mapping): check_count}
+    if not receive:
+        checks |= {key_of(communication, 3): check_while_off, key_of(communication, 6): check_while_off}
+    for entry in objects:
+        if entry.index == mapping and entry.subindex:
+            checks[entry.key] = check_entry
+    objects.checks |= checks
+    for entry in objects:
+        if entry.index in (communication, mapping):
+            objects.effects[entry.key] = lambda value: changed()
+
+
+def check_mapping(objects: Objects, mapping: int, count: int, *, receive: bool) -> None:
+    """SdoAbort unless the first `count` entries make a PDO."""
+    bits = 0
+    for subindex in range(1, count + 1):
+        slot = objects.get(mapping, subindex)
+        if slot is None:
+            raise SdoAbort(abort.PDO_LENGTH)
+        bits += mappable_entry(objects, int(slot.value), receive=receive).bits
+    if bits > MAX_PDO_BITS:
+        raise SdoAbort(abort.PDO_LENGTH)
+
+
+def mappable_entry(objects: Objects, value: int, *, receive: bool) -> Entry:
+    """The entry a mapping value names, or SdoAbort: no such object, too long, not mappable in this direction."""
+    index, subindex, bits = split_mapping(value)
+    if bits > MAX_PDO_BITS:
+        raise SdoAbort(abort.PDO_LENGTH)
+    if index in _BASIC_DUMMY_TYPES and subindex == 0:
+        entry: Entry | None = dummy_entry(index)
+        if not receive:
+            raise SdoAbort(abort.NOT_MAPPABLE)
+    else:
+        entry = objects.get(index, subindex)
+        if entry is None:
+            raise SdoAbort(abort.NO_OBJECT)
+        if not (entry.mappable_in_rpdo if receive else entry.mappable_in_tpdo):
+            raise SdoAbort(abort.NOT_MAPPABLE)
+    if not entry.bits or bits != entry.bits:
+        raise SdoAbort(abort.NOT_MAPPABLE)
+    return entry

@@ -1,0 +1,145 @@
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, one at a time, as the default channel has it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from virtual_bus.canopen import abort
+from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.objects import Objects
+from virtual_bus.canopen.sdo_block import BlockDownload, BlockUpload
+
+_SCS_SEGMENT_DOWNLOAD, _SCS_INITIATE_DOWNLOAD = 0x20, 0x60
+_HEAD = struct.Struct("<BHBI")
+
+
+class _Upload:
+    """A segmented upload under way: the device's value leaves in pieces of seven bytes."""
+
+    def __init__(self, index: int, subindex: int, data: bytes) -> None:
+        self.index, self.subindex = index, subindex
+        self._data, self._sent, self._toggle = data, 0, 0
+
+    def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        if frame[0] >> 5 != 3:
+            raise SdoAbort(abort.UNKNOWN_COMMAND)
+        if frame[0] & 0x10 != self._toggle:
+            raise SdoAbort(abort.TOGGLE_BIT)
+        piece = self._data[self._sent : self._sent + 7]
+        self._sent += len(piece)
+        last = self._sent >= len(self._data)
+        head = self._toggle | (7 - len(piece)) << 1 | int(last)
+        self._toggle ^= 0x10
+        return [bytes((head,)) + piece.ljust(7, b"\0")], last
+
+
+class _Download:
+    """A segmented download under way: the value is written when the last segment is in."""
+
+    def __init__(self, objects: Objects, index: int, subindex: int, announced: int | None) -> None:
+        self.index, self.subindex = index, subindex
+        self._objects, self._announced = objects, announced
+        self._data, self._toggle = bytearray(), 0
+
+    def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        if frame[0] >> 5 != 0:
+            raise SdoAbort(abort.UNKNOWN_COMMAND)
+        if frame[0] & 0x10 != self._toggle:
+            raise SdoAbort(abort.TOGGLE_BIT)
+        self._data += frame[1 : 8 - (frame[0] >> 1 & 7)]
+        last = bool(frame[0] & 1)
+        if self._announced is not None and len(self._data) > self._announced:
+            raise SdoAbort(abort.TOO_LONG)
+        if last:
+            if self._announced is not None and len(self._data) < self._announced:
+                raise SdoAbort(abort.TOO_SHORT)
+            self._objects.write(self.index, self.subindex, bytes(self._data))
+        answer = bytes((_SCS_SEGMENT_DOWNLOAD | self._toggle,)) + bytes(7)
+        self._toggle ^= 0x10
+        return [answer], last
+
+
+class SdoServer:
+    """Answers requests with frames handed to `send`; keeps the one transfer that may be under way."""
+
+    def __init__(self, objects: Objects, send: Callable[[bytes], None]) -> None:
+        self._objects = objects
+        self._send = send
+        self._transfer: _Upload | _Download | BlockUpload | BlockDownload | None = None
+
+    def reset(self) -> None:
+        """Forget a transfer under way, silently."""
+        self._transfer = None
+
+    def receive(self, frame: bytes) -> None:
+        """One request frame. Frames that are not eight bytes long are no SDO and are ignored."""
+        if len(frame) != 8:
+            return
+        if frame[0] >> 5 == 4 and not isinstance(self._transfer, BlockDownload):
+            self._transfer = None  # the client aborts: no answer
+            return
+        index, subindex = struct.unpack_from("<HB", frame, 1)
+        transfer = self._transfer
+        try:
+            if transfer is not None and (transfer_takes(transfer, frame)):
+                index, subindex = transfer.index, transfer.subindex
+                answers, done = transfer.answer(frame)
+                if done:
+                    self._transfer = None
+                for answer in answers:
+                    self._send(answer)
+            else:
+                self._transfer = None
+                self._initiate(frame, index, subindex)
+        except SdoAbort as refusal:
+            self._transfer = None
+            self._send(_HEAD.pack(0x80, index, subindex, refusal.code))
+
+    def _initiate(self, frame: bytes, index: int, subindex: int) -> None:
+        command = frame[0] >> 5
+        if command == 2:
+            self._initiate_upload(index, subindex)
+        elif command == 1:
+            self._initiate_download(frame, index, subindex)
+        elif command == 5 and frame[0] & 3 == 0:
+            self._transfer = BlockUpload(index, subindex, frame, self._objects.read(index, subindex))
+            self._send(self._transfer.opening)
+        elif command == 6 and frame[0] & 1 == 0:
+            self._objects.writable_entry(index, subindex)
+            self._transfer = BlockDownload(self._objects, index, subindex, frame)
+            self._send(self._transfer.opening)
+        else:
+            raise SdoAbort(abort.UNKNOWN_COMMAND)
+
+    def _initiate_upload(self, index: int, subindex: int) -> None:
+        data = self._objects.read(index, subindex)
+        if 1 <= len(data) <= 4:
+            self._send(struct.pack("<BHB", 0x43 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0"))
+            return
+        self._transfer = _Upload(index, subindex, data)
+        self._send(_HEAD.pack(0x41, index, subindex, len(data)))
+
+    def _initiate_download(self, frame: bytes, index: int, subindex: int) -> None:
+        expedited, sized = frame[0] & 2, frame[0] & 1
+        entry = self._objects.writable_entry(index, subindex)
+        size = (entry.bits + 7) // 8
+        if expedited:
+            length = 4 - (frame[0] >> 2 & 3) if sized else (size if 0 < size <= 4 else 4)
+            self._objects.write(index, subindex, frame[4 : 4 + length])
+        else:
+            announced = struct.unpack_from("<I", frame, 4)[0] if sized else None
+            if announced is not None and size and announced != size:
+                raise SdoAbort(abort.TOO_LONG if announced > size else abort.TOO_SHORT)
+            self._transfer = _Download(self._objects, index, subindex, announced)
+        self._send(_HEAD.pack(_SCS_INITIATE_DOWNLOAD, index, subindex, 0))
+
+
+def transfer_takes(transfer: _Upload | _Download | BlockUpload | BlockDownload, frame: bytes) -> bool:
+    """Whether the frame belongs to the transfer under way: a new initiate request ends the old one instead."""
+    if isinstance(transfer, BlockDownload):
+        return True  # inside a block every byte pattern is a segment
+    command = frame[0] >> 5
+    if isinstance(transfer, BlockUpload):
+        return command == 5 and frame[0] & 3 != 0
+    return command in (0, 3)

@@ -1,0 +1,99 @@
+"""Store (1010h) and restore (1011h): what a device keeps when it is reset (CiA 301, 7.5.2.13 and 7.5.2.14)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from virtual_bus.canopen import abort
+from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
+from virtual_bus.errors import EmulatorError
+
+SAVE = int.from_bytes(b"save", "little")
+LOAD = int.from_bytes(b"load", "little")
+COMMUNICATION = range(0x1000, 0x2000)
+_MANUFACTURER = range(0x2000, 0x6000)
+_PROFILE = range(0x6000, 0xA000)
+_ALL = range(0x1000, 0x10000)
+_GROUPS = {1: _ALL, 2: COMMUNICATION, 3: _PROFILE, 4: _MANUFACTURER}
+_NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011})
+_STORES_ON_COMMAND = 1  # bit 0 of 1010h: saved on command only; of 1011h: can be restored
+
+
+class Storage:
+    """Non-volatile memory of one device, in a file when one is given.
+
+    Parameters
+    ----------
+    objects : Objects
+    volatile : set of indices whose values are process data and are never kept
+    path : file of the memory; None keeps it as long as the device lives
+    """
+
+    def __init__(self, objects: Objects, volatile: frozenset[int], path: Path | None) -> None:
+        self._objects = objects
+        self._volatile = volatile | _NEVER_STORED
+        self._path = path
+        self._restore_requested: list[range] = []
+        self._kept: dict[int, bytes] = self._read_file()
+        for index, signature, action in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._request_restore)):
+            for entry in [entry for entry in objects if entry.index == index and entry.subindex]:
+                self._install(entry, signature, action)
+
+    def _install(self, entry: Entry, signature: int, action: Callable[[range], None]) -> None:
+        group = _GROUPS.get(entry.subindex, range(0))
+
+        def check(value: Value) -> None:
+            if value != signature:
+                raise SdoAbort(abort.NOT_STORED)
+
+        self._objects.checks[entry.key] = check
+        self._objects.effects[entry.key] = lambda value: action(group)
+        self._objects.readings[entry.key] = lambda: _STORES_ON_COMMAND
+
+    def reset(self, indices: range) -> None:
+        """Give every entry of `indices` its kept value, or its default where none is kept or a restore was asked for."""
+        for group in [group for group in self._restore_requested if group.start in indices or group == _ALL]:
+            self._kept = {key: data for key, data in self._kept.items() if key >> 8 not in group}
+            self._restore_requested.remove(group)
+            self._write_file()
+        for entry in self._objects:
+            if entry.index in indices:
+                kept = self._kept.get(entry.key)
+                entry.value = entry.decode(kept) if kept is not None else entry.default
+
+    def _save(self, group: range) -> None:
+        for entry in self._objects:
+            if entry.index in group and entry.writable and entry.index not in self._volatile:
+                self._kept[entry.key] = entry.encode(entry.value)
+        self._write_file()
+
+    def _request_restore(self, group: range) -> None:
+        self._restore_requested.append(group)
+
+    def _read_file(self) -> dict[int, bytes]:
+        if self._path is None or not self._path.exists():
+            return {}
+        try:
+            text = json.loads(self._path.read_text(encoding="utf-8"))
+            kept = {key_of(int(name[:4], 16), int(name[5:], 16)): bytes.fromhex(data) for name, data in text.items()}
+            for key, data in kept.items():
+                if key in self._objects.entries:
+                    self._objects.entries[key].decode(data)
+        except (OSError, ValueError, TypeError, AttributeError, SdoAbort) as error:
+            raise EmulatorError(f"{self._path}: not a device's stored parameters ({error}); delete it to start from the data sheet's defaults") from error
+        return kept
+
+    def _write_file(self) -> None:
+        if self._path is None:
+            return
+        text = {f"{key >> 8:04X}:{key & 0xFF:02X}": data.hex() for key, data in sorted(self._kept.items())}
+        part = self._path.with_suffix(self._path.suffix + ".part")
+        try:
+            part.write_text(json.dumps(text, indent=1), encoding="utf-8")
+            os.replace(part, self._path)
+        except OSError as error:
+            raise SdoAbort(abort.HARDWARE) from error
