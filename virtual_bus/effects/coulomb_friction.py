@@ -1,0 +1,19 @@
+"""Coulomb friction: an effort that opposes motion and does not depend on its speed."""
+
+from __future__ import annotations
+
+from virtual_bus.effects.effect import FRICTION, Effect, JointState, Parameter
+
+EFFECT = Effect(
+    name="coulomb_friction",
+    kind=FRICTION,
+    parameters=(Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="friction level, the same at every speed and both ways"),),
+    convention="effort on the joint = -Fc sign(speed), on the joint's side of the gear; a joint at rest is held up to Fc",
+    neighbours=("viscous_friction", "load_dependent_friction", "torque_constant"),
+    source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (3)",
+)
+
+
+def level(state: JointState, Fc: float) -> float:
+    """Friction level [Nm or N]."""
+    return Fc

@@ -1,0 +1,85 @@
+"""Expressions written out as Python that numba compiles: one assignment per value used more than once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from virtual_bus.plant.symbols import Node
+
+SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+
+class Emitter:
+    """Writes the functions of one plant. What depends on parameters only is computed once, by `derive_text`, and read from `c[k]` elsewhere."""
+
+    def __init__(self) -> None:
+        self._constants: dict[int, int] = {}  # node number -> slot of c
+        self._constant_nodes: list[Node] = []
+
+    @property
+    def constant_count(self) -> int:
+        return len(self._constant_nodes)
+
+    def _slot(self, node: Node) -> str:
+        if node.number not in self._constants:
+            self._constants[node.number] = len(self._constant_nodes)
+            self._constant_nodes.append(node)
+        return f"c[{self._constants[node.number]}]"
+
+    def function_text(self, decorator: str, name: str, arguments: str, outputs: Iterable[tuple[str, Node]]) -> str:
+        """A compiled function that stores each node in its target, e.g. `("M[1, 0]", node)`."""
+        targets = list(outputs)
+        return self._function(decorator, name, arguments, targets, hoist=True)
+
+    def derive_text(self) -> str:
+        """The function that fills `c` from the parameters `p`. Call it last: the other functions decide what is in it."""
+        targets = [(f"c[{k}]", node) for k, node in enumerate(self._constant_nodes)]
+        return self._function("interpreted", "derive", "p, c", targets, hoist=False)
+
+    def _function(self, decorator: str, name: str, arguments: str, targets: list[tuple[str, Node]], hoist: bool) -> str:
+        uses: Counter[int] = Counter()
+        order: list[Node] = []
+        stack = [(node, False) for _, node in reversed(targets)]
+        seen: set[int] = set()
+        for _, node in targets:
+            uses[node.number] += 1
+        while stack:  # depth first without recursion: operands before results
+            node, done = stack.pop()
+            if done:
+                order.append(node)
+                continue
+            if node.number in seen:
+                continue
+            seen.add(node.number)
+            stack.append((node, True))
+            if hoist and node.is_parametric:
+                continue
+            for operand in node.operands:
+                uses[operand.number] += 1
+                stack.append((operand, False))
+        text: dict[int, str] = {}
+        lines = [f"@{decorator}", f"def {name}({arguments}):"]
+        for node in order:
+            expression = self._expression(node, text, hoist)
+            is_leaf = node.operation in ("constant", "input") or (hoist and node.is_parametric)
+            if uses[node.number] > 1 and not is_leaf:
+                lines.append(f"    x{node.number} = {expression}")
+                expression = f"x{node.number}"
+            text[node.number] = expression
+        lines += [f"    {target} = {text[node.number]}" for target, node in targets] or ["    pass"]
+        return "\n".join(lines) + "\n"
+
+    def _expression(self, node: Node, text: dict[int, str], hoist: bool) -> str:
+        if node.operation == "constant":
+            return repr(node.value) if node.value >= 0.0 else f"({node.value!r})"
+        if hoist and node.is_parametric:
+            return self._slot(node)
+        if node.operation == "input":
+            return node.text
+        operands = [text[operand.number] for operand in node.operands]
+        if node.operation == "neg":
+            return f"(-{operands[0]})"
+        if node.operation in SIGNS:
+            return f"({operands[0]} {SIGNS[node.operation]} {operands[1]})"
+        return f"{node.operation}({operands[0]})"
