@@ -101,7 +101,8 @@ def _drive(axis: str, drive: DriveTable, kind: str) -> Drive:
     resolution = drive.target_resolution
     if drive.dimension("target_resolution") == "share":
         if rated is None:
-            raise Complaint((*where, drive.key("target_resolution")), "is a share of the rated value; add rated_current_A or rated_effort_…")
+            reason = "is a share of the rated value; add rated_current_A or rated_effort_…"
+            raise Complaint((*where, drive.key("target_resolution")), reason)
         resolution = drive.target_resolution * rated
     return Drive(
         axis=axis,
@@ -146,7 +147,8 @@ def _encoder_resolution(sensor: EncoderTable, drive: DriveTable, kind: str, wher
             raise Complaint((*where, "counts_per_turn"), "a prismatic joint has no turns; write resolution_um")
         return math.tau / sensor.counts_per_turn
     if drive.encoder_counts_per_motor_turn is None:
-        raise Complaint(where, f"needs resolution_{'rad' if kind == 'revolute' else 'um'}, counts_per_turn or the drive's encoder_counts_per_motor_turn")
+        choices = "resolution_rad, counts_per_turn" if kind == "revolute" else "resolution_um"
+        raise Complaint(where, f"needs {choices} or the drive's encoder_counts_per_motor_turn")
     return math.tau / (drive.encoder_counts_per_motor_turn * drive.ratio)
 
 

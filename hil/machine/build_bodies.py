@@ -12,6 +12,10 @@ from virtual_bus.settings import Body, Joint, Tree
 
 _UNIT_AXIS_TOLERANCE = 1e-6  # an axis written with six digits still counts as of unit length
 _TRIANGLE_TOLERANCE = 1e-9
+_UNITS = {
+    "revolute": {"stiffness": "Nm_rad", "damping": "Nm_s_rad", "rest_position": "deg", "brake_effort": "Nm"},
+    "prismatic": {"stiffness": "N_m", "damping": "N_s_m", "rest_position": "mm", "brake_effort": "N"},
+}
 
 
 def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
@@ -25,8 +29,8 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
         if body.name in rotates:
             raise Complaint((*where, "name"), "world is the ground's name" if body.name == "world" else "two bodies have this name")
         if body.parent not in rotates:
-            later = [other.name for other in table.body[number:]]
-            reason = "is listed below its child; move it up" if body.parent in later else "no such body; bodies above: " + ", ".join(rotates)
+            below = body.parent in [other.name for other in table.body[number:]]
+            reason = "is listed below its child; move it up" if below else "no such body; bodies above: " + ", ".join(rotates)
             raise Complaint((*where, "parent"), reason)
         if body.joint is not None and body.joint.name in joint_names:
             raise Complaint((*where, "joint", "name"), "two joints have this name")
@@ -57,14 +61,16 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
 def _joint(joint: JointTable, where: tuple[str | int, ...], armature: float) -> Joint:
     length = float(np.linalg.norm(joint.axis))
     if abs(length - 1.0) > _UNIT_AXIS_TOLERANCE:
-        unit = "" if length == 0.0 or not np.isfinite(length) else f"; of unit length it is [{', '.join(f'{x / length:.9g}' for x in joint.axis)}]"
-        raise Complaint((*where, "axis"), f"has length {length:.6g}, must have 1{unit}")
+        right = ""
+        if 0.0 < length < np.inf:
+            right = f"; of unit length it is [{', '.join(f'{x / length:.9g}' for x in joint.axis)}]"
+        raise Complaint((*where, "axis"), f"has length {length:.6g}, must have 1{right}")
     allowed = ANGULAR if joint.type == "revolute" else LINEAR
     for field in ("stiffness", "damping", "rest_position", "brake_effort"):
         dimension = joint.dimension(field)
         if dimension is not None and dimension not in allowed:
-            right = {"stiffness": "Nm_rad N_m", "damping": "Nm_s_rad N_s_m", "rest_position": "rad m", "brake_effort": "Nm N"}[field].split()
-            raise Complaint((*where, joint.key(field)), f"does not fit a {joint.type} joint; write {field}_{right[joint.type != 'revolute']}")
+            unit = _UNITS[joint.type][field]
+            raise Complaint((*where, joint.key(field)), f"does not fit a {joint.type} joint; write {field}_{unit}")
     return Joint(
         name=joint.name,
         kind=joint.type,
@@ -94,5 +100,6 @@ def _inertia(body: BodyTable, where: tuple[str | int, ...], rotates: bool, moves
     if principal[0] < 0.0 or (rotates and body.mass > 0.0 and principal[0] <= 0.0):
         raise Complaint(key, f"is not positive definite: its smallest principal moment is {principal[0]:.4g} kg m^2")
     if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
-        raise Complaint(key, f"no rigid body has these principal moments: {principal[0]:.4g} + {principal[1]:.4g} < {principal[2]:.4g} (triangle inequality)")
+        moments = f"{principal[0]:.4g} + {principal[1]:.4g} < {principal[2]:.4g}"
+        raise Complaint(key, f"no rigid body has these principal moments: {moments} (triangle inequality)")
     return inertia

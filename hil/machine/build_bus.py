@@ -31,11 +31,14 @@ _RESERVED_COB_IDS: tuple[tuple[int, int, str], ...] = (
 )
 
 # what the loop cannot do without: role -> direction -> objects
-_NEEDED = {"drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword", "target_torque")}, "encoder": {"tpdo": ("position_value",)}}
+_NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
+    "drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword", "target_torque")},
+    "encoder": {"tpdo": ("position_value",)},
+}
 
 
 def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) -> BusSettings | None:
-    """The whole bus, or None for a machine that can only be simulated. EDS files are looked for in `folder`, then among the shipped ones."""
+    """The whole bus, or None for a machine that can only be simulated. EDS files are taken from `folder`, else from the shipped ones."""
     bus = table.bus
     if bus is None:
         return None
@@ -126,7 +129,8 @@ def _check_map(pdo: PdoTable, where: Where) -> None:
     for position, entry in enumerate(pdo.map):
         numbers = _numbers(entry)
         if numbers is None:
-            raise Complaint((*where, "map", position), 'no such object; write a name such as "statusword" or "0x6064:00:32" (index:subindex:bits)')
+            right = 'write a name such as "statusword" or index:subindex:bits such as "0x6064:00:32"'
+            raise Complaint((*where, "map", position), f"no such object; {right}")
         total += numbers[2]
     if total > 64:
         raise Complaint((*where, "map"), f"holds {total / 8:g} bytes; a PDO holds 8")
@@ -224,7 +228,8 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
             raise Complaint(("bus", "io", field), "two axes share an address; addresses must differ")
     inputs = [*io.brake_feedback_inputs.values(), io.hold_to_run_input, io.door_input]
     if len(set(inputs)) < len(inputs):
-        raise Complaint(("bus", "io"), "two discrete inputs share an address; brake_feedback_inputs, hold_to_run_input and door_input must differ")
+        names = "brake_feedback_inputs, hold_to_run_input and door_input"
+        raise Complaint(("bus", "io"), f"two discrete inputs share an address; {names} must differ")
     for axis in io.temperature_registers:
         if f"temperature_{axis}" not in table.sensors:
             raise Complaint(("bus", "io", "temperature_registers", axis), f"no such thermometer; add [sensors.temperature_{axis}]")

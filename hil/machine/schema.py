@@ -132,7 +132,7 @@ class MachineTable(Table):
     body: Annotated[tuple[BodyTable, ...], Field(min_length=1)]
     drives: Annotated[dict[Name, DriveTable], Field(min_length=1)]
     sensors: dict[Name, SensorTable]
-    controller: dict[Name, ControllerTable] = {}
-    limits: dict[Name, LimitsTable] = {}
+    controller: Annotated[dict[Name, ControllerTable], Field(default_factory=dict)]
+    limits: Annotated[dict[Name, LimitsTable], Field(default_factory=dict)]
     geometry: GeometryTable | None = None
     bus: BusTable | None = None

@@ -74,7 +74,7 @@ class IoTable(Table):
     brake_feedback_inputs: dict[Name, Address]
     hold_to_run_input: Address
     door_input: Address
-    temperature_registers: dict[Name, Address] = {}
+    temperature_registers: Annotated[dict[Name, Address], Field(default_factory=dict)]
 
 
 class BusTable(Table):

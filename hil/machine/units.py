@@ -1,6 +1,6 @@
 """Units of the machine file: a key ends in its unit (`range_deg`, `stiffness_Nm_rad`), and everything is SI once it is read.
 
-A unit belongs to exactly one dimension; a quantity lists the dimensions it may have, since the same key serves revolute and prismatic joints.
+A unit belongs to exactly one dimension; a quantity lists the dimensions it may have, since one key serves revolute and prismatic joints.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ UNITS: dict[str, dict[str, float]] = {
 }
 
 EFFORT_DIMENSIONS = ("current", "voltage", "torque", "force")
-ANGULAR = frozenset({"angle", "angular_speed", "angular_acceleration", "angular_jerk", "rotational_stiffness", "rotational_damping", "torque"})
-LINEAR = frozenset({"length", "speed", "acceleration", "jerk", "stiffness", "damping", "force"})
+_MOTIONS = {"angle": "length", "angular_speed": "speed", "angular_acceleration": "acceleration", "angular_jerk": "jerk"}
+_LOADS = {"rotational_stiffness": "stiffness", "rotational_damping": "damping", "torque": "force"}
+ANGULAR = frozenset(_MOTIONS | _LOADS)
+LINEAR = frozenset((_MOTIONS | _LOADS).values())
 
 # `constant_unit` of a drive: motor effort per unit of command
 CONSTANT_UNITS: dict[str, tuple[str, str, float]] = {
