@@ -56,6 +56,7 @@ class AxisScaling:
     limit: float  # |command| the loop saturates at
     rated_torque_mNm: int  # object 6076h
     rated_current_mA: int  # object 6075h
+    position_unit: str = "rad"  # or "m"; for messages
 
 
 @dataclass(frozen=True)

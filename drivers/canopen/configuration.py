@@ -1,0 +1,154 @@
+"""A node set up from the machine file, every write read back: SYNC, heartbeats, PDOs, option codes, scaling.
+
+Nothing is assumed of the node's stored parameters: what matters to the loop is written, and what the node sends unasked is switched off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from drivers.canopen.sdo import SdoNode
+from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
+from drivers.errors import ConfigurationRefused
+from drivers.settings import AxisScaling, BusSettings, Node, Pdo
+
+PDO_INVALID = 1 << 31
+NO_RTR = 1 << 30  # TPDOs: no remote requests; a node without RTR refuses a COB-ID that allows it, so it may set the bit by itself
+RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING = 0x1400, 0x1600, 0x1800, 0x1A00
+PDO_COUNT = 0x200
+SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
+MAX_TORQUE, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6075, 0x6076
+
+OPTION_CODES = (
+    (0x6007, 1),  # abort connection (heartbeat of the bench lost, bus off): fault, so the motor stops and somebody has to acknowledge it
+    (0x605A, 2),  # quick stop: slow down on the quick stop ramp, then switch on disabled
+    (0x605B, 0),  # shutdown: disable the drive function; the brake holds by then
+    (0x605C, 1),  # disable operation: slow down on the slow down ramp
+    (0x605E, 2),  # fault reaction: slow down on the quick stop ramp
+)
+"""How a drive stops by itself. Written where the drive has the object and the machine file's own `writes` do not name it."""
+
+
+def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: AxisScaling | None = None) -> tuple[str, ...]:
+    """Bring a pre-operational node to the state the machine file describes.
+
+    Parameters
+    ----------
+    sdo : SdoNode
+        Opened with the node's EDS.
+    node : Node
+    settings : BusSettings
+        Of the whole bus: SYNC identifier, the bench's heartbeat.
+    scaling : AxisScaling, optional
+        Of the axis when the node is a drive.
+
+    Returns
+    -------
+    tuple of str
+        What the node cannot do and an operator should know, one line each.
+
+    Raises
+    ------
+    ConfigurationRefused
+        An abort in words, or a value that reads back differently.
+    NodeAbsent
+        The node stopped answering.
+    """
+    own_writes = {(index, subindex) for index, subindex, _ in node.writes}
+    notes = []
+    if sdo.read_integer(SYNC_COB_ID) & 0x1FFF_FFFF != settings.sync_cob_id:
+        sdo.write_checked(SYNC_COB_ID, 0, settings.sync_cob_id)
+    _configure_pdos(sdo, node)
+    sdo.write_checked(PRODUCER_HEARTBEAT, 0, round(node.heartbeat_period_s * 1000))
+    if not _watch_bench(sdo, settings) and node.role == "drive":
+        notes.append(f"{sdo.who}: has no heartbeat consumer (1016h); its motor is not stopped by the drive when the bench dies")
+    if node.role == "drive":
+        notes += [f"{sdo.who}: has no option code {index:04X}h" for index in _write_option_codes(sdo, own_writes)]
+    if scaling is not None:
+        _configure_scaling(sdo, scaling, own_writes)
+    for index, subindex, value in node.writes:
+        sdo.write_checked(index, subindex, value)
+    return tuple(notes)
+
+
+def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:
+    """Map one PDO by the procedure of CiA 301 (7.5.2.36): invalid, count 0, entries, count, transmission type, valid."""
+    communication = (TPDO_COMMUNICATION if transmit else RPDO_COMMUNICATION) + pdo.number - 1
+    mapping = (TPDO_MAPPING if transmit else RPDO_MAPPING) + pdo.number - 1
+    cob_id = pdo.cob_id | (NO_RTR if transmit else 0)
+    sdo.write_checked(communication, 1, cob_id | PDO_INVALID, ignore_bits=NO_RTR)
+    wanted = [index << 16 | subindex << 8 | bits for index, subindex, bits in pdo.entries]
+    if sdo.may_write(mapping, 0):
+        sdo.write_checked(mapping, 0, 0)
+        for position, entry in enumerate(wanted, start=1):
+            sdo.write_checked(mapping, position, entry)
+        sdo.write_checked(mapping, 0, len(wanted))
+    else:
+        _check_fixed_mapping(sdo, mapping, wanted)
+    sdo.write_checked(communication, 2, pdo.transmission_type)
+    sdo.write_checked(communication, 1, cob_id, ignore_bits=NO_RTR)
+
+
+def _configure_pdos(sdo: SdoNode, node: Node) -> None:
+    """The machine file's PDOs on, all others off: a PDO nobody asked for costs bus time in every tick."""
+    for communication, pdos in ((RPDO_COMMUNICATION, node.rpdos), (TPDO_COMMUNICATION, node.tpdos)):
+        used = {communication + pdo.number - 1 for pdo in pdos}
+        for index in range(communication, communication + PDO_COUNT):
+            if index in used or not sdo.knows(index, 1):
+                continue
+            cob_id = sdo.read_integer(index, 1)
+            if not cob_id & PDO_INVALID:
+                sdo.write_checked(index, 1, cob_id | PDO_INVALID, ignore_bits=NO_RTR)
+        for pdo in pdos:
+            configure_pdo(sdo, pdo, transmit=communication == TPDO_COMMUNICATION)
+
+
+def _check_fixed_mapping(sdo: SdoNode, mapping: int, wanted: list[int]) -> None:
+    have = [sdo.read_integer(mapping, position) for position in range(1, sdo.read_integer(mapping, 0) + 1)]
+    if have != wanted:
+        raise ConfigurationRefused(
+            f"{sdo.who}: the mapping {mapping:04X}h is fixed to {_mapping_words(have)}, the machine file wants {_mapping_words(wanted)}"
+        )
+
+
+def _mapping_words(entries: Iterable[int]) -> str:
+    return ", ".join(f"{entry >> 16:04X}h:{entry >> 8 & 0xFF:02X}/{entry & 0xFF}" for entry in entries) or "nothing"
+
+
+def _watch_bench(sdo: SdoNode, settings: BusSettings) -> bool:
+    """Let the node watch the bench's heartbeat; False when it cannot or the bench sends none."""
+    if not (settings.master_heartbeat_period_s > 0.0 and sdo.may_write(CONSUMER_HEARTBEAT, 1)):
+        return False
+    milliseconds = round(HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s * 1000)
+    sdo.write_checked(CONSUMER_HEARTBEAT, 1, settings.master_node_id << 16 | milliseconds)
+    return True
+
+
+def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[int]:
+    """Write what the drive has; return what it lacks of the two that matter when nobody is there any more."""
+    for index, code in OPTION_CODES:
+        if sdo.may_write(index) and (index, 0) not in own_writes:
+            sdo.write_checked(index, 0, code)
+    return [index for index in (0x6007, 0x605E) if not sdo.knows(index)]
+
+
+def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple[int, int]]) -> None:
+    """Rated values the per mille refer to, and the drive's own torque limit."""
+    for index, value, what in (
+        (RATED_CURRENT, scaling.rated_current_mA, "rated current in mA"),
+        (RATED_TORQUE, scaling.rated_torque_mNm, "rated torque in mNm"),
+    ):
+        if not value or not sdo.knows(index):
+            continue
+        have = sdo.read_integer(index)
+        if have == value:
+            continue
+        try:
+            sdo.write_checked(index, 0, value)
+        except ConfigurationRefused as error:
+            raise ConfigurationRefused(
+                f"{sdo.who}: {what} ({index:04X}h) is {have}, the machine file says {value}; "
+                f"every effort would be off by {have / value - 1:+.1%} ({error})"
+            ) from error
+    if sdo.may_write(MAX_TORQUE) and (MAX_TORQUE, 0) not in own_writes:
+        sdo.write_checked(MAX_TORQUE, 0, round(scaling.limit / scaling.rated * 1000))

@@ -1,0 +1,337 @@
+"""The frames of one tick: RPDOs out, heartbeat when due, SYNC, TPDOs in. Runs hundreds of times a second: all is looked up beforehand.
+
+Raw frames and one dictionary by COB-ID; no object of the `canopen` library is touched in a tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite, nan
+
+import can
+
+from drivers.canopen.cia402 import DISABLE_VOLTAGE
+from drivers.canopen.cia406 import signed_counts
+from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, receive_frame, send_frame
+from drivers.canopen.pdo import PdoCodec
+from drivers.canopen.supervision import Supervision
+from drivers.errors import ConfigurationRefused, MotionRefused, ProtocolError
+from drivers.interface import Sample
+from drivers.settings import AxisScaling, BusSettings, Node, Pdo
+
+CONTROLWORD, TARGET_TORQUE = 0x6040, 0x6071
+STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
+_HALF_RANGE, _RANGE = 1 << 31, 1 << 32
+INT16_MAX = 32767
+STALE_FRAMES_MAX = 256
+"""Frames read at most outside the answer time: a device that babbles must not keep the loop from its tick."""
+
+
+class AxisInput:
+    """What arrives of one axis, and how counts and per mille become SI.
+
+    position = sign * counts * resolution + offset, over as many wraps of the 32-bit counter as the axis has seen.
+    """
+
+    def __init__(self, scaling: AxisScaling) -> None:
+        self.scaling = scaling
+        self.offset = 0.0
+        self.statusword = -1  # newest ever received
+        self._counts_scale = scaling.sign * scaling.position_resolution
+        self._effort_scale = scaling.sign * scaling.rated / 1000.0
+        self._last_raw: int | None = None
+        self._turns = 0  # whole ranges of the 32-bit counter
+
+    def position(self, raw: int) -> float:
+        """Joint position [rad or m] of a position actual value (6064h)."""
+        if self._last_raw is not None:
+            step = raw - self._last_raw
+            if step >= _HALF_RANGE:
+                self._turns -= 1
+            elif step < -_HALF_RANGE:
+                self._turns += 1
+        self._last_raw = raw
+        return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
+
+    def effort(self, permille: int) -> float:
+        """Measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
+        return self._effort_scale * permille
+
+    def link_position(self, raw: int) -> float:
+        """Position of the absolute link encoder [rad or m]."""
+        return signed_counts(raw, self.scaling.link_zero_counts) * self.scaling.link_resolution
+
+    def counter_was_set(self) -> None:
+        """The drive's counter is about to jump (homing): forget where it was."""
+        self._last_raw = None
+        self._turns = 0
+
+
+class AxisOutput:
+    """Controlword and target of one drive, in the RPDOs that carry them."""
+
+    def __init__(self, node: Node, scaling: AxisScaling) -> None:
+        self.controlword = DISABLE_VOLTAGE
+        self._permille = scaling.sign * 1000.0 / scaling.rated
+        self._limit = min(INT16_MAX, round(scaling.limit / scaling.rated * 1000.0))
+        self.frames: list[tuple[can.Message, Callable[..., None], bool, bool]] = []
+        for pdo in node.rpdos:
+            objects = tuple(index for index, _, _ in pdo.entries)
+            if objects not in ((CONTROLWORD, TARGET_TORQUE), (TARGET_TORQUE, CONTROLWORD), (CONTROLWORD,), (TARGET_TORQUE,)):
+                raise ConfigurationRefused(
+                    f"{node.name}: RPDO {pdo.number} maps {', '.join(f'{index:04X}h' for index in objects)}; "
+                    "the loop fills controlword and target_torque and nothing else"
+                )
+            codec = PdoCodec.of(pdo.entries)
+            message = can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytearray(codec.size))
+            self.frames.append((message, codec.pack_into, CONTROLWORD in objects, objects[0] == CONTROLWORD))
+        carried = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
+        if not {CONTROLWORD, TARGET_TORQUE} <= carried:
+            raise ConfigurationRefused(f"{node.name}: its RPDOs must map controlword and target_torque")
+
+    def permille(self, effort: float) -> int:
+        """Target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
+        value = round(effort * self._permille)
+        return self._limit if value > self._limit else -self._limit if value < -self._limit else value
+
+    def send(self, bus: can.BusABC, target: int) -> None:
+        for message, pack_into, has_controlword, controlword_first in self.frames:
+            if not has_controlword:
+                pack_into(message.data, target)
+            elif len(message.data) == 2:
+                pack_into(message.data, self.controlword)
+            elif controlword_first:
+                pack_into(message.data, self.controlword, target)
+            else:
+                pack_into(message.data, target, self.controlword)
+            send_frame(bus, message)
+
+
+class _Tpdo:
+    """One TPDO of one node: where its values go."""
+
+    def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
+        self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
+        self.cob_id = pdo.cob_id
+        self.axis = axis
+        self.source = source
+        self.every_sync = pdo.transmission_type == 1
+        self.unpack = PdoCodec.of(pdo.entries).unpack
+        objects = [index for index, _, _ in pdo.entries]
+        self.statusword, self.position, self.link = (
+            objects.index(i) if i in objects else -1 for i in (STATUSWORD, POSITION, LINK_POSITION)
+        )
+        effort = CURRENT_ACTUAL if CURRENT_ACTUAL in objects else TORQUE_ACTUAL
+        self.effort = objects.index(effort) if effort in objects else -1
+
+    def take(self, data: bytearray, sample: Sample) -> None:
+        """Put the values of one frame into the sample."""
+        values = self.unpack(data)
+        axis, source = self.axis, self.source
+        if self.statusword >= 0:
+            source.statusword = values[self.statusword]
+            sample.statusword[axis] = source.statusword
+        if self.position >= 0:
+            sample.position[axis] = source.position(values[self.position])
+        if self.effort >= 0:
+            sample.effort[axis] = source.effort(values[self.effort])
+        if self.link >= 0:
+            sample.link_position[axis] = source.link_position(values[self.link])
+
+
+class CyclicExchange:
+    """Sends and receives the process data of all nodes, once per SYNC.
+
+    Parameters
+    ----------
+    network : PolledNetwork
+        Frames that are no process data go to its subscribers.
+    settings : BusSettings
+    supervision : Supervision
+
+    Raises
+    ------
+    ConfigurationRefused
+        An axis lacks a drive, or its PDOs lack what the loop needs.
+    """
+
+    def __init__(self, network: PolledNetwork, settings: BusSettings, supervision: Supervision) -> None:
+        self._network, self._bus, self._clock = network, network.can_bus, network.clock
+        self._supervision = supervision
+        self._period_s = settings.sync_period_s
+        self._answer_timeout_s = settings.answer_timeout_s
+        self._sync = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False, data=bytearray())
+        every = settings.master_heartbeat_period_s / settings.sync_period_s
+        self._heartbeat_ticks = max(1, int(every)) if every > 0.0 else 0
+        self._tick = 0
+        self._axis_names = [scaling.axis for scaling in settings.scalings]
+        self.inputs = [AxisInput(scaling) for scaling in settings.scalings]
+        self.outputs = [AxisOutput(drive, scaling) for drive, scaling in zip(drives(settings), settings.scalings, strict=True)]
+        self._tpdos = [
+            _Tpdo(node, pdo, axis, self.inputs[axis])
+            for node in settings.nodes
+            for axis in [self._axis_names.index(node.axis)]
+            for pdo in node.tpdos
+        ]
+        _check_inputs(self._tpdos, self._axis_names)
+        self._by_cob_id = {tpdo.cob_id: (bit, tpdo) for bit, tpdo in enumerate(self._tpdos)}
+        self._expected = sum(1 << bit for bit, tpdo in enumerate(self._tpdos) if tpdo.every_sync)
+        self._axis_masks = [sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync) for a in range(len(self.inputs))]
+        self._heartbeats = {HEARTBEAT + node.node_id: node.node_id for node in settings.nodes}
+        self._emergencies = {EMERGENCY + node.node_id: node.node_id for node in settings.nodes}
+        self._outstanding = 0  # TPDOs of the last SYNC that are still to come
+        self._missed = 0
+        self._fault = ""
+        self.late_frames = 0  # process data that came after its tick had been closed
+
+    def run(self, efforts: Sequence[float], sample: Sample, before_sync: Callable[[], object] | None = None) -> float:
+        """One tick: send, wait for the tick, SYNC, receive.
+
+        Parameters
+        ----------
+        efforts : sequence of float
+            Command of each axis in its drive's unit.
+        sample : Sample
+            Overwritten.
+        before_sync : callable, optional
+            Called between the tick and its SYNC.
+
+        Returns
+        -------
+        float
+            Clock time at which this tick's answers are overdue.
+
+        Raises
+        ------
+        MotionRefused
+            A command is not finite; nothing was sent.
+        BusError
+            The bus failed.
+        """
+        targets: list[int] = []
+        for output, effort in zip(self.outputs, efforts, strict=True):
+            if not isfinite(effort):
+                raise MotionRefused(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
+            targets.append(output.permille(effort))
+        bus = self._bus
+        for output, target in zip(self.outputs, targets, strict=True):
+            output.send(bus, target)
+        if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
+            self._network.send_heartbeat()
+        self._tick += 1
+        sample.lateness_s = self._clock.wait_tick()
+        if self._outstanding:
+            self._drop_stale(sample)
+        if before_sync is not None:
+            before_sync()
+        self._clear(sample)
+        send_frame(bus, self._sync)
+        overdue_s = self._clock.now() + self._answer_timeout_s
+        self._outstanding = outstanding = self._receive(sample, overdue_s)
+        self._grow_ages(sample, outstanding)
+        self._fault = self._fault or self._supervision.take_fault()
+        sample.fault, self._fault = self._fault, ""
+        return overdue_s
+
+    @property
+    def missing(self) -> list[str]:
+        """Which TPDOs did not answer the last SYNC, in words."""
+        return [tpdo.who for bit, tpdo in enumerate(self._tpdos) if self._outstanding >> bit & 1]
+
+    def _clear(self, sample: Sample) -> None:
+        sample.position.fill(nan)
+        sample.link_position.fill(nan)
+        sample.effort.fill(nan)
+        sample.statusword.fill(-1)
+
+    def _receive(self, sample: Sample, overdue_s: float) -> int:
+        """Read until all answers to this SYNC are there or overdue; return a mask of those that are not."""
+        outstanding = self._expected
+        remaining = self._answer_timeout_s
+        overtime = 0
+        bus, by_cob_id, now = self._bus, self._by_cob_id, self._clock.now
+        while outstanding:
+            message = receive_frame(bus, remaining)
+            if message is None:
+                break
+            entry = by_cob_id.get(message.arbitration_id)
+            if entry is None:
+                self._other(message)
+            elif not (message.is_error_frame or message.is_remote_frame):
+                bit, tpdo = entry
+                try:
+                    tpdo.take(message.data, sample)
+                    outstanding &= ~(1 << bit)
+                except ProtocolError as error:
+                    self._fault = self._fault or f"{tpdo.who}: {error}"
+            remaining = overdue_s - now()
+            if remaining <= 0.0:
+                remaining = 0.0  # what already lies in the queue is still taken
+                overtime += 1
+                if overtime > STALE_FRAMES_MAX:
+                    break
+        return outstanding
+
+    def _drop_stale(self, sample: Sample) -> None:
+        """Take off what came too late for the last tick: it must not be mistaken for the answer to the next SYNC."""
+        for _ in range(STALE_FRAMES_MAX):
+            message = receive_frame(self._bus, 0.0)
+            if message is None:
+                return
+            entry = self._by_cob_id.get(message.arbitration_id)
+            if entry is None:
+                self._other(message)
+            else:
+                self.late_frames += 1
+                try:
+                    entry[1].take(
+                        message.data, sample
+                    )  # keeps the counter's wraps and the newest statusword right; the row is cleared next
+                except ProtocolError as error:
+                    self._fault = self._fault or f"{entry[1].who}: {error}"
+
+    def _other(self, message: can.Message) -> None:
+        identifier = message.arbitration_id
+        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+            return
+        if (node_id := self._heartbeats.get(identifier)) is not None:
+            self._supervision.heartbeat(node_id, message.data)
+        elif (node_id := self._emergencies.get(identifier)) is not None:
+            self._supervision.emergency(node_id, message.data)
+        else:
+            self._network.notify(identifier, message.data, message.timestamp)
+
+    def _grow_ages(self, sample: Sample, outstanding: int) -> None:
+        missed = self._clock.missed
+        elapsed_s = self._period_s * (1 + max(0, missed - self._missed))
+        self._missed = missed
+        for axis, mask in enumerate(self._axis_masks):
+            sample.age_s[axis] = sample.age_s[axis] + elapsed_s if outstanding & mask else 0.0
+
+
+def drives(settings: BusSettings) -> list[Node]:
+    """The drive of each axis, in axis order.
+
+    Raises
+    ------
+    ConfigurationRefused
+        An axis has none, or more than one.
+    """
+    found = []
+    for scaling in settings.scalings:
+        candidates = [node for node in settings.nodes if node.role == "drive" and node.axis == scaling.axis]
+        if len(candidates) != 1:
+            names = ", ".join(node.name for node in candidates) or "none"
+            raise ConfigurationRefused(f"axis {scaling.axis} needs exactly one node of role drive, the machine file gives: {names}")
+        found += candidates
+    return found
+
+
+def _check_inputs(tpdos: Sequence[_Tpdo], axes: Sequence[str]) -> None:
+    for axis, name in enumerate(axes):
+        for what, present in (
+            ("statusword", any(t.statusword >= 0 for t in tpdos if t.axis == axis and t.every_sync)),
+            ("position_actual_value", any(t.position >= 0 for t in tpdos if t.axis == axis and t.every_sync)),
+        ):
+            if not present:
+                raise ConfigurationRefused(f"axis {name}: no TPDO with transmission type 1 maps {what}")

@@ -1,0 +1,66 @@
+"""What a node is: device type 1000h in words, identity object 1018h, and whether both are what the machine file says."""
+
+from __future__ import annotations
+
+from drivers.canopen.sdo import SdoNode
+from drivers.errors import WrongIdentity
+from drivers.settings import Identity, Node
+
+PROFILES = {
+    0: "no standard profile",
+    401: "I/O module (CiA 401)",
+    402: "drive (CiA 402)",
+    404: "measuring device (CiA 404)",
+    405: "programmable controller (CiA 405)",
+    406: "encoder (CiA 406)",
+    408: "hydraulic drive (CiA 408)",
+    410: "inclinometer (CiA 410)",
+    418: "battery (CiA 418)",
+    419: "battery charger (CiA 419)",
+}
+ROLE_PROFILES = {"drive": 402, "encoder": 406}
+
+# bits 16 to 23 of a CiA 402 device type
+DRIVE_KINDS = {0x01: "frequency converter", 0x02: "servo drive", 0x04: "stepper drive", 0x08: "multi-axis device"}
+
+_FIELDS = (("vendor_id", 1), ("product_code", 2), ("revision_number", 3), ("serial_number", 4))
+
+
+def describe_device_type(device_type: int) -> str:
+    """E.g. `servo drive (CiA 402)` for 00020192h."""
+    profile = device_type & 0xFFFF
+    if profile == 402 and (kind := DRIVE_KINDS.get(device_type >> 16 & 0xFF)):
+        return f"{kind} (CiA 402)"
+    return PROFILES.get(profile, f"device profile CiA {profile}")
+
+
+def read_identity(node: SdoNode) -> Identity:
+    """Object 1018h; what the node does not have is None."""
+    values: dict[str, int | None] = {}
+    for name, subindex in _FIELDS:
+        data = node.read_if_present(0x1018, subindex)
+        values[name] = None if data is None else int.from_bytes(data, "little")
+    return Identity(**values)
+
+
+def check_identity(node: SdoNode, expected: Node) -> None:
+    """Compare device profile and identity with the machine file; identity fields of None are not compared.
+
+    Raises
+    ------
+    WrongIdentity
+        Every difference, expected and found.
+    """
+    profile = node.read_integer(0x1000) & 0xFFFF
+    wanted = ROLE_PROFILES[expected.role]
+    if profile != wanted:
+        found = describe_device_type(node.read_integer(0x1000))
+        raise WrongIdentity(f"{node.who}: is a {found}, the machine file expects a {PROFILES[wanted]}; node ids exchanged?")
+    identity = read_identity(node)
+    differences = []
+    for name, _ in _FIELDS:
+        want, have = getattr(expected.identity, name), getattr(identity, name)
+        if want is not None and have != want:
+            differences.append(f"{name} is {'absent' if have is None else f'{have:08X}h'}, the machine file says {want:08X}h")
+    if differences:
+        raise WrongIdentity(f"{node.who}: {'; '.join(differences)}")

@@ -1,0 +1,140 @@
+"""A CANopen network without a receiving thread: whoever waits, receives.
+
+The `canopen` library reads the bus in a thread of its own. A second thread in the loop's process costs milliseconds of wake-up time, and an
+in-process bus has nobody to wait for; so here the waiting itself takes frames off the bus and hands them to their subscribers.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+
+import can
+import canopen
+
+from drivers.errors import BusError
+from drivers.interface import Clock
+
+SEND_PATIENCE_S = 0.002
+"""How long a full transmit queue (ENOBUFS) may last: 15 frames at 1 Mbit/s. python-can's own send time-out does not cover this errno."""
+
+HEARTBEAT_PATIENCE = 1.5
+"""Periods after which waiting sends the bench's heartbeat itself: later than the sample loop would, sooner than a node misses it."""
+
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET_NODE, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+
+NMT_STATES = {0x00: "initialising", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+
+SDO_REQUEST, SDO_RESPONSE, HEARTBEAT, EMERGENCY = 0x600, 0x580, 0x700, 0x080  # plus node id: predefined connection set
+
+
+class PolledNetwork(canopen.Network):
+    """canopen's network, pumped by whoever waits for an answer.
+
+    Parameters
+    ----------
+    bus : can.BusABC
+        Open bus; it stays the caller's and is not shut down here.
+    clock : Clock
+        Wall time on a bench, virtual time in lockstep.
+    """
+
+    def __init__(self, bus: can.BusABC, clock: Clock) -> None:
+        super().__init__(bus)
+        self.can_bus = bus
+        self.clock = clock
+        self._heartbeat: can.Message | None = None
+        self._heartbeat_patience_s = 0.0
+        self._heartbeat_due_s = 0.0
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send one frame with an 11-bit identifier.
+
+        Raises
+        ------
+        BusError
+            The bus does not take it.
+        """
+        send_frame(self.can_bus, can.Message(arbitration_id=can_id, is_extended_id=False, data=data, is_remote_frame=remote))
+
+    def command_nmt(self, command: int, node_id: int) -> None:
+        """Send an NMT command (CiA 301) to one node."""
+        self.send_message(0x000, bytes((command, node_id)))
+
+    def pump(self, timeout_s: float) -> bool:
+        """Take one frame off the bus and hand it to its subscribers; False when none came in time.
+
+        Raises
+        ------
+        BusError
+            The bus cannot be read any more.
+        """
+        if self._heartbeat is not None and self.clock.now() >= self._heartbeat_due_s:
+            self.send_heartbeat()
+        message = receive_frame(self.can_bus, timeout_s)
+        if message is None:
+            return False
+        if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
+            self.notify(message.arbitration_id, message.data, message.timestamp)
+        return True
+
+    def pump_for(self, duration_s: float) -> None:
+        """Receive for that long."""
+        deadline = self.clock.now() + duration_s
+        while (remaining := deadline - self.clock.now()) > 0.0 and self.pump(remaining):
+            pass
+
+    def start_heartbeat(self, node_id: int, period_s: float) -> None:
+        """The bench's own heartbeat from now on: the sample loop sends it by tick count, long waits in between by time."""
+        self._heartbeat = can.Message(arbitration_id=HEARTBEAT + node_id, is_extended_id=False, data=bytearray(b"\x05"))
+        self._heartbeat_patience_s = HEARTBEAT_PATIENCE * period_s
+        self._heartbeat_due_s = self.clock.now()
+
+    def stop_heartbeat(self) -> None:
+        """Fall silent: nodes that watch this heartbeat stop their motors."""
+        self._heartbeat = None
+
+    def send_heartbeat(self) -> None:
+        """Send the bench's heartbeat now, if it is on."""
+        if self._heartbeat is not None:
+            send_frame(self.can_bus, self._heartbeat)
+            self._heartbeat_due_s = self.clock.now() + self._heartbeat_patience_s
+
+
+def send_frame(bus: can.BusABC, message: can.Message) -> None:
+    """Send a frame, bridging a transmit queue that is full for a moment.
+
+    Raises
+    ------
+    BusError
+        The bus does not take the frame.
+    """
+    try:
+        bus.send(message)
+        return
+    except can.CanError as error:
+        failure = error
+    deadline = time.perf_counter() + SEND_PATIENCE_S
+    while getattr(failure, "error_code", None) == errno.ENOBUFS or "buffer full" in str(failure):
+        if time.perf_counter() > deadline:
+            break
+        try:
+            bus.send(message)
+            return
+        except can.CanError as error:
+            failure = error
+    raise BusError(f"{bus.channel_info}: frame {message.arbitration_id:03X} could not be sent: {failure}") from failure
+
+
+def receive_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
+    """Next frame, or None after the time-out.
+
+    Raises
+    ------
+    BusError
+        The bus cannot be read any more, e.g. its interface went down.
+    """
+    try:
+        return bus.recv(timeout_s)
+    except (can.CanError, OSError) as error:
+        raise BusError(f"{bus.channel_info}: cannot be read: {error}") from error

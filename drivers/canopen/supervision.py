@@ -1,0 +1,205 @@
+"""Which nodes are alive: boot-up with a time-out of its own, heartbeats with ages, NMT states, and the emergencies they send.
+
+CiA 301 monitoring of a heartbeat starts with the first one received: a node that never boots is never missed. So boot-up is waited for, and
+heartbeats are watched from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.canopen.emcy import Emergency, decode_emergency
+from drivers.canopen.network import EMERGENCY, HEARTBEAT, NMT_RESET_COMMUNICATION, NMT_STATES, PolledNetwork
+from drivers.canopen.sdo import SdoNode
+from drivers.errors import BusTimeout, DeviceFault, DuplicateNode, HeartbeatLost, NodeAbsent
+from drivers.settings import Node
+
+HEARTBEAT_TOLERANCE = 2.5
+"""A heartbeat may be missing for so many of its periods: one lost frame and half a period of jitter."""
+
+BOOT_SETTLE_S = 0.05
+"""How long to listen on after the last node booted, for a second device of one id: equal devices boot in equal time."""
+
+OPERATIONAL = 0x05
+BOOT_UP = 0x00
+
+
+@dataclass
+class _Watched:
+    """What was last heard from one node."""
+
+    name: str
+    node_id: int
+    timeout_s: float
+    vendor_id: int | None
+    state: int = -1  # NMT state of the last heartbeat, -1 before the first message
+    heard_s: float = float("nan")
+    boots: int = 0
+    emergency: Emergency | None = None  # newest that is not reset
+
+    @property
+    def who(self) -> str:
+        return f"{self.name} (node {self.node_id})"
+
+
+class Supervision:
+    """Hears every configured node's heartbeats and emergencies.
+
+    Parameters
+    ----------
+    network : PolledNetwork
+        Subscribed to; the sample loop calls `heartbeat` and `emergency` itself.
+    nodes : sequence of Node
+    """
+
+    def __init__(self, network: PolledNetwork, nodes: Sequence[Node]) -> None:
+        self._network = network
+        self._nodes = {
+            node.node_id: _Watched(node.name, node.node_id, HEARTBEAT_TOLERANCE * node.heartbeat_period_s, node.identity.vendor_id)
+            for node in nodes
+        }
+        self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
+        self._turn = 0
+        self._running = False  # nodes were started: from now on leaving operational is a fault
+        for node_id in self._nodes:
+            network.subscribe(HEARTBEAT + node_id, lambda can_id, data, _: self.heartbeat(can_id - HEARTBEAT, data))
+            network.subscribe(EMERGENCY + node_id, lambda can_id, data, _: self.emergency(can_id - EMERGENCY, data))
+        self._fresh_fault = ""
+
+    def heartbeat(self, node_id: int, data: bytes | bytearray) -> None:
+        """Take a heartbeat or boot-up message (one byte: NMT state)."""
+        watched = self._nodes[node_id]
+        state = data[0] & 0x7F if data else -1
+        watched.heard_s = self._network.clock.now()
+        if state == BOOT_UP:
+            watched.boots += 1
+        if self._running and state != OPERATIONAL:
+            change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES.get(state, f'NMT state {state:02X}h')}"
+            self._note(f"{watched.who}: {change}")
+        watched.state = state
+
+    def emergency(self, node_id: int, data: bytes | bytearray) -> None:
+        """Take an EMCY message."""
+        watched = self._nodes[node_id]
+        message = decode_emergency(data)
+        watched.emergency = None if message.is_reset else message
+        if not message.is_reset:
+            self._note(f"{watched.who}: {message.describe(watched.vendor_id)}")
+
+    def _note(self, words: str) -> None:
+        self._fresh_fault = self._fresh_fault or words
+
+    def take_fault(self) -> str:
+        """First fault noted since the last call, in words; '' when none."""
+        words, self._fresh_fault = self._fresh_fault, ""
+        return words
+
+    def last_emergency(self, node_id: int) -> str:
+        """Newest EMCY of a node that was not reset, in words, or ''."""
+        watched = self._nodes[node_id]
+        return watched.emergency.describe(watched.vendor_id) if watched.emergency else ""
+
+    def nmt_state(self, node_id: int) -> str:
+        """NMT state as last heard, in words."""
+        return NMT_STATES.get(self._nodes[node_id].state, "never heard")
+
+    def heartbeat_age_s(self, node_id: int) -> float:
+        """Seconds since the node was last heard; NaN when it never was."""
+        return self._network.clock.now() - self._nodes[node_id].heard_s
+
+    def check_one(self, now_s: float) -> None:
+        """Check the next node's heartbeat, one per call: the sample loop asks every tick and comes round in a few of them.
+
+        Raises
+        ------
+        HeartbeatLost
+        """
+        if not self._guarded:
+            return
+        self._turn = (self._turn + 1) % len(self._guarded)
+        watched = self._guarded[self._turn]
+        age_s = now_s - watched.heard_s
+        if age_s > watched.timeout_s:
+            state = NMT_STATES.get(watched.state, "unknown")
+            raise HeartbeatLost(
+                f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
+            )
+
+    def boot(self, nodes: Sequence[Node]) -> None:
+        """Reset every node's communication and wait until each has booted.
+
+        Raises
+        ------
+        NodeAbsent
+            Neither boot-up message nor SDO answer within the node's own time-out.
+        DuplicateNode
+            One reset, two boot-ups from one id.
+        """
+        clock = self._network.clock
+        for watched in self._nodes.values():
+            watched.boots = 0
+        for node in nodes:
+            self._network.command_nmt(NMT_RESET_COMMUNICATION, node.node_id)
+        start = clock.now()
+        pending = {node.node_id: node for node in nodes}
+        while pending:
+            now = clock.now()
+            for node_id, node in list(pending.items()):
+                if self._nodes[node_id].boots:
+                    del pending[node_id]
+                elif now - start >= node.boot_timeout_s:
+                    self._ask_directly(node)
+                    del pending[node_id]
+            if pending:
+                self._network.pump(max(0.0, min(node.boot_timeout_s for node in pending.values()) - (now - start)))
+        self._network.pump_for(BOOT_SETTLE_S)
+        for watched in self._nodes.values():
+            if watched.boots > 1:
+                raise DuplicateNode(
+                    f"{watched.who}: {watched.boots} boot-up messages after one reset: two devices share this id; give one another id"
+                )
+        self._fresh_fault = ""
+
+    def _ask_directly(self, node: Node) -> None:
+        sdo = SdoNode(self._network, node.node_id, node.name)
+        try:
+            sdo.read(0x1000)
+        except NodeAbsent as error:
+            heard = ", ".join(f"{w.name} ({w.node_id})" for w in self._nodes.values() if w.boots) or "none"
+            raise NodeAbsent(
+                f"{node.name} (node {node.node_id}): neither boot-up nor SDO answer within {node.boot_timeout_s:.1f} s of a reset on "
+                f"{self._network.can_bus.channel_info}; is it powered, with this id and bit rate? nodes that booted: {heard}"
+            ) from error
+        finally:
+            sdo.close()
+
+    def await_operational(self, nodes: Sequence[Node]) -> None:
+        """Wait until every started node's heartbeat says operational; from then on leaving it is a fault.
+
+        Raises
+        ------
+        BusTimeout
+            A node produces no heartbeat, or one with another state.
+        DeviceFault
+            A node fell back while being waited for.
+        """
+        clock = self._network.clock
+        for node in nodes:
+            watched = self._nodes[node.node_id]
+            deadline = clock.now() + HEARTBEAT_TOLERANCE * node.heartbeat_period_s
+            while node.heartbeat_period_s > 0.0 and watched.state != OPERATIONAL:
+                remaining = deadline - clock.now()
+                if remaining <= 0.0 or not self._network.pump(remaining):
+                    if watched.emergency is not None:
+                        raise DeviceFault(f"{watched.who}: not operational: {self.last_emergency(node.node_id)}")
+                    raise BusTimeout(f"{watched.who}: started, but its heartbeat says {self.nmt_state(node.node_id)}, not operational")
+        now = clock.now()
+        for watched in self._nodes.values():
+            watched.heard_s = watched.heard_s if watched.heard_s == watched.heard_s else now
+        self._fresh_fault = ""
+        self._running = True
+
+    def stand_down(self) -> None:
+        """Nodes are being stopped on purpose: leaving operational is no fault any more."""
+        self._running = False

@@ -1,0 +1,373 @@
+"""A whole machine on a CAN bus behind `drivers.interface.MachineLink`: drives, encoders, the IMU on its serial line, the I/O over Modbus.
+
+Life of a machine: `start` (boot, identity, configuration, operational), `home`, `enable`, `release_brakes`, `exchange` once per tick,
+`stop`, `close`. Whatever raises has told the motors to stop first.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import can
+import numpy as np
+
+from drivers.canopen import cia402, motion
+from drivers.canopen.cia402 import Mode, State
+from drivers.canopen.cia406 import check_alarms
+from drivers.canopen.configuration import configure_node
+from drivers.canopen.cyclic import CyclicExchange, drives
+from drivers.canopen.eds import load_object_dictionary
+from drivers.canopen.identity import check_identity
+from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION, NMT_START, PolledNetwork
+from drivers.canopen.sdo import SdoNode
+from drivers.canopen.stopping import Attempts, bring_to_rest
+from drivers.canopen.supervision import Supervision
+from drivers.errors import BusTimeout, DeviceFault, MotionRefused
+from drivers.interface import Clock, Sample
+from drivers.settings import BusSettings, Node
+
+FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
+IMU_RETRY_S = 2e-4  # a packet at 921600 baud takes three times as long
+PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
+OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
+
+
+class Imu(Protocol):
+    """What the link asks of an IMU driver."""
+
+    def configure(self, wait: Callable[[float], None]) -> object:
+        """Set the device up and start it."""
+
+    def before_sync(self) -> None:
+        """Drop what answers an earlier SYNC."""
+
+    def poll(self, sample: Sample) -> bool:
+        """Take the newest packet without waiting; False when there is none."""
+
+
+class Io(Protocol):
+    """What the link asks of an I/O driver."""
+
+    def update(self, sample: Sample) -> None:
+        """Newest state into the sample, without waiting."""
+
+    def command_brakes(self, open_: dict[str, bool]) -> None:
+        """Ask for brakes to open (True) or close, without waiting."""
+
+
+class CanMachine:
+    """A machine on a CAN bus, real or emulated.
+
+    Parameters
+    ----------
+    settings : BusSettings
+    bus : can.BusABC
+        Open bus; it stays the caller's.
+    clock : Clock
+        Wall time, or virtual time in lockstep.
+    imu : Imu, optional
+        Driver of the detector's IMU; configured by `start`.
+    io : Io, optional
+        Driver of brakes, hold-to-run, door and temperatures. Without one the machine has no brakes the bench could command.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The settings' nodes and PDOs do not make a machine the loop can run.
+    """
+
+    def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: Imu | None = None, io: Io | None = None) -> None:
+        self.settings = settings
+        self.clock = clock
+        self.network = PolledNetwork(bus, clock)
+        self.supervision = Supervision(self.network, settings.nodes)
+        self._cyclic = CyclicExchange(self.network, settings, self.supervision)
+        self.scalings = settings.scalings
+        self.axes = tuple(scaling.axis for scaling in settings.scalings)
+        self.drives = tuple(drives(settings))
+        self.inputs = tuple(self._cyclic.inputs)
+        self.sample = Sample(len(self.axes))
+        self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
+        self.stop_trouble: list[str] = []  # what went wrong in the last stop
+        self._imu, self._io = imu, io
+        self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
+        self._nodes: dict[int, SdoNode] = {}
+        self._armed = [False] * len(self.axes)
+        self._ticking = False
+        self._zeros = np.zeros(len(self.axes))
+
+    def start(self) -> None:
+        """Boot every node, check who it is, configure it, make it operational, and see every TPDO once. Drives stay disabled.
+
+        Raises
+        ------
+        NodeAbsent, DuplicateNode, WrongIdentity, ConfigurationRefused, DeviceFault, BusTimeout, BusError
+        """
+        with self._stopping_on_error():
+            self._ticking = False
+            if self._imu is not None:
+                self._imu.configure(self.clock.wait)
+            self.supervision.boot(self.settings.nodes)
+            notes: list[str] = []
+            for node in self.settings.nodes:
+                notes += self._configure(node)
+            self.notes = tuple(notes)
+            for node in self.settings.nodes:
+                self.network.command_nmt(NMT_START, node.node_id)
+            self.supervision.await_operational(self.settings.nodes)
+            if self.settings.master_heartbeat_period_s > 0.0:
+                self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._ticking = True
+            self.resume_ticks()
+            self._await_first_answers()
+
+    def home(self, holding_effort: np.ndarray | None = None, *, check_first_move: bool = True) -> None:
+        """Per axis: first-move check, homing, encoder agreement. All drives are disabled and all brakes closed before and after.
+
+        Parameters
+        ----------
+        holding_effort : (n_axes,) array, optional
+            Effort that holds each axis where it is, in the drives' units; none where the machine is balanced.
+        check_first_move : bool
+            Whether each axis is pushed a little to see that it moves the right way.
+
+        Raises
+        ------
+        MotionRefused
+            A check failed.
+        DeviceFault, HeartbeatLost, BusError
+        """
+        holding = self._zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
+        with self._stopping_on_error():
+            self._check_permission()
+            for axis, homing in enumerate(self.settings.homings):
+                motion.reset_fault(self, axis)
+                alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
+                if check_first_move:
+                    self._push(axis, alone)
+                motion.home_drive(self, axis, homing, alone)
+                motion.check_agreement(self, axis, homing, alone)
+
+    def enable(self) -> None:
+        """Bring every drive to operation enabled in cyclic synchronous torque mode, brakes closed, command zero.
+
+        A drive in fault is reset first, and the reset is checked.
+
+        Raises
+        ------
+        MotionRefused
+            Hold-to-run is not pressed or the door is open.
+        DeviceFault, BusTimeout, HeartbeatLost, BusError
+        """
+        with self._stopping_on_error():
+            self._check_permission()
+            axes = range(len(self.axes))
+            for axis in axes:
+                motion.reset_fault(self, axis)
+                motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+            motion.reach(self, State.OPERATION_ENABLED, axes, self._zeros)
+
+    def release_brakes(self, hold: motion.Hold) -> None:
+        """Hold the enabled axes, open all brakes, wait for their feedback.
+
+        Parameters
+        ----------
+        hold : callable
+            From the newest sample to the command (n_axes,) that holds: the loop's feedback, or a constant.
+
+        Raises
+        ------
+        MotionRefused
+            A brake's feedback does not follow.
+        DeviceFault, HeartbeatLost, BusError
+        """
+        with self._stopping_on_error():
+            motion.open_brakes(self, range(len(self.axes)), hold)
+
+    def close_brakes(self, hold: motion.Hold) -> None:
+        """Close all brakes while the drives still hold, then disable the drives: the way back of `enable` and `release_brakes`."""
+        with self._stopping_on_error():
+            axes = range(len(self.axes))
+            motion.close_brakes(self, axes, hold)
+            motion.reach(self, State.SWITCH_ON_DISABLED, axes, self._zeros)
+
+    def exchange(self, command: np.ndarray) -> Sample:
+        """Send `command` (n_axes,), wait for the next tick, return what was latched at its SYNC. See `drivers.interface.MachineLink`.
+
+        Raises
+        ------
+        DeviceFault
+            An enabled drive left operation enabled.
+        HeartbeatLost
+            A node fell silent.
+        MotionRefused
+            The command holds a value that is no number.
+        BusError
+            The bus failed.
+        """
+        sample = self.sample
+        try:
+            overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
+            self._poll(sample, overdue_s)
+            for axis, source in enumerate(self.inputs):
+                if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
+                    self._explain_fault(axis)
+            self.supervision.check_one(self.clock.now())
+        except BaseException:
+            self.stop()
+            raise
+        sample.arrived_s = time.perf_counter()
+        return sample
+
+    def stop(self) -> None:
+        """Quick stop, brakes closed, voltage off, nodes pre-operational; from any state, any number of times, never raising.
+
+        What failed on the way is in `stop_trouble`; every later step was tried all the same.
+        """
+        self.supervision.stand_down()
+        self._armed = [False] * len(self.axes)
+        attempts = Attempts()
+        if self._ticking:
+            cyclic = self._cyclic
+            bring_to_rest(
+                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._brakes_closed
+            )
+        else:
+            attempts.make("closing the brakes", self._close_all_brakes)
+        self._ticking = False
+        for node in self.settings.nodes:
+            attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
+        self.stop_trouble = attempts.trouble
+
+    def close(self) -> None:
+        """Stop, and let every node forget the bench: a reset of communication ends their watch over its heartbeat. Never raises."""
+        self.stop()
+        self.network.stop_heartbeat()
+        attempts = Attempts()
+        for node in self.settings.nodes:
+            attempts.make(f"resetting {node.name}", self.network.command_nmt, NMT_RESET_COMMUNICATION, node.node_id)
+        self.stop_trouble += attempts.trouble
+        for sdo in self._nodes.values():
+            sdo.close()
+        self._nodes = {}
+
+    def set_controlword(self, axis: int, controlword: int) -> None:
+        """Controlword of an axis' drive from the next tick on."""
+        self._cyclic.outputs[axis].controlword = controlword
+
+    def arm(self, axis: int, armed: bool) -> None:
+        """From now on leaving operation enabled is a fault (or no more)."""
+        self._armed[axis] = armed
+
+    def command_brakes(self, open_: dict[str, bool]) -> None:
+        """Ask for brakes to open or close; axes without a brake are left out."""
+        known = {axis: value for axis, value in open_.items() if self.settings.io is not None and axis in self.settings.io.brake_coils}
+        if self._io is not None and known:
+            self._io.command_brakes(known)
+
+    def has_brake(self, axis: int) -> bool:
+        """Whether the I/O commands a brake of this axis and reports its feedback."""
+        io = self.settings.io
+        return self._io is not None and io is not None and self.axes[axis] in io.brake_coils and self.axes[axis] in io.brake_feedback_inputs
+
+    def sdo(self, axis: int) -> SdoNode:
+        """Object dictionary of an axis' drive."""
+        return self._nodes[self.drives[axis].node_id]
+
+    def resume_ticks(self) -> None:
+        """Ticks start anew, e.g. after SDO traffic took longer than a period."""
+        self.clock.start_ticks(self.settings.sync_period_s)
+
+    def _configure(self, node: Node) -> tuple[str, ...]:
+        if node.node_id in self._nodes:
+            self._nodes[node.node_id].close()
+        sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, load_object_dictionary(node.eds, node.node_id))
+        check_identity(sdo, node)
+        scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
+        notes = configure_node(sdo, node, self.settings, scaling)
+        if node.role == "encoder":
+            check_alarms(sdo)
+        return notes
+
+    def _await_first_answers(self) -> None:
+        for _ in range(FIRST_ANSWERS_TICKS):
+            self.exchange(self._zeros)
+            if not self._cyclic.missing:
+                return
+        raise BusTimeout(
+            f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
+        )
+
+    def _check_permission(self) -> None:
+        """One tick, and what must be true before anything moves."""
+        sample = self.exchange(self._zeros)
+        if self._io is None:
+            return
+        if not sample.hold_to_run:
+            raise MotionRefused("hold-to-run is not pressed; press and hold it")
+        if not sample.door_closed:
+            raise MotionRefused("the door is open; close it")
+
+    def _push(self, axis: int, alone: np.ndarray) -> None:
+        """First-move check of one axis, all others braked and without voltage."""
+        motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        motion.reach(self, State.OPERATION_ENABLED, [axis], self._zeros)
+        motion.open_brakes(self, [axis], lambda _: alone)
+        motion.check_first_move(self, axis, self.settings.homings[axis], alone)
+        motion.close_brakes(self, [axis], lambda _: alone)
+        motion.reach(self, State.SWITCH_ON_DISABLED, [axis], self._zeros)
+
+    def _before_sync(self) -> None:
+        if self._imu is not None:
+            self._imu.before_sync()
+
+    def _poll(self, sample: Sample, overdue_s: float) -> None:
+        if self._imu is not None:
+            arrived = self._imu.poll(sample)
+            while not arrived and self._imu_triggered and self.clock.now() < overdue_s:
+                self.clock.wait(IMU_RETRY_S)
+                arrived = self._imu.poll(sample)
+        if self._io is not None:
+            self._io.update(sample)
+
+    def _explain_fault(self, axis: int) -> None:
+        """Raise what made a drive leave operation enabled, with the EMCY that may still be in the queue."""
+        for _ in range(PENDING_FRAMES):
+            if not self.network.pump(0.0):
+                break
+        node = self.drives[axis]
+        emergency = self.supervision.last_emergency(node.node_id) or "no EMCY"
+        raise DeviceFault(
+            f"{node.name} (node {node.node_id}): left operation enabled: "
+            f"{cia402.describe_statusword(self.inputs[axis].statusword)}; {emergency}"
+        )
+
+    def _stopping_on_error(self) -> _StopOnError:
+        return _StopOnError(self)
+
+    def _tick_at_rest(self) -> None:
+        self._cyclic.run(self._zeros.tolist(), self.sample, self._before_sync)
+        if self._io is not None:
+            self._io.update(self.sample)
+
+    def _close_all_brakes(self) -> None:
+        self.command_brakes({axis: False for axis in self.axes})
+
+    def _brakes_closed(self) -> bool:
+        return not any(self.has_brake(axis) and self.sample.brakes_open[axis] for axis in range(len(self.axes)))
+
+
+class _StopOnError:
+    """Whatever leaves the block as an error has stopped the motors first."""
+
+    def __init__(self, machine: CanMachine) -> None:
+        self._machine = machine
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self._machine.stop()
