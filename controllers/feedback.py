@@ -114,6 +114,11 @@ class Feedback:
             self._sections, self._state, self._rows, self._limit, self._held, reference, position, excitation, feedforward, out
         )
 
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """`sections`, `state`, `rows`, `limit` and `held` as `feedback_step` takes them; a kernel that runs on them advances this object."""
+        return self._sections, self._state, self._rows, self._limit, self._held
+
     def reset(self) -> None:
         """All states to zero."""
         self._state[:] = 0.0
