@@ -30,9 +30,9 @@ def check_plant(settings: PlantSettings) -> None:
             if joint not in joints:
                 raise PlantError(f"sensors.{encoder.channel}.joints: no joint {joint!r}; the tree has {', '.join(sorted(joints))}")
     axes = {drive.axis for drive in settings.drives}
-    for sensor in (*settings.currents, *settings.thermometers):
-        if sensor.axis not in axes:
-            raise PlantError(f"sensors.{sensor.channel}.axis = {sensor.axis!r}: no such axis; the machine has {', '.join(sorted(axes))}")
+    for channel, axis in [(s.channel, s.axis) for s in settings.currents] + [(s.channel, s.axis) for s in settings.thermometers]:
+        if axis not in axes:
+            raise PlantError(f"sensors.{channel}.axis = {axis!r}: no such axis; the machine has {', '.join(sorted(axes))}")
     for where, name in [(f"sensors.{imu.name}.body", imu.body) for imu in settings.imus] + [
         ("watched body", name) for name in settings.watched_bodies
     ]:

@@ -1,0 +1,187 @@
+"""The emulated physics: plant, effects and sensors, stepped by one sample. It knows no bus."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.statics import holding_effort, resting_state
+from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
+from virtual_bus.settings import PlantSettings
+
+if TYPE_CHECKING:
+    import control
+
+NOISE_BLOCK = 256  # samples of noise drawn at once: one call of a generator costs more than its numbers
+
+
+@dataclass
+class Latched:
+    """Sensor readings of one instant. One object is reused for every sample: copy what must be kept."""
+
+    position_counts: np.ndarray  # (axes,) int64 motor side, zero where the machine was placed; 0 without a resolution
+    link_counts: np.ndarray  # (axes,) int64 absolute, zero at joint position zero; 0 without a link encoder
+    position: np.ndarray  # (axes,) rad or m at the joint, on the encoder's lattice; NaN without one
+    link_position: np.ndarray  # (axes,) rad or m; NaN without a link encoder
+    effort: np.ndarray  # (axes,) drive's unit
+    imu: np.ndarray  # (6 imus,) specific force m/s^2, angular rate rad/s; six NaN without an IMU
+    temperature_degC: np.ndarray  # (axes,) NaN without a thermometer
+
+
+class Physics:
+    """One emulated machine's physics in time.
+
+    Parameters
+    ----------
+    settings : PlantSettings
+        The machine, effects included.
+    seed : int
+        Of the sensors' noise. Every channel draws from its own stream, so a channel more changes no other.
+    noise : bool
+        False: no noise at all; everything else as it is.
+    """
+
+    def __init__(self, settings: PlantSettings, seed: int = 0, noise: bool = True) -> None:
+        self.settings = settings
+        self.axes = tuple(drive.axis for drive in settings.drives)
+        self.plant = compile_plant(settings)
+        self.model = self.plant.model()
+        self._work = self.plant.new_work()
+        self._sensors = compiled_sensors()
+        self._sensor_model = sensor_model(settings)
+        self._readings = new_readings(settings)
+        self._imu = np.zeros(6 * len(settings.imus))
+        self._noise = _Noise(settings, seed) if noise else None
+        self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
+        self._latched = _new_latched(settings)
+        self._effort = np.zeros(len(self.axes))
+        self._brakes = np.zeros(len(self.axes))
+        self._temperature_rise = np.zeros(len(self.axes))
+        self._zero_counts = np.zeros(len(self.axes), dtype=np.int64)
+        self.place(np.zeros(len(self.axes)))
+
+    @property
+    def time_s(self) -> float:
+        """Time since the machine was placed, counted in whole samples."""
+        return self._samples * self.settings.sample_period_s
+
+    def place(self, axis_positions: np.ndarray) -> None:
+        """Standstill in elastic equilibrium with the actuated joints at these positions (axes,) [rad or m], brakes closed, drives off.
+
+        Time starts at zero and the motor side's counts too; windings are as cold as the room. An axis without a brake starts to fall.
+
+        Raises
+        ------
+        PlantError
+            There is no such equilibrium.
+        """
+        self._state = resting_state(self.plant, self.model, np.asarray(axis_positions, dtype=float), held_by_brakes=True)
+        self._effort[:] = 0.0
+        self._brakes[:] = 1.0
+        self._temperature_rise[:] = 0.0
+        self._samples = 0
+        self._zero_counts[:] = 0
+        self._zero_counts[:] = self.latch_exactly().position_counts
+
+    def set_brakes(self, closed: np.ndarray) -> None:
+        """Close or open the brakes (axes,). A closed brake is Coulomb friction of the joint's `brake_effort`."""
+        self._brakes[:] = np.asarray(closed, dtype=bool)
+
+    def apply(self, effort: np.ndarray) -> None:
+        """What the motors feel from now on (axes,) in the drives' units, as the drives have quantised and limited it."""
+        self._effort[:] = effort
+
+    def latch(self) -> Latched:
+        """Sensor readings of this instant. Every call draws new noise."""
+        return self._measure(self._no_noise if self._noise is None else self._noise.draw())
+
+    def latch_exactly(self) -> Latched:
+        """The same without noise; draws nothing. Bias, low passes and lattices are in it."""
+        return self._measure(self._no_noise)
+
+    def _measure(self, noise: np.ndarray) -> Latched:
+        self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
+        readings, latched = self._readings, self._latched
+        self._sensors.measure(self._state, self._effort, self._temperature_rise, self._imu, noise, self._sensor_model, readings)
+        latched.position_counts[:] = _counts(readings.position, self._sensor_model.position_resolution) - self._zero_counts
+        latched.link_counts[:] = _counts(readings.link_position, self._sensor_model.link_resolution)
+        latched.position[:] = readings.position
+        latched.link_position[:] = readings.link_position
+        latched.effort[:] = readings.effort
+        latched.imu[:] = readings.imu if len(readings.imu) else np.nan
+        latched.temperature_degC[:] = readings.temperature_degC
+        return latched
+
+    def advance(self) -> None:
+        """Let one sample period pass."""
+        self.plant.advance(self._state, self._effort, self._brakes, self.model, self._work)
+        self._sensors.warm_up(self._temperature_rise, self._effort, self._sensor_model)
+        self._samples += 1
+
+    def truth(self) -> dict[str, np.ndarray]:
+        """What only an emulator knows: joint positions, speeds and friction efforts of the last step (n,), poses of the watched bodies.
+
+        `pose_<body>` is (12,): the position of the body's frame in the world, then its rotation by rows.
+        """
+        n = self.plant.joints
+        poses = np.zeros((len(self.settings.watched_bodies), 12))
+        if len(poses):
+            self.plant.poses(self._state[:n], self.model.constants, poses)
+        truth = {
+            "joint_position": self._state[:n].copy(),
+            "joint_speed": self._state[n : 2 * n].copy(),
+            "friction_effort": self._state[3 * n : 4 * n].copy(),
+        }
+        return truth | {f"pose_{body}": pose for body, pose in zip(self.settings.watched_bodies, poses, strict=True)}
+
+    def holding_effort(self, axis_positions: np.ndarray) -> np.ndarray:
+        """Drive efforts (axes,) in the drives' units that hold the machine in static equilibrium at these positions (axes,)."""
+        return holding_effort(self.plant, self.model, np.asarray(axis_positions, dtype=float))
+
+    def linearise(self, axis_positions: np.ndarray) -> control.StateSpace:
+        """The plant as a linear system about rest at these positions, actuated joints free; friction effects and brakes are left out."""
+        from virtual_bus.plant.linearise import linearised  # here because importing control takes as long as everything else together
+
+        return linearised(self.plant, self.model, np.asarray(axis_positions, dtype=float))
+
+
+class _Noise:
+    """White noise of every channel, each from its own stream."""
+
+    def __init__(self, settings: PlantSettings, seed: int) -> None:
+        rms = noise_rms(settings)
+        self._rms = np.array(list(rms.values()))
+        self._streams = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in rms]
+        self._block = np.zeros((NOISE_BLOCK, len(rms)))
+        self._used = NOISE_BLOCK
+
+    def draw(self) -> np.ndarray:
+        """Noise (channels,) of one sample, in the channels' units."""
+        if self._used == NOISE_BLOCK:
+            for column, stream in enumerate(self._streams):
+                self._block[:, column] = self._rms[column] * stream.standard_normal(NOISE_BLOCK)
+            self._used = 0
+        self._used += 1
+        return self._block[self._used - 1]
+
+
+def _counts(position: np.ndarray, resolution: np.ndarray) -> np.ndarray:
+    """Whole counts (axes,) of positions that are on the lattice already; 0 where there is no lattice."""
+    counts = np.zeros(len(position), dtype=np.int64)
+    for i in range(len(position)):
+        if resolution[i] > 0.0:
+            counts[i] = round(position[i] / resolution[i])
+    return counts
+
+
+def _new_latched(settings: PlantSettings) -> Latched:
+    axes = len(settings.drives)
+
+    def counts() -> np.ndarray:
+        return np.zeros(axes, dtype=np.int64)
+
+    return Latched(counts(), counts(), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(max(6 * len(settings.imus), 6)), np.zeros(axes))

@@ -1,0 +1,85 @@
+"""A plant at rest: elastic equilibrium, and the effort that holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.errors import PlantError
+from virtual_bus.plant.compiled import CompiledPlant
+from virtual_bus.plant.model import Model
+
+DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
+TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
+MAX_ITERATIONS = 50
+LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
+
+
+def static_effort(plant: CompiledPlant, model: Model, joint_positions: np.ndarray) -> np.ndarray:
+    """Effort (n,) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (n,)."""
+    n = plant.joints
+    mass, bias = np.zeros((n, n)), np.zeros(n)
+    plant.mass_and_bias(np.ascontiguousarray(joint_positions, dtype=float), np.zeros(n), model.constants, mass, bias)
+    return bias + model.stiffness * (joint_positions - model.rest_position)
+
+
+def static_stiffness(plant: CompiledPlant, model: Model, joint_positions: np.ndarray) -> np.ndarray:
+    """Gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
+    n = plant.joints
+    gradient = np.zeros((n, n))
+    for j in range(n):
+        shift = np.zeros(n)
+        shift[j] = DIFFERENCE
+        ahead = static_effort(plant, model, joint_positions + shift)
+        behind = static_effort(plant, model, joint_positions - shift)
+        gradient[:, j] = (ahead - behind) / (2.0 * DIFFERENCE)
+    return gradient
+
+
+def equilibrium(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) -> np.ndarray:
+    """Joint positions (n,) at rest with the actuated joints held at `axis_positions` (axes,): springs against gravity.
+
+    Raises
+    ------
+    PlantError
+        A joint that is neither actuated nor sprung has nothing to rest against.
+    """
+    held = list(plant.joint_of_axis().values())
+    free = [j for j in range(plant.joints) if j not in held]
+    q = np.where(model.stiffness > 0.0, model.rest_position, 0.0)
+    q[held] = axis_positions
+    for _ in range(MAX_ITERATIONS):
+        gradient = static_stiffness(plant, model, q)[np.ix_(free, free)]
+        try:
+            step = -np.linalg.solve(gradient, static_effort(plant, model, q)[free])
+        except np.linalg.LinAlgError:
+            step = np.full(len(free), np.nan)
+        if not np.isfinite(step).all():
+            break
+        largest = float(np.abs(step).max(initial=0.0))
+        q[free] += step * min(1.0, LARGEST_STEP / max(largest, 1e-300))
+        if largest < TOLERANCE:
+            return q
+    names = ", ".join(plant.settings.tree.joints[j].name for j in free)
+    raise PlantError(f"no elastic equilibrium at axis positions {np.round(axis_positions, 6).tolist()}: is one of {names} without stiffness?")
+
+
+def holding_effort(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) -> np.ndarray:
+    """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
+    held = list(plant.joint_of_axis().values())
+    return static_effort(plant, model, equilibrium(plant, model, axis_positions))[held] / model.effort_gain
+
+
+def resting_state(plant: CompiledPlant, model: Model, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
+    """Plant state (state_size,) at rest in elastic equilibrium, with the IMUs' low passes settled.
+
+    `held_by_brakes` says whether closed brakes carry the load (drive effort zero) or the drives do (their effort is `holding_effort`).
+    """
+    n = plant.joints
+    q = equilibrium(plant, model, axis_positions)
+    state = plant.new_state(q)
+    held = list(plant.joint_of_axis().values())
+    if held_by_brakes:
+        state[3 * n + np.array(held)] = static_effort(plant, model, q)[held]
+    if len(plant.settings.imus):
+        plant.imu(q, np.zeros(n), np.zeros(n), model.constants, state[4 * n :])
+    return state

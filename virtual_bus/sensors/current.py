@@ -1,0 +1,25 @@
+"""What a drive measures of its own current (or effort): what acts, white noise, and the converter's lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.plant.jit import compiled
+from virtual_bus.sensors.encoder import quantised
+from virtual_bus.settings import PlantSettings
+
+
+@compiled
+def measured_effort(effort: float, noise: float, resolution: float) -> float:
+    """Reading [drive's unit] of an effort with this sample's noise."""
+    return quantised(effort + noise, resolution)
+
+
+def current_arrays(settings: PlantSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Resolution and noise rms (axes,) in the drives' units; NaN where an axis has no such sensor."""
+    by_axis = {current.axis: current for current in settings.currents}
+    found = [by_axis.get(drive.axis) for drive in settings.drives]
+    return (
+        np.array([current.resolution if current else np.nan for current in found]),
+        np.array([current.noise_rms if current else np.nan for current in found]),
+    )

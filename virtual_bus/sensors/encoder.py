@@ -1,0 +1,37 @@
+"""Encoders: the sum of one or more joints, on a lattice that is fixed to the scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from virtual_bus.plant.jit import compiled
+from virtual_bus.settings import Encoder, PlantSettings
+
+
+@compiled
+def quantised(value: float, resolution: float) -> float:
+    """The nearest multiple of `resolution`, halves upwards: resolution * floor(value / resolution + 1/2). No lattice when it is 0."""
+    return value if resolution <= 0.0 else resolution * math.floor(value / resolution + 0.5)
+
+
+@compiled
+def summed_position(weights: np.ndarray, joint_positions: np.ndarray) -> float:
+    """Position [rad or m] seen by an encoder whose joints have weight 1 and all others 0."""
+    total = 0.0
+    for j in range(len(weights)):
+        total += weights[j] * joint_positions[j]
+    return total
+
+
+def encoder_arrays(settings: PlantSettings, prefix: str) -> tuple[np.ndarray, np.ndarray]:
+    """Joint weights (axes, n) and resolutions (axes,) of the encoders `<prefix>_<axis>`; resolution NaN where an axis has none."""
+    chosen = {encoder.channel: encoder for encoder in settings.encoders}
+    encoders: Sequence[Encoder | None] = [chosen.get(f"{prefix}_{drive.axis}") for drive in settings.drives]
+    weights = np.zeros((len(encoders), len(settings.tree.joints)))
+    for row, encoder in zip(weights, encoders, strict=True):
+        for joint in encoder.joints if encoder else ():
+            row[settings.tree.joint_index(joint)] += 1.0
+    return weights, np.array([encoder.resolution if encoder else np.nan for encoder in encoders])

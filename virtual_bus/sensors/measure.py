@@ -1,0 +1,135 @@
+"""All sensors of a machine at one instant, as one compiled function on arrays.
+
+With zeros for noise it is the noise-free machine that a simulation compares against.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from virtual_bus.plant import jit
+from virtual_bus.plant.jit import compiled
+from virtual_bus.plant.modules import load_generated
+from virtual_bus.sensors import current, encoder, imu, thermometer
+from virtual_bus.sensors.current import current_arrays, measured_effort
+from virtual_bus.sensors.encoder import encoder_arrays, quantised, summed_position
+from virtual_bus.sensors.imu import imu_arrays, measured_channel
+from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
+from virtual_bus.settings import PlantSettings
+
+
+class SensorModel(NamedTuple):
+    """What the sensors of a machine are like. NaN resolution (ambient, for thermometers): the axis has no such sensor."""
+
+    position_joints: np.ndarray  # (axes, n) weights of the joints in the sum
+    position_resolution: np.ndarray  # (axes,) rad or m
+    link_joints: np.ndarray  # (axes, n)
+    link_resolution: np.ndarray  # (axes,)
+    effort_resolution: np.ndarray  # (axes,) drive's unit
+    imu_bias: np.ndarray  # (6 imus,)
+    imu_resolution: np.ndarray  # (6 imus,)
+    ambient_degC: np.ndarray  # (axes,)
+    rise_per_effort2: np.ndarray  # (axes,) K
+    temperature_decay: np.ndarray  # (axes,) over one sample
+    temperature_resolution: np.ndarray  # (axes,) K
+
+
+class Readings(NamedTuple):
+    """Sensor readings of one instant in SI and the drives' units; NaN where an axis has no such sensor. Preallocated, overwritten."""
+
+    position: np.ndarray  # (axes,)
+    link_position: np.ndarray  # (axes,)
+    effort: np.ndarray  # (axes,)
+    imu: np.ndarray  # (6 imus,)
+    temperature_degC: np.ndarray  # (axes,)
+
+
+def sensor_model(settings: PlantSettings) -> SensorModel:
+    position_joints, position_resolution = encoder_arrays(settings, "position")
+    link_joints, link_resolution = encoder_arrays(settings, "link_position")
+    bias, _, imu_resolution = imu_arrays(settings)
+    return SensorModel(
+        position_joints, position_resolution, link_joints, link_resolution, current_arrays(settings)[0], bias, imu_resolution,
+        *thermometer_arrays(settings),
+    )  # fmt: skip
+
+
+def new_readings(settings: PlantSettings) -> Readings:
+    axes = len(settings.drives)
+    return Readings(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(6 * len(settings.imus)), np.zeros(axes))
+
+
+def noise_rms(settings: PlantSettings) -> dict[str, float]:
+    """Standard deviation of every noisy channel, by channel name, in the order `measure` takes its noise: efforts by axis, then IMUs."""
+    by_axis = {sensor.axis: sensor for sensor in settings.currents}
+    noises = {f"current_{d.axis}": by_axis[d.axis].noise_rms if d.axis in by_axis else 0.0 for d in settings.drives}
+    letters = [f"{sensor}_{axis}" for sensor in ("accelerometer", "gyro") for axis in "xyz"]
+    names = [f"{unit.name}.{letter}" for unit in settings.imus for letter in letters]
+    return noises | dict(zip(names, imu_arrays(settings)[1].tolist(), strict=True))
+
+
+@compiled
+def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
+    """Every sensor's reading of this instant.
+
+    Parameters
+    ----------
+    state : the plant's, joint positions first
+    effort : (axes,) that acts from now on, in the drives' units
+    temperature_rise : (axes,) K above ambient
+    imu_reading : (6 imus,) from the plant's `imu_reading`
+    noise : (axes + 6 imus,) of this sample, in the channels' units
+    sensors : SensorModel
+    readings : Readings, overwritten
+    """
+    axes = len(effort)
+    for i in range(axes):
+        seen = summed_position(sensors.position_joints[i], state)
+        readings.position[i] = quantised(seen, sensors.position_resolution[i]) if sensors.position_resolution[i] >= 0.0 else np.nan
+        seen = summed_position(sensors.link_joints[i], state)
+        readings.link_position[i] = quantised(seen, sensors.link_resolution[i]) if sensors.link_resolution[i] >= 0.0 else np.nan
+        is_measured = sensors.effort_resolution[i] >= 0.0
+        readings.effort[i] = measured_effort(effort[i], noise[i], sensors.effort_resolution[i]) if is_measured else np.nan
+        temperature = sensors.ambient_degC[i] + temperature_rise[i]
+        readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
+    for k in range(len(imu_reading)):
+        readings.imu[k] = measured_channel(imu_reading[k], sensors.imu_bias[k], noise[axes + k], sensors.imu_resolution[k])
+
+
+@compiled
+def warm_up(temperature_rise, effort, sensors):
+    """Temperatures one sample later, in place."""
+    for i in range(len(effort)):
+        temperature_rise[i] = warmed(temperature_rise[i], effort[i], sensors.rise_per_effort2[i], sensors.temperature_decay[i])
+
+
+ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""
+
+from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.sensors import measure as _sensors
+
+
+@compiled_and_cached
+def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
+    _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
+
+
+@compiled_and_cached
+def warm_up(temperature_rise, effort, sensors):
+    _sensors.warm_up(temperature_rise, effort, sensors)
+'''
+
+
+def sensor_sources() -> str:
+    """Source of everything `measure` is compiled from: what a module that fuses it depends on."""
+    return "\n".join(inspect.getsource(module) for module in (jit, current, encoder, imu, thermometer, sys.modules[__name__]))
+
+
+def compiled_sensors() -> ModuleType:
+    """Module with `measure` and `warm_up`, compiled once and cached."""
+    return load_generated("sensors", ENTRY_POINTS, sensor_sources())
