@@ -1,5 +1,6 @@
 """Experiments: what the bench is asked to do, worked out row by row and held against limits before anything moves."""
 
+from hil.experiments.file import experiment_from_text, read_experiment, write_experiment
 from hil.experiments.jog import Jog, JogOnly
 from hil.experiments.move import Move
 from hil.experiments.multisine import Multisine
@@ -7,4 +8,16 @@ from hil.experiments.plan import Experiment, Plan
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
 
-__all__ = ["Experiment", "Jog", "JogOnly", "Move", "Multisine", "Plan", "Scan", "Static"]
+__all__ = [
+    "Experiment",
+    "Jog",
+    "JogOnly",
+    "Move",
+    "Multisine",
+    "Plan",
+    "Scan",
+    "Static",
+    "experiment_from_text",
+    "read_experiment",
+    "write_experiment",
+]

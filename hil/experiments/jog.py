@@ -114,8 +114,8 @@ class JogOnly:
         deviation = self.jog.motion(machine, self.axes, period_samples, self.settle_periods, self.periods)
         reference = pose + deviation
         safety = Safety(machine, pose)
-        safety.check_reference("jog", reference)
-        safety.check_periodic("jog", deviation[-period_samples:], np.zeros((period_samples, len(pose))))
+        safety.check_reference("jog", reference, "" if self.settle_periods else "; with settle_periods = 1 the jog grows in slowly")
+        peaks = safety.check_periodic("jog", deviation[-period_samples:], [np.zeros((period_samples, len(pose)))])
         metadata = experiment_metadata(
             "jog",
             period_samples=period_samples,
@@ -125,4 +125,4 @@ class JogOnly:
             jog=self.jog.described(machine, self.axes, period_samples),
             odd_even_split=self.jog.on_line(machine, period_samples) % 2 == 1,
         )
-        return [safety.plan(reference, np.zeros_like(reference), pose, metadata)]
+        return [safety.plan(reference, np.zeros_like(reference), pose, metadata, tuple(peaks))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,10 @@ def experiment_metadata(
     realisations: int = 1,
     experiment: int = 0,
     experiments: int = 1,
-    excited_lines: Sequence[int] = (),
+    excited_lines: Iterable[int] = (),
     seed: int = 0,
-    amplitude: Sequence[float] = (),
-    crest_factor: Sequence[float] = (),
+    amplitude: Iterable[float] = (),
+    crest_factor: Iterable[float] = (),
     jog: dict[str, Any] | None = None,
     odd_even_split: bool = False,
 ) -> dict[str, Any]:

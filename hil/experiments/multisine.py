@@ -81,7 +81,8 @@ class Multisine:
         repeats = self.settle_periods + self.periods
         jog_on_line = None if self.jog is None else self.jog.on_line(machine, period_samples)
         lines = self._lines(machine, period_samples, jog_on_line)
-        split, why_not = odd_even_split(lines, jog_on_line)
+        split, reason = odd_even_split(lines, jog_on_line)
+        why_not = (reason,) if reason else ()
         deviation = np.zeros((repeats * period_samples, len(pose)))
         jog_table = {}
         if self.jog is not None:
@@ -89,10 +90,9 @@ class Multisine:
             jog_table = self.jog.described(machine, self.axes, period_samples)
         reference = pose + deviation
         safety = Safety(machine, pose)
-        safety.check_reference("multisine", reference)
-        plans = []
-        for realisation in range(self.realisations):
-            drawn = multisine(
+        safety.check_reference("multisine", reference, "" if self.settle_periods else "; with settle_periods = 1 the jog grows in slowly")
+        drawn = [
+            multisine(
                 lines,
                 rms,
                 period_samples,
@@ -102,33 +102,36 @@ class Multisine:
                 realisation=realisation,
                 phases=self.phases,
             )
-            for experiment in range(len(excited)):
-                period = np.zeros((period_samples, len(pose)))
-                period[:, excited] = drawn.signals[experiment].T
-                asked = self.amplitude_A if not isinstance(self.amplitude_A, Mapping) else None
-                peaks = safety.check_periodic("multisine", deviation[-period_samples:], period, amplitude=asked)
-                crest, amplitude = np.zeros(len(pose)), np.zeros(len(pose))
-                crest[excited] = drawn.crest_factor[experiment]
-                amplitude[excited] = np.where(crest[excited] > 0.0, rms, 0.0)
-                metadata = experiment_metadata(
-                    "multisine",
-                    period_samples=period_samples,
-                    settle_periods=self.settle_periods,
-                    periods=self.periods,
-                    start_pose=pose,
-                    realisation=realisation,
-                    realisations=self.realisations,
-                    experiment=experiment,
-                    experiments=len(excited),
-                    excited_lines=lines,
-                    seed=self.seed,
-                    amplitude=amplitude,
-                    crest_factor=crest,
-                    jog=jog_table,
-                    odd_even_split=split,
-                )
-                notes = (peaks, *((why_not,) if why_not else ()))
-                plans.append(safety.plan(reference, np.tile(period, (repeats, 1)), pose, metadata, notes))
+            for realisation in range(self.realisations)
+        ]
+        periods = np.zeros((self.realisations, len(excited), period_samples, len(pose)))
+        periods[..., excited] = [each.signals.transpose(0, 2, 1) for each in drawn]
+        asked = None if isinstance(self.amplitude_A, Mapping) else float(self.amplitude_A)
+        peaks = safety.check_periodic("multisine", deviation[-period_samples:], list(periods.reshape(-1, *periods.shape[2:])), asked)
+        plans: list[Plan] = []
+        for realisation, experiment in np.ndindex(periods.shape[:2]):
+            crest, amplitude = np.zeros(len(pose)), np.zeros(len(pose))
+            crest[excited] = drawn[realisation].crest_factor[experiment]
+            amplitude[excited] = np.where(crest[excited] > 0.0, rms, 0.0)
+            metadata = experiment_metadata(
+                "multisine",
+                period_samples=period_samples,
+                settle_periods=self.settle_periods,
+                periods=self.periods,
+                start_pose=pose,
+                realisation=realisation,
+                realisations=self.realisations,
+                experiment=experiment,
+                experiments=len(excited),
+                excited_lines=lines,
+                seed=self.seed,
+                amplitude=amplitude,
+                crest_factor=crest,
+                jog=jog_table,
+                odd_even_split=split,
+            )
+            excitation = np.tile(periods[realisation, experiment], (repeats, 1))
+            plans.append(safety.plan(reference, excitation, pose, metadata, (peaks[len(plans)], *why_not)))
         return plans
 
     def _rms(self, machine: Machine, excited: np.ndarray) -> np.ndarray:

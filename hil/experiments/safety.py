@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from hil.errors import ExperimentError
 from hil.experiments.plan import Plan
-from hil.experiments.prediction import ClosedLoop
+from hil.experiments.prediction import ClosedLoop, Steady
 from hil.machine import Machine
 from virtual_bus.physics import Physics
 
@@ -89,7 +90,7 @@ class Safety:
                     f"{COMMAND_SHARE:.0%} of its {controller.limit:g} {unit} limit may be used"
                 )
 
-    def check_reference(self, kind: str, reference: np.ndarray) -> None:
+    def check_reference(self, kind: str, reference: np.ndarray, hint: str = "") -> None:
         """Range, speed, acceleration and jerk of a reference (N, n_axes) that starts from standstill at the start pose."""
         rate = self._machine.sample_rate_Hz
         from_rest = np.vstack([np.tile(self._pose, (3, 1)), reference])
@@ -103,68 +104,81 @@ class Safety:
                 most = getattr(limit, name)
                 reached = float(np.abs(np.diff(position, order)).max() * rate**order)
                 if reached > most * (1.0 + REFERENCE_SLACK):
-                    hint = "; a jog needs a settling period to grow in" if kind in ("jog", "multisine") else ""
                     value = f"{reached:.4g} {limit.unit}/s{'' if order == 1 else order}"
-                    raise ExperimentError(f"{kind}: the reference of {limit.axis} has a {name} of {value}, the limit is {most:.4g}{hint}")
+                    raise ExperimentError(f"{kind}: the reference of {limit.axis} reaches {name} {value}, the limit is {most:.4g}{hint}")
 
-    def check_periodic(self, kind: str, deviation: np.ndarray, excitation: np.ndarray, amplitude: float | None = None) -> str:
-        """Steady periodic response of the linearised closed loop to one period of both, (N, n_axes) each, against every limit.
+    def check_periodic(
+        self, kind: str, deviation: np.ndarray, excitations: Sequence[np.ndarray], amplitude: float | None = None
+    ) -> list[str]:
+        """Steady periodic response of the linearised closed loop against every limit.
 
         Parameters
         ----------
+        deviation : (N, n_axes) array
+            One period of the reference about the start pose.
+        excitations : sequence of (N, n_axes) arrays
+            One period of each recording's excitation.
         amplitude : float, optional
-            What the excitation was asked for, to name the largest that would do.
+            What the excitation of all axes was asked for, to name the largest that would do.
 
         Returns
         -------
-        str
-            Predicted peak command per axis, for the person at the bench.
+        list of str
+            Per excitation the predicted peak command of each axis, for the person at the bench.
 
         Raises
         ------
         ExperimentError
-            A limit would be broken; names the quantity, the limit and the largest amplitude that would do.
+            A limit would be broken by one of them; names the quantity, the limit and the largest amplitude that would do for all.
         """
-        bounds = self._bounds(deviation, excitation)
-        tightest = min(bounds, key=lambda bound: bound.largest_share)
-        share = tightest.largest_share
-        if share < 1.0:
-            limit = f"{tightest.lower:.4g} to {tightest.upper:.4g} {tightest.unit}"
-            broken = f"{kind}: {tightest.what} would reach {tightest.extreme:.4g} {tightest.unit}; allowed is {limit}"
-            if share <= 0.0:
-                raise ExperimentError(f"{broken}, which holding and jog alone would break")
-            largest = rounded_down(share if amplitude is None else share * amplitude)
-            if amplitude is None:
-                raise ExperimentError(f"{broken}; at most {largest:.3g} times these amplitudes would do")
-            raise ExperimentError(f"{broken}; an amplitude of at most {largest:.3g} instead of {amplitude:g} would do")
-        commands = [bound for bound in bounds if bound.what.startswith("command")]
-        peaks = [
-            f"{axis} {np.abs(bound.offset + bound.slope).max():.2f} of {controller.limit:g} {bound.unit}"
-            for axis, bound, controller in zip(self._machine.axes, commands, self._machine.controllers, strict=True)
-        ]
-        return "predicted peak command: " + ", ".join(peaks)
+        moved = self._loop.steady(deviation, self._feedforward(deviation))
+        found = [self._bounds(deviation, moved, self._loop.steady(np.zeros_like(deviation), each)) for each in excitations]
+        tightest = min((bound for bounds in found for bound in bounds), key=lambda bound: bound.largest_share)
+        if tightest.largest_share < 1.0:
+            raise ExperimentError(f"{kind}: {self._complaint(tightest, amplitude)}")
+        return [self._peaks(bounds) for bounds in found]
 
-    def _bounds(self, deviation: np.ndarray, excitation: np.ndarray) -> list[Bound]:
-        loop = self._loop
-        moved, driven = loop.steady(deviation, np.zeros_like(excitation)), loop.steady(np.zeros_like(deviation), excitation)
+    def _bounds(self, deviation: np.ndarray, moved: Steady, driven: Steady) -> list[Bound]:
+        """Every limit that one excitation could break. Acceleration and jerk are limits of references: what an excitation does there is
+        bounded by the drives' effort."""
         bounds = []
         for axis, (limit, controller) in enumerate(zip(self._machine.limits, self._machine.controllers, strict=True)):
-            most = COMMAND_SHARE * controller.limit
-            rows = [
-                (f"command of {limit.axis}", self._effort_units[axis], -most, most, loop.holding[axis] + moved.command, driven.command),
-                (f"position of {limit.axis}", limit.unit, limit.lower, limit.upper, self._pose[axis] + moved.position, driven.position),
-                (f"speed of {limit.axis}", f"{limit.unit}/s", -limit.speed, limit.speed, moved.speed, driven.speed),
-                (
-                    f"tracking error of {limit.axis}",
-                    limit.unit,
-                    -limit.tracking_error,
-                    limit.tracking_error,
-                    deviation - moved.position,
-                    -driven.position,
-                ),
+            most, error = COMMAND_SHARE * controller.limit, limit.tracking_error
+            rows = (
+                ("command", self._effort_units[axis], -most, most, self._loop.holding[axis] + moved.command, driven.command),
+                ("position", limit.unit, limit.lower, limit.upper, self._pose[axis] + moved.position, driven.position),
+                ("speed", f"{limit.unit}/s", -limit.speed, limit.speed, moved.speed, driven.speed),
+                ("tracking error", limit.unit, -error, error, deviation - moved.position, -driven.position),
+            )
+            bounds += [
+                Bound(f"{what} of {limit.axis}", unit, low, high, at_rest[:, axis], by[:, axis])
+                for what, unit, low, high, at_rest, by in rows
             ]
-            bounds += [Bound(what, unit, low, high, offset[:, axis], slope[:, axis]) for what, unit, low, high, offset, slope in rows]
         return bounds
+
+    def _feedforward(self, deviation: np.ndarray) -> np.ndarray:
+        """What gravity feedforward adds to the command on the way, beyond standstill."""
+        along = gravity_feedforward(self._machine, self._physics, self._pose + deviation)
+        at_rest = gravity_feedforward(self._machine, self._physics, self._pose[None, :])
+        return np.zeros_like(deviation) if along is None or at_rest is None else along - at_rest
+
+    def _complaint(self, bound: Bound, amplitude: float | None) -> str:
+        limit = f"{bound.lower:.4g} to {bound.upper:.4g} {bound.unit}"
+        broken = f"{bound.what} would reach {bound.extreme:.4g} {bound.unit}; allowed is {limit}"
+        if bound.largest_share <= 0.0:
+            return f"{broken}, which holding and jog break by themselves"
+        if amplitude is None:
+            return f"{broken}; at most {rounded_down(bound.largest_share):.3g} times these amplitudes would do"
+        unit, largest = self._effort_units[0], rounded_down(bound.largest_share * amplitude)
+        return f"{broken}; an amplitude of at most {largest:.3g} {unit} instead of {amplitude:g} {unit} would do"
+
+    def _peaks(self, bounds: list[Bound]) -> str:
+        commands = [bound for bound in bounds if bound.what.startswith("command")]
+        peaks = [
+            f"{controller.axis} {np.abs(bound.offset + bound.slope).max():.2f} of {controller.limit:g} {bound.unit}"
+            for bound, controller in zip(commands, self._machine.controllers, strict=True)
+        ]
+        return "predicted peak command: " + ", ".join(peaks)
 
     def plan(
         self,
@@ -176,7 +190,7 @@ class Safety:
     ) -> Plan:
         """The plan, with gravity feedforward where an axis asks for it."""
         feedforward = gravity_feedforward(self._machine, self._physics, reference)
-        return Plan(self._machine.axes, reference, reference.copy(), excitation, feedforward, start_pose, metadata, notes)
+        return Plan(self._machine.axes, reference, reference, excitation, feedforward, start_pose, metadata, notes)
 
 
 def gravity_feedforward(machine: Machine, physics: Physics, reference: np.ndarray) -> np.ndarray | None:

@@ -1,0 +1,138 @@
+"""Experiment files (TOML): what `isocenter run` takes and `diagnose` proposes. Keys end in their unit, as in machine files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from controllers.lines import Band
+from hil.errors import ExperimentError
+from hil.experiments.file_tables import AxisTable, dimension_of, validated
+from hil.experiments.file_text import experiment_text
+from hil.experiments.jog import Jog, JogOnly
+from hil.experiments.move import Move
+from hil.experiments.multisine import Multisine
+from hil.experiments.plan import Experiment
+from hil.experiments.scan import Scan
+from hil.experiments.static import Static
+from hil.machine import Machine
+from hil.machine.messages import Complaint, from_validation, one_line
+from hil.machine.table import Table
+
+# field of a table -> field of the experiment, where the latter carries its SI unit
+_NAMES = {
+    "period": "period_s",
+    "dwell": "dwell_s",
+    "duration": "seconds",
+    "amplitude": "amplitude_A",
+    "amplitudes": "amplitude_A",
+    "band": "lines",
+}
+_JOG_NAMES = {"amplitude": "amplitude_rad", "frequency": "frequency_Hz"}
+_BAND_NAMES = {"low": "low_Hz", "high": "high_Hz", "dense": "dense_Hz"}
+
+
+def read_experiment(path: str | Path, machine: Machine) -> Experiment:
+    """Read an experiment for a machine. What a file leaves out has its default, except the jog: without a table [jog] there is none.
+
+    Raises
+    ------
+    ExperimentError
+        One line: file, key, value, what is wrong and what would be right.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ExperimentError(f"{path}: byte {error.start} is no UTF-8; TOML files are UTF-8 text") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        raise ExperimentError(f"{path}: {getattr(error, 'strerror', None) or 'cannot be read'}") from None
+    return experiment_from_text(text, machine, str(path))
+
+
+def experiment_from_text(text: str, machine: Machine, file: str = "experiment") -> Experiment:
+    """Read an experiment from TOML text; `file` is what errors call it. Raises as `read_experiment`."""
+    try:
+        raw = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested too deep
+        raise ExperimentError(f"{file}: no valid TOML: {' '.join(str(error).split())}") from None
+    try:
+        return _experiment(validated(raw, machine), machine)
+    except ValidationError as error:
+        raise ExperimentError(one_line(file, raw, from_validation(error))) from None
+    except Complaint as complaint:
+        raise ExperimentError(one_line(file, raw, complaint)) from None
+
+
+def write_experiment(experiment: Experiment, machine: Machine, path: str | Path) -> None:
+    """Write a file that `read_experiment` reads back equal.
+
+    Raises
+    ------
+    ExperimentError
+        The file cannot be written.
+    """
+    try:
+        Path(path).write_text(experiment_text(experiment, machine), encoding="utf-8")
+    except OSError as error:
+        raise ExperimentError(f"{path}: {error.strerror}") from None
+
+
+def _experiment(table: Any, machine: Machine) -> Experiment:
+    for first, second in (("lines", "band"), ("amplitude", "amplitudes")):
+        if first in type(table).model_fields and table.has(first) and table.has(second):
+            raise Complaint((second,), f"says the same as {table.key(first)}; keep one of them")
+    given = _given(table, _NAMES)
+    given.pop("format")
+    match given.pop("kind"):
+        case "multisine":
+            axes = given.get("axes") or machine.axes
+            if table.has("amplitude"):
+                _check_dimension(table, "amplitude", axes, machine, ())
+            if table.has("band"):
+                given["lines"] = Band(**_given(table.band, _BAND_NAMES))
+            return Multisine(**(given | {"jog": _jog(table.jog, axes, machine) if table.has("jog") else None}))
+        case "jog":
+            if table.has("jog"):
+                given["jog"] = _jog(table.jog, given.get("axes") or machine.axes, machine)
+            return JogOnly(**given)
+        case "scan":
+            for name in ("start", "stop", "speed"):
+                _check_dimension(table, name, (table.axis,), machine, ())
+            return Scan(**given)
+        case "static":
+            return Static(**given)
+        case _:
+            return Move(start=given.get("start", {}), goal=given.get("goal", {}))
+
+
+def _given(table: Table, names: dict[str, str]) -> dict[str, Any]:
+    """What the file says, by the experiment's field names."""
+    found = {}
+    for name in type(table).model_fields:
+        if table.has(name):
+            value = getattr(table, name)
+            found[names.get(name, name)] = value.by_axis() if isinstance(value, AxisTable) else value
+    return found
+
+
+def _jog(table: Any, axes: Iterable[str], machine: Machine) -> Jog:
+    fields = _given(table, _JOG_NAMES)
+    _check_dimension(table, "amplitude", fields.get("axes") or axes, machine, ("jog",))
+    return Jog(**fields)
+
+
+def _check_dimension(table: Table, name: str, axes: Iterable[str], machine: Machine, where: tuple[str, ...]) -> None:
+    """Angles on revolute axes, lengths on prismatic ones, the drive's unit for efforts."""
+    units = {each.axis: each for each in machine.units}
+    for axis in axes:
+        if axis not in units:
+            place = "axis" if table.has("axis") else "axes"
+            raise Complaint((*where, place), f"{machine.name} has no axis {axis}; it has {', '.join(units)}")
+        unit = units[axis].effort if name == "amplitude" and not where else units[axis].position
+        wanted, found = dimension_of(unit), table.dimension(name)
+        if found is not None and found != wanted and not (name == "speed" and found == ("angular_speed" if wanted == "angle" else "speed")):
+            raise Complaint((*where, table.key(name)), f"{axis} takes {unit}{'/s' if name == 'speed' else ''} here")
