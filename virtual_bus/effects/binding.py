@@ -1,0 +1,110 @@
+"""Effects by name, checked against the catalogue and bound to the places of a machine."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.registry import effects
+from virtual_bus.errors import EffectError
+from virtual_bus.settings import EffectSetting, PlantSettings
+
+RESERVED = ("name", "at")
+
+
+def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSettings, where: str = "effects") -> tuple[EffectSetting, ...]:
+    """Effects of an effects file on one machine.
+
+    Parameters
+    ----------
+    entries : sequence of mappings
+        `{"name": "coulomb_friction", "at": "roll", "Fc_Nm": 12.0}`, as TOML reads them.
+    settings : PlantSettings
+        The machine.
+    where : str
+        What the entries come from, for the error.
+
+    Raises
+    ------
+    EffectError
+        An effect that does not exist, acts where it may not, is given twice at one place, or lacks a parameter or has one too many, or out of
+        bounds.
+    """
+    bound: list[EffectSetting] = []
+    for number, entry in enumerate(entries, start=1):
+        setting = _bind(entry, settings, f"{where}: effect {number}")
+        if any((setting.name, setting.at) == (other.name, other.at) for other in bound):
+            raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; one entry holds all its parameters")
+        bound.append(setting)
+    return tuple(bound)
+
+
+def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[dict[str, object]]:
+    """Bound effects as an effects file writes them: the inverse of `bind_effects`."""
+    entries = []
+    for setting in bound:
+        prismatic = _is_prismatic(setting.at, settings)
+        keys = {parameter.name: parameter.key(prismatic) for parameter in effects()[setting.name].parameters}
+        entries.append({"name": setting.name, "at": setting.at} | {keys[name]: value for name, value in setting.parameters.items()})
+    return entries
+
+
+def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> EffectSetting:
+    name = entry.get("name")
+    known = effects()
+    if not isinstance(name, str) or name not in known:
+        hint = difflib.get_close_matches(str(name), known, n=1) if name is not None else []
+        raise EffectError(f"{where}: name = {name!r}: no such effect; " + (f"did you mean {hint[0]}?" if hint else _listed("there is", known)))
+    effect = known[name]
+    at = entry.get("at")
+    places = _places(effect, settings)
+    if at not in places:
+        kinds = " or ".join(effect.kind.allowed_at)
+        raise EffectError(f"{where}: {name}: at = {at!r}: acts at an {kinds} of the machine; {_listed('there is', places)}")
+    assert isinstance(at, str)
+    return EffectSetting(name, at, _parameters(effect, entry, _is_prismatic(at, settings), f"{where}: {name} at {at!r}"))
+
+
+def _parameters(effect: Effect, entry: Mapping[str, object], prismatic: bool, where: str) -> dict[str, float]:
+    keys = {parameter.key(prismatic): parameter for parameter in effect.parameters}
+    for key in entry:
+        if key not in keys and key not in RESERVED:
+            raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")
+    values = {}
+    for key, parameter in keys.items():
+        if key not in entry:
+            raise EffectError(f"{where}: {key} is missing: {parameter.description}")
+        value = entry[key]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not is_number or not parameter.low <= float(value) <= parameter.high:  # type: ignore[arg-type]
+            unit = parameter.unit_at(prismatic)
+            raise EffectError(f"{where}: {key} = {value!r}: must be a number from {parameter.low:g} to {parameter.high:g}{' ' + unit if unit else ''}")
+        values[parameter.name] = float(value)  # type: ignore[arg-type]
+    return values
+
+
+def _places(effect: Effect, settings: PlantSettings) -> list[str]:
+    """Names of the machine's places where an effect may act."""
+    places: list[str] = []
+    if "axis" in effect.kind.allowed_at:
+        places += [drive.axis for drive in settings.drives]
+    if "body" in effect.kind.allowed_at:
+        places += [body.name for body in settings.tree.bodies]
+    if "sensor" in effect.kind.allowed_at:
+        places += [sensor.channel for sensor in (*settings.encoders, *settings.currents, *settings.thermometers)]
+        places += [imu.name for imu in settings.imus]
+    return places
+
+
+def _is_prismatic(at: str, settings: PlantSettings) -> bool:
+    """Does a place count in metres and newtons: an axis whose joint is prismatic?"""
+    for drive in settings.drives:
+        if drive.axis == at:
+            return settings.tree.joints[settings.tree.joint_index(drive.joint)].kind == "prismatic"
+    return False
+
+
+def _listed(phrase: str, names: Iterable[str]) -> str:
+    return f"{phrase} {', '.join(names)}"
