@@ -237,13 +237,12 @@ class _Poller:
 
     def _poll(self) -> None:
         state = self._driver.state
-        now = time.monotonic()
         failure = ""
         try:
-            self._driver.poll_once(now)
+            self._driver.poll_once(time.monotonic())
         except DriverError as error:
             failure = f"{type(error).__name__}: {error}"
-            if now - state.time_s > self._map.stale_after_s:
+            if time.monotonic() - state.time_s > self._map.stale_after_s:
                 # After a long silence nobody knows what the machine did: brakes stay closed until they are commanded anew.
                 self._driver.command_brakes(dict.fromkeys(self._axes, False))
         values = np.concatenate(((state.time_s, state.hold_to_run, state.door_closed), state.temperature_degC, state.brakes_open))

@@ -125,8 +125,8 @@ class ClientTransport:
         try:
             self._open()
         except OSError as error:
-            known = error.errno is not None and error.errno > 0  # name resolution counts below zero
-            return os.strerror(error.errno) if known else error.strerror or str(error)
+            number = error.errno or 0  # name resolution counts below zero
+            return os.strerror(number) if number > 0 else error.strerror or str(error)
         return "the line is in use"
 
     def _explained(self, unit_id: int) -> Exception:

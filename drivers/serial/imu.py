@@ -257,12 +257,15 @@ class ImuDriver:
     def _ask(self, command: MessageId, data: bytes, wait: Callable[[float], None]) -> bytes:
         """Send a command and return the data of its acknowledge; measurement data on the way are dropped."""
         self._stream.write(encode(command, data))
-        for _ in range(round(ANSWER_TIMEOUT_S / ANSWER_STEP_S)):
-            for message in self._parser.feed(self._stream.read()):
+        steps = round(ANSWER_TIMEOUT_S / ANSWER_STEP_S)
+        for step in range(steps + 1):
+            last = step == steps  # then the answer may be stuck behind a message that was cut off
+            for message in self._parser.give_up() if last else self._parser.feed(self._stream.read()):
                 if message.message_id == command + 1:
                     return message.data
                 self._check_refusal(command, message)
-            wait(ANSWER_STEP_S)
+            if not last:
+                wait(ANSWER_STEP_S)
         raise NodeAbsent(
             f"{self._line}: no answer to {command.name} within {ANSWER_TIMEOUT_S:g} s; check power, cable and the machine file's"
             f" baud = {self.port.baud}"

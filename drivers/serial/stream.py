@@ -47,6 +47,8 @@ class SerialStream:
                 self._port.set_low_latency_mode(True)
         self._port.reset_input_buffer()
         self._descriptor = self._port.fileno() if os.name == "posix" else -1
+        if self._descriptor >= 0:
+            _tell_silence_from_hang_up(self._descriptor)
 
     def read(self) -> bytes:
         """All bytes that have arrived, or none.
@@ -59,11 +61,14 @@ class SerialStream:
         try:
             if self._descriptor < 0:
                 return bytes(self._port.read(self._port.in_waiting))
-            return os.read(self._descriptor, READ_BYTES)  # one system call; pyserial's read takes three
+            data = os.read(self._descriptor, READ_BYTES)  # one system call; pyserial's read takes three
         except BlockingIOError:
             return b""
         except OSError as error:
             raise BusUnavailable(f"serial port {self.device} is gone: {error.strerror or error}") from error
+        if not data:
+            raise BusUnavailable(f"serial port {self.device} is gone: the other end hung up")
+        return data
 
     def write(self, data: bytes) -> None:
         """Send without waiting.
@@ -83,3 +88,12 @@ class SerialStream:
     def close(self) -> None:
         """Give the port back."""
         self._port.close()
+
+
+def _tell_silence_from_hang_up(descriptor: int) -> None:
+    """Without this a read of nothing returns no bytes in both cases; with it, silence is an error of its own."""
+    import termios  # not on Windows
+
+    attributes = termios.tcgetattr(descriptor)
+    attributes[6][termios.VMIN] = 1
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)

@@ -175,6 +175,15 @@ class StreamParser:
         del buffer[:start]
         return messages
 
+    def give_up(self) -> list[Message]:
+        """Nothing more will come: return the messages behind a false start that still waits for its end."""
+        messages: list[Message] = []
+        while self._buffer:
+            del self._buffer[0]
+            self.skipped_bytes += 1
+            messages += self.feed(b"")
+        return messages
+
     def _end(self, start: int, available: int) -> int:
         """Index after the message that starts here; beyond `available` when that cannot be told yet; -1 when none can start here."""
         buffer = self._buffer
