@@ -31,9 +31,8 @@ def read_blf(path: Path) -> list[CanFrame]:
                 time_s = message.timestamp - start_s
                 if time_s > _WRAP_S / 2.0:
                     time_s -= _WRAP_S
-                frames.append(
-                    CanFrame(time_s, f"can{message.channel}", message.arbitration_id, message.is_extended_id, message.is_remote_frame, bytes(message.data))
-                )
+                channel, data = f"can{message.channel}", bytes(message.data)
+                frames.append(CanFrame(time_s, channel, message.arbitration_id, message.is_extended_id, message.is_remote_frame, data))
     except Exception as problem:  # python-can answers a damaged file with whatever its parser ran into
         raise RecordingError(f"{path}: no BLF, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
     return sorted(frames, key=lambda frame: frame.time_s)

@@ -144,7 +144,8 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
             try:
                 values = codec.unpack(frame.data)
             except ProtocolError as problem:
-                raise RecordingError(f"frame {frame.can_id:03X} after SYNC {len(syncs) - 1}: {problem}; is it the log of this machine?") from None
+                where = f"frame {frame.can_id:03X} after SYNC {len(syncs) - 1}"
+                raise RecordingError(f"{where}: {problem}; is it the log of this machine?") from None
             for place, key in wanted:
                 raw[key][len(syncs) - 1] = values[place]
     if all(np.isnan(values).all() for values in raw.values()):
@@ -158,8 +159,9 @@ def _ticks(syncs_s: np.ndarray, period_s: float, path: Path) -> tuple[np.ndarray
         return np.zeros(syncs_s.size), np.zeros(syncs_s.size)
     steps = np.diff(syncs_s)
     if np.any(steps < 0.0) or abs(np.median(steps) - period_s) > BELIEVABLE_PERIOD * period_s:
+        found_ms, wanted_ms = float(np.median(steps)) * 1e3, period_s * 1e3
         warnings.warn(
-            f"{path}: its time stamps ({np.median(steps) * 1e3:.4g} ms between SYNCs) are not the machine's ({period_s * 1e3:.4g} ms); SYNCs are counted instead",
+            f"{path}: {found_ms:.4g} ms between SYNCs by its time stamps, {wanted_ms:.4g} ms by the machine file; SYNCs are counted",
             RecordingWarning,
             stacklevel=2,
         )

@@ -22,8 +22,8 @@ def read_candump(path: Path) -> list[CanFrame]:
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
     except UnicodeDecodeError as problem:
-        line = problem.object[: problem.start].count(b"\n") + 1
-        raise RecordingError(f"{path}: line {line}: no ASCII text, so no log of `candump -l`") from None
+        number = problem.object[: problem.start].count(b"\n") + 1
+        raise RecordingError(f"{path}: line {number}: no ASCII text, so no log of `candump -l`") from None
     frames = []
     for number, line in enumerate(lines, 1):
         if not line.strip():

@@ -23,7 +23,8 @@ ANGULAR_RATE = {"rad/s": 1.0, "deg/s": _DEG}
 TEMPERATURE = {"degC": 1.0}
 NUMBER = {"": 1.0}
 
-SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "mm": "m", "um": "m", "mA": "A", "mV": "V", "kN": "N", "g": "m/s^2", "deg/s": "rad/s"}
+SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "deg/s": "rad/s", "mm": "m", "um": "m", "g": "m/s^2"}
+SI_OF |= {"mA": "A", "mV": "V", "kN": "N"}
 """The unit a value is kept in once it is read, where that differs from the unit in the file."""
 
 NO_UNIT = ("", "-", "1")
@@ -67,7 +68,7 @@ _NAME = re.compile(r'[^\s,"\[\]](?:[^,"\[\]\x00-\x1f\x7f]*[^\s,"\[\]])?')
 
 
 def kind_of(name: str) -> Kind | None:
-    """The kind a channel's name belongs to; None for a name of somebody else's (`estimate_*` among them), whose unit is kept as it stands."""
+    """The kind a channel's name belongs to; None for other names (`estimate_*` among them), whose unit is kept as it stands."""
     return next((kind for pattern, kind in _COMPILED if pattern.fullmatch(name)), None)
 
 

@@ -1,4 +1,4 @@
-"""CSV recordings: a header of `name [unit]` cells, a row per SYNC, empty cells where a sample is missing, metadata in a `.toml` beside it."""
+"""CSV recordings: a header of `name [unit]` cells, a row per SYNC, empty cells for missing samples, metadata in a `.toml` beside it."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def read_csv(path: Path, machine: MachineFile | None = None) -> Recording:
     Raises
     ------
     RecordingError
-        What is wrong, with its line: a ragged row, a cell that is no number, a hole in time, time that does not increase, a unit the channel
-        cannot have, a channel twice, fewer rows than the metadata say, no metadata and no machine.
+        What is wrong, with its line: a ragged row, a cell that is no number, a hole in time, time that does not increase, a unit the
+        channel cannot have, a channel twice, fewer rows than the metadata say, no metadata and no machine.
     """
     text = _read_text(path)
     metadata = _metadata_of(path, machine)
@@ -70,7 +70,8 @@ def read_csv(path: Path, machine: MachineFile | None = None) -> Recording:
         raise RecordingError(f"{path}: line {text.count(chr(10)) + 1}: the last line is not complete; the file was cut off")
     names, units, values, lines = _parse(path, text)
     if rows is not None and rows != len(values):
-        raise RecordingError(f"{path}: {len(values)} rows, but {metadata_path(path).name} says rows = {rows}; the file was cut off or edited")
+        beside = metadata_path(path).name
+        raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     _check_time(path, values[:, names.index("time")], lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
     channels = {name: Channel(unit, values[:, column]) for column, (name, unit) in enumerate(zip(names, units, strict=True))}
     try:
@@ -148,6 +149,8 @@ def _records(path: Path, reader: Any) -> Iterator[list[str]]:
 
 
 def _parse_header(path: Path, cells: list[str]) -> tuple[list[str], list[str]]:
+    if len(cells) == 1 and ";" in cells[0]:
+        raise RecordingError(f"{path}: line 1: cells are separated by commas, not semicolons")
     names: list[str] = []
     units: list[str] = []
     for cell in cells:
@@ -164,8 +167,7 @@ def _parse_header(path: Path, cells: list[str]) -> tuple[list[str], list[str]]:
         names.append(name)
         units.append(unit)
     if "time" not in names:
-        semicolons = " (cells are separated by commas, not semicolons)" if any(";" in cell for cell in cells) else ""
-        raise RecordingError(f"{path}: line 1: no column `time [s]`{semicolons}")
+        raise RecordingError(f"{path}: line 1: no column `time [s]`")
     return names, units
 
 
@@ -185,4 +187,4 @@ def _check_time(path: Path, time: np.ndarray, lines: list[int], *, may_repeat: b
     wrong = np.flatnonzero(steps < 0.0 if may_repeat else steps <= 0.0)
     if wrong.size:
         row = int(wrong[0]) + 1
-        raise RecordingError(f"{path}: line {lines[row]}: time {time[row]:.9g} follows {time[row - 1]:.9g}; time must increase from row to row")
+        raise RecordingError(f"{path}: line {lines[row]}: time {time[row]:.9g} follows {time[row - 1]:.9g}; it must increase by row")

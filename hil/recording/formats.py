@@ -25,8 +25,8 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
     Parameters
     ----------
     path : str or Path
-        `.mf4`, `.csv`, `.mat`, candump `.log`, `.blf`, or the `.part` of a recording that was cut short. Where the file is missing and its `.part`
-        is there, that is read instead, with a warning; metadata then hold a table `recovered`.
+        `.mf4`, `.csv`, `.mat`, candump `.log`, `.blf`, or the `.part` of a recording that was cut short. Where the file is missing and its
+        `.part` is there, that is read instead, with a warning; metadata then hold a table `recovered`.
     machine : Machine, optional
         A loaded machine, for files that do not say which machine they come from.
     names : dict, optional

@@ -1,8 +1,8 @@
 """The crash-safe row file: what a recording is while it is being made.
 
-`NAME.mf4.part` holds a header (channels and metadata) and blocks of rows, each block with its own length and checksum, in the order they were
-recorded. A block is handed to the operating system in one write, so a process that is killed loses at most the block it was gathering; a torn
-block at the end is recognised and left out.
+`NAME.mf4.part` holds a header (channels and metadata) and blocks of rows, each block with its own length and checksum, in the order they
+were recorded. A block is handed to the operating system in one write, so a process that is killed loses at most the block it was gathering;
+a torn block at the end is recognised and left out.
 
     file    = MAGIC, header length u32, crc32 of header u32, header (TOML), block*
     block   = BLOCK, rows u32, crc32 u32, rows x channels float64
@@ -63,7 +63,7 @@ class Journal:
             The file is there already (it holds rows nobody has read yet), or cannot be written.
         """
         names = [name for name, _ in channels]
-        Recording({name: Channel(unit, np.empty(0)) for name, unit in channels}, metadata)  # complains now about what could not be read back later
+        Recording({name: Channel(unit, np.empty(0)) for name, unit in channels}, metadata)  # complains now, not when it is read back
         if len(set(names)) != len(names):
             raise RecordingError(f"{path}: a channel name stands twice in {', '.join(names)}")
         header = metadata_text({**metadata, "journal_channels": [list(channel) for channel in channels]}).encode()

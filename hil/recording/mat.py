@@ -46,7 +46,8 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, str] | Non
     if missing:
         raise RecordingError(f"{path}: no variable {missing[0]}; it has {', '.join(variables)}")
     channels = {channel: Channel(_unit(channel, machine, path), _vector(variables[name], name, path)) for name, channel in names.items()}
-    constants = {name: value.item() for name, value in variables.items() if name not in names and value.size == 1 and value.dtype.kind in "fiub"}
+    others = {name: value for name, value in variables.items() if name not in names}
+    constants = {name: value.item() for name, value in others.items() if value.size == 1 and value.dtype.kind in "fiub"}
     try:
         return Recording(channels, {"machine": machine_table(machine), "source": {"file": path.name, "constants": constants}})
     except RecordingError as problem:
@@ -61,7 +62,8 @@ def _load(path: Path) -> dict[str, np.ndarray]:
     except NotImplementedError:
         raise RecordingError(f"{path}: a MATLAB 7.3 (HDF5) file; save it with -v7") from None
     except Exception as problem:  # SciPy answers a damaged file with whatever its parser ran into
-        raise RecordingError(f"{path}: no MATLAB file, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
+        reason = str(problem).partition("\n")[0] or type(problem).__name__
+        raise RecordingError(f"{path}: no MATLAB file, or damaged: {reason}") from None
     return {name: value for name, value in content.items() if not name.startswith("__") and isinstance(value, np.ndarray)}
 
 
@@ -70,7 +72,8 @@ def _known_names(variables: Mapping[str, np.ndarray], machine: Machine, path: Pa
         return {name: name for name, value in variables.items() if value.size > 1}
     if {"t", "qg", "qm", "vir"} <= variables.keys() and len(machine.axes) == 1:
         axis = machine.axes[0]
-        return {name: quantity if quantity == "time" else f"{quantity}_{axis}" for name, quantity in EMPS_NAMES.items() if name in variables}
+        known = {name: quantity for name, quantity in EMPS_NAMES.items() if name in variables}
+        return {name: quantity if quantity == "time" else f"{quantity}_{axis}" for name, quantity in known.items()}
     raise RecordingError(f"{path}: its variables ({', '.join(variables)}) are not channels' names; say which is which, such as t=time")
 
 

@@ -1,12 +1,23 @@
 """MDF 4 recordings (`.mf4`): ordinary signals with units that asammdf and vendors' tools open, metadata as an attached TOML text.
 
-A missing sample has its invalidation bit set (and is NaN or 0 below it, for tools that ignore the bit). Counters and bit fields are integers.
+A missing sample has its invalidation bit set (and is NaN or 0 below it, for tools that ignore the bit). Counters and bit fields are
+integers.
+
+MDF has no checksum, and asammdf answers a damaged file with anything from a wrong number to an attempt to allocate a petabyte. So a file of ours ends
+with 16 bytes that no block refers to and other readers pass over: `isocrc32`, the CRC-32 of everything before as u32, and the number of
+those bytes as u32 modulo 2^32, little endian. Whoever edits the file drops them, and then nothing is checked.
 """
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import io
+import logging
 import re
+import struct
+import sys
+import warnings
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,20 +39,23 @@ ATTACHMENT = "recording.toml"
 MDF_VERSION = "4.10"
 """The oldest version with invalidation bits and compression: most tools open it."""
 
+_SEAL = struct.Struct("<8sII")
+_SEAL_MARK = b"isocrc32"
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
-    """Write a recording; RecordingError if the file cannot be written."""
-    metadata = {**recording.metadata, "check": {"rows": recording.rows, "crc32": _checksum(recording)}}
+    """Write a recording; RecordingError if the file cannot be written or there is nothing but time."""
+    if len(recording.channels) < 2 or not recording.rows:
+        raise RecordingError(f"{path}: nothing to write: {recording.rows} rows of {', '.join(recording.channels)}")
     signals = [_signal(name, channel, recording.time) for name, channel in recording.channels.items() if name != "time"]
     with MDF(version=MDF_VERSION) as mdf:
         mdf.header.comment = f"isocenter recording; machine, experiment and initial states are in the attachment {ATTACHMENT}"
-        mdf.append(signals or [Signal(np.arange(recording.rows), recording.time, name="row")], comment="one row per SYNC", common_timebase=True)
-        mdf.attach(metadata_text(metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording", mime="application/toml")
+        mdf.append(signals, comment="one row per SYNC", common_timebase=True)
+        mdf.attach(metadata_text(recording.metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording", mime="application/toml")
         content = io.BytesIO()
         mdf.save(content, compression=CompressionAlgorithm.DEFLATE)
-    write_atomically(path, content.getvalue())
+    write_atomically(path, _sealed(content.getvalue()))
 
 
 def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
@@ -58,24 +72,29 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
     RecordingError
         No MDF file, damaged, several time bases, no metadata and no machine.
     """
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
     try:
-        with MDF(path) as mdf:
-            metadata = _metadata(mdf, path, machine)
-            channels = _channels(mdf, path)
-    except RecordingError:
-        raise
-    except Exception as problem:  # asammdf answers a damaged file with whatever its parser ran into
-        raise RecordingError(f"{path}: no MDF 4 file, or damaged: {_first_line(problem)}") from None
-    check = metadata.pop("check", None)
+        content = path.read_bytes()
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
+    _check_seal(content, path)
+    reason = ""
+    with _hushed():
+        try:
+            with MDF(io.BytesIO(content)) as mdf:
+                metadata = _metadata(mdf, path, machine)
+                channels = _channels(mdf, path)
+        except RecordingError:
+            raise
+        except Exception as problem:
+            reason = str(problem).strip().partition("\n")[0] or type(problem).__name__
+        if reason:
+            gc.collect()  # asammdf's half-built objects complain on their way out: let them do it now
+    if reason:
+        raise RecordingError(f"{path}: no MDF 4 file, or damaged: {reason}")
     try:
-        recording = Recording(channels, metadata)
+        return Recording(channels, metadata)
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
-    if check is not None and check != {"rows": recording.rows, "crc32": _checksum(recording)}:
-        raise RecordingError(f"{path}: its rows are not those that were recorded (check in {ATTACHMENT}): damaged, or edited with another tool")
-    return recording
 
 
 def _signal(name: str, channel: Channel, time: np.ndarray) -> Signal:
@@ -103,7 +122,7 @@ def _channels(mdf: Any, path: Path) -> dict[str, Channel]:
             time = signal.timestamps
             channels["time"] = Channel("s", time)
         elif time.shape != signal.timestamps.shape or np.any(np.abs(time - signal.timestamps) > _tolerance(time)):
-            raise RecordingError(f"{path}: {signal.name} has a time base of its own; a recording has one row per SYNC, so resample it to one raster first")
+            raise RecordingError(f"{path}: {signal.name} has a time base of its own; resample the file to one raster first, a row per SYNC")
         name = _UNFIT.sub("_", signal.name).strip()
         if name in channels:
             raise RecordingError(f"{path}: channel {name} is in it twice")
@@ -133,14 +152,27 @@ def _tolerance(time: np.ndarray) -> float:
     return UNEQUAL_STEP * float(np.median(np.diff(time))) if time.size > 1 else 0.0
 
 
-def _checksum(recording: Recording) -> int:
-    """CRC of names, units and values: MDF has none of its own outside its compressed blocks."""
-    crc = 0
-    for name, channel in recording.channels.items():
-        crc = zlib.crc32(f"{name} [{channel.unit}]".encode(), crc)
-        crc = zlib.crc32(np.where(channel.missing, np.nan, channel.values).astype("<f8").tobytes(), crc)
-    return crc
+def _sealed(content: bytes) -> bytes:
+    return content + _SEAL.pack(_SEAL_MARK, zlib.crc32(content), len(content) & 0xFFFFFFFF)
 
 
-def _first_line(problem: Exception) -> str:
-    return str(problem).strip().partition("\n")[0] or type(problem).__name__
+def _check_seal(content: bytes, path: Path) -> None:
+    body, seal = content[: -_SEAL.size], content[-_SEAL.size :]
+    if seal.startswith(_SEAL_MARK) and seal != _sealed(body)[-_SEAL.size :]:
+        raise RecordingError(f"{path}: damaged: its checksum is not that of its content")
+
+
+@contextlib.contextmanager
+def _hushed() -> Iterator[None]:
+    """Keep what asammdf prints, logs and raises in destructors over an unreadable file from the user: our one line says it."""
+    logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
+    was_disabled = logger.disabled
+    logger.disabled = True
+    sys.unraisablehook = lambda _: None
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = was_disabled
+        sys.unraisablehook = hook

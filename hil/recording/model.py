@@ -57,7 +57,8 @@ class Recording:
     channels : mapping of str to Channel
         In file order; `time` is one of them, complete and increasing.
     metadata : mapping
-        Tables of plain values (what TOML can hold): `machine` (name, hash, text, axes), `experiment`, `initial`, `software`; see docs/formats.md.
+        Tables of plain values (what TOML can hold): `machine` (name, hash, text, axes), `experiment`, `initial`, `software`; see
+        docs/formats.md.
 
     Raises
     ------
@@ -79,7 +80,7 @@ class Recording:
         rows = self.rows
         for name, channel in self.channels.items():
             if channel.values.shape != (rows,):
-                raise RecordingError(f"channel {name}: shape {channel.values.shape}, but time has {rows} rows; all channels are equally long")
+                raise RecordingError(f"channel {name}: shape {channel.values.shape}, but time has {rows} rows; channels are equally long")
         _check_time(self.time, may_repeat=self.metadata.get("kind") == CAN_FRAMES)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -172,7 +173,7 @@ class Recording:
         samples = self.experiment.get("period_samples", 0)
         settle = self.experiment.get("settle_periods", 0)
         if not isinstance(samples, int) or not isinstance(settle, int) or samples <= 0 or settle < 0:
-            raise RecordingError("not periodic: metadata experiment.period_samples must be a positive whole number, settle_periods 0 or more")
+            raise RecordingError("not periodic: metadata experiment needs period_samples above 0 and settle_periods from 0, whole numbers")
         count = self.rows // samples - settle
         if count < 1:
             raise RecordingError(f"{self.rows} rows hold no whole period of {samples} rows after {settle} settling ones")
@@ -208,7 +209,9 @@ class Recording:
 
 def _in_si(name: str, channel: Channel) -> Channel:
     unit, factor = unit_and_factor(name, channel.unit)
-    return channel if unit == channel.unit and factor == 1.0 else Channel(unit, channel.values * factor if factor != 1.0 else channel.values)
+    if unit == channel.unit:
+        return channel
+    return Channel(unit, channel.values * factor)
 
 
 def _check_time(time: np.ndarray, *, may_repeat: bool) -> None:

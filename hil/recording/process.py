@@ -24,10 +24,10 @@ CAPACITY_ROWS = 32768
 """Rows the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. So long may the disk be full or the recorder be away."""
 
 WATCH_ROWS = 128
-"""How often the loop looks whether the recorder lives: twice a second at 256 Hz, by a counter; only if that stands still the system is asked."""
+"""How often the loop looks whether the recorder lives: twice a second at 256 Hz, by a counter; the system is asked if that stands still."""
 
 MOST_RESTARTS = 5
-"""A recorder that dies more often is not killed by accident; its rows then wait in the ring, and the loop's process writes them at the end."""
+"""A recorder that dies more often is not killed by accident; rows then wait in the ring, and the loop's process writes them at the end."""
 
 CLOSE_TIMEOUT_S = 120.0
 """Longest a recorder may take to finish: an hour's rows at 256 Hz take less."""
@@ -36,9 +36,9 @@ CLOSE_TIMEOUT_S = 120.0
 class RecorderProcess:
     """Records in a process of its own: for runs on the wall clock.
 
-    A context manager. `put` copies a row into shared memory and neither allocates, waits nor calls the system. The recorder brings the rows to disk every
-    50 ms. If the recorder is killed, another takes over where its journal ends; if the loop's process is killed, the recorder finishes the
-    recording; if both are, the journal has all but the last tenth of a second, and `read_recording` reads it.
+    A context manager. `put` copies a row into shared memory and neither allocates, waits nor calls the system. The recorder brings the
+    rows to disk every 50 ms. If the recorder is killed, another takes over where its journal ends; if the loop's process is killed, the
+    recorder finishes the recording; if both are, the journal has all but the last tenth of a second, and `read_recording` reads it.
 
     Parameters
     ----------
@@ -74,6 +74,11 @@ class RecorderProcess:
     def rows(self) -> int:
         """Rows put so far."""
         return self._produced
+
+    @property
+    def rows_kept(self) -> int:
+        """Rows that are in the journal: they outlive every process."""
+        return self._counters[CONSUMED]
 
     @property
     def rows_lost(self) -> int:

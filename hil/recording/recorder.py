@@ -1,8 +1,8 @@
 """The recorder: a process of its own that takes rows out of the ring and keeps them, whatever becomes of the loop.
 
-`python -m hil.recording.recorder RING WIDTH CAPACITY PATH`, started by `RecorderProcess` with the journal already there. Standard input is the lead
-the loop holds it by: on closing the recording the loop writes its last metadata there; if it ends without a word, the loop has died, and the
-recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
+`python -m hil.recording.recorder RING WIDTH CAPACITY PATH`, started by `RecorderProcess` with the journal already there. Standard input is
+the lead the loop holds it by: on closing the recording the loop writes its last metadata there; if it ends without a word, the loop has
+died, and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class _Lead:
         self.ended.set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether the loop has closed the recording or died. A forked child of the loop may hold the lead, so its parent is watched as well."""
+        """Whether the loop has closed the recording or died. A fork of the loop may hold the lead, so the parent is watched as well."""
         return self.ended.wait(timeout_s) or (os.name == "posix" and os.getppid() != self._parent)
 
     def last_metadata(self) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
 
 
 def _be_modest() -> None:
-    """Leave the ends of the run to the loop, and the processor too: the loop may have started us at its own priority, tied to its own core."""
+    """Leave the end of the run to the loop, and the processor too: we may have inherited its priority and its core."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -1,8 +1,8 @@
 """A ring of rows in memory that two processes share: the loop writes, the recorder reads, nobody locks and nobody waits.
 
-The memory has no name: the recorder inherits it, so it goes when the last of both goes, however they end. (On Windows, which cannot pass it on, it
-has one, and goes likewise.) Counters only grow and each has one writer. A row is written before `produced` says so; `consumed` moves
-only once the row is in the journal, so that a recorder that dies leaves its successor everything.
+The memory has no name: the recorder inherits it, so it goes when the last of both goes, however they end. (On Windows, where it cannot be
+inherited, it has one, and goes likewise.) Counters only grow and each has one writer. A row is written before `produced` says so;
+`consumed` moves only once the row is in the journal, so that a recorder that dies leaves its successor everything.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from hil.recording.formats import check_writable, write_recording
 from hil.recording.journal import ChannelTable, Journal, part_path, read_journal
 
 FLUSH_TIME_S = 0.5
-"""Rows are handed to the operating system at least this often in recorded time: a killed process loses less than the second that is promised."""
+"""Rows are handed to the operating system at least this often in recorded time: a killed process loses less than the promised second."""
 
 FLUSH_ROWS = 512
 """And at least every so many rows, so that memory stays small at any sample rate."""

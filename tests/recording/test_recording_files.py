@@ -1,0 +1,245 @@
+"""Recordings through files and back: nothing is lost, nothing is invented, and damage is one clear line."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asammdf import MDF
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hil.errors import RecordingError
+from hil.recording import Channel, Recording, convert, read_recording, write_recording
+from hil.recording.toml_text import plain, toml_text
+
+FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+scalars = st.one_of(st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), text)
+tables = st.recursive(
+    st.dictionaries(text, scalars, max_size=4),
+    lambda inner: st.dictionaries(text, st.one_of(scalars, inner, st.lists(st.one_of(scalars, inner), max_size=3)), max_size=4),
+    max_leaves=8,
+)
+values = st.one_of(st.floats(allow_nan=False, width=64), st.just(float("nan")))
+counts = st.one_of(st.integers(-(2**31), 2**40).map(float), st.just(float("nan")))
+KINDS = {"position_roll": ("rad", values), "effort_x": ("N", values), "estimate_ϑ": ("µm", values), "statusword_roll": ("", counts)}
+
+
+@st.composite
+def recordings(draw):
+    steps = draw(st.lists(st.floats(1e-6, 1e3), min_size=1, max_size=12))
+    rows = len(steps)
+    channels = {"time": Channel("s", np.cumsum(steps))}
+    for name in draw(st.permutations(list(KINDS)))[: draw(st.integers(1, 4))]:
+        unit, samples = KINDS[name]
+        channels[name] = Channel(unit, draw(st.lists(samples, min_size=rows, max_size=rows)))
+    return Recording(channels, {"note": draw(tables), "machine": {"name": draw(text), "hash": "h", "text": draw(text), "axes": ["roll"]}})
+
+
+def assert_same(found, wanted):
+    assert list(found.channels) == list(wanted.channels)
+    for name, channel in wanted.channels.items():
+        assert found.channels[name].unit == channel.unit
+        np.testing.assert_array_equal(found[name], channel.values)
+        present = ~np.isnan(channel.values)
+        if not name.startswith("statusword"):  # a whole number has no signed zero
+            np.testing.assert_array_equal(np.signbit(found[name][present]), np.signbit(channel.values[present]))
+    assert found.metadata == wanted.metadata
+
+
+@FILES
+@given(recordings(), st.sampled_from([".mf4", ".csv"]))
+def test_what_is_written_reads_back_bit_for_bit(tmp_path, recording, suffix):
+    path = tmp_path / f"run{suffix}"
+    write_recording(recording, path)
+    assert_same(read_recording(path), recording)
+    path.unlink()
+
+
+@settings(max_examples=200, deadline=None)
+@given(tables)
+def test_toml_text_reads_back_equal(table):
+    assert tomllib.loads(toml_text(table)) == plain(table)
+
+
+def example(rows=6):
+    position = np.linspace(0.0, 1.0, rows)
+    position[2] = np.nan
+    status = np.full(rows, 0x1237, dtype=float)
+    status[3] = np.nan
+    channels = {
+        "time": Channel("s", np.arange(rows) / 256.0),
+        "position_roll": Channel("rad", position),
+        "statusword_roll": Channel("", status),
+        "imu_x": Channel("m/s^2", np.full(rows, 9.81)),
+    }
+    metadata = {"machine": {"name": "carm", "hash": "0f", "axes": ["roll"], "text": 'name = "carm"\n# Prüfstand\n' * 9}, "experiment": {"seed": 3}}
+    return Recording(channels, metadata)
+
+
+def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path):
+    write_recording(example(), tmp_path / "run.mf4")
+    with MDF(tmp_path / "run.mf4") as mdf:
+        position = mdf.get("position_roll", ignore_invalidation_bits=True)
+        assert (position.unit, mdf.get("imu_x").unit) == ("rad", "m/s^2")
+        np.testing.assert_array_equal(position.invalidation_bits, [False, False, True, False, False, False])
+        np.testing.assert_array_equal(mdf.get("position_roll").timestamps, np.delete(np.arange(6), 2) / 256.0)
+        status = mdf.get("statusword_roll")
+        assert status.samples.dtype.kind == "i"
+        np.testing.assert_array_equal(status.samples, [0x1237] * 5)
+        assert [attachment.file_name for attachment in mdf.attachments] == ["recording.toml"]
+
+
+def test_numpy_alone_reads_the_csv(tmp_path):
+    write_recording(example(), tmp_path / "run.csv")
+    table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, deletechars="", replace_space=" ")
+    np.testing.assert_array_equal(table["position_roll [rad]"], example()["position_roll"])
+    assert (tmp_path / "run.csv").read_text().splitlines()[3].split(",")[1] == ""
+
+
+class Machine:
+    name, text, hash, axes = "carm", 'name = "carm"', "ab", ("roll",)
+
+
+def test_a_csv_without_metadata_needs_the_machine(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time [s],position_roll [deg]\n0,1\n0.5,\n")
+    with pytest.raises(RecordingError, match="--machine"):
+        read_recording(path)
+    recording = read_recording(path, Machine())
+    assert recording.machine_hash == "ab"
+    np.testing.assert_allclose(recording["position_roll"], [np.pi / 180.0, np.nan])
+
+
+def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path):
+    write_recording(example(), tmp_path / "run.mf4")
+    with MDF(tmp_path / "run.mf4") as mdf, mdf.cut(start=1 / 256, stop=4 / 256) as cut:
+        cut.save(tmp_path / "cut.mf4")
+    with pytest.raises(RecordingError, match="--machine"):
+        read_recording(tmp_path / "cut.mf4")
+    part = read_recording(tmp_path / "cut.mf4", Machine())
+    np.testing.assert_array_equal(part["position_roll"], example()["position_roll"][1:5])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("time [s],x\n0,1\n0.5\n", "line 3: 1 cells, the header has 2"),
+        ("time [s],x\n0,1\n,2\n", "line 3: time is missing"),
+        ("time [s],x\n\n0,1\n0,2\n", "line 4: time 0 follows 0"),
+        ("time [s],x\n0,1\n1,zwei\n", "line 3: x = 'zwei' is no number"),
+        ("time [s],position_roll [ell]\n0,1\n", r"line 1: channel position_roll: unknown unit \[ell\]"),
+        ("time [s],x,x\n0,1,2\n", "line 1: channel x stands there twice"),
+        ("t [s],x\n0,1\n", "line 1: no column `time"),
+        ("time [s];x\n0;1\n", "semicolons"),
+        ("time [s],x\n", "line 1: a header and no rows"),
+        ("", "line 1: empty"),
+        ("time [s],\n0,1\n", "line 1: header cell ''"),
+        ('time [s],"x\n0,1\n', "line 2: unexpected end of data"),
+    ],
+)
+def test_a_csv_with_a_fault_is_refused_by_its_line(tmp_path, content, message):
+    path = tmp_path / "run.csv"
+    path.write_text(content)
+    with pytest.raises(RecordingError, match=message) as refusal:
+        read_recording(path, Machine())
+    assert str(refusal.value).startswith(str(path)) and "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("rows_kept", [2, 5])
+def test_a_csv_that_was_cut_off_between_rows_is_noticed(tmp_path, rows_kept):
+    write_recording(example(), tmp_path / "run.csv")
+    lines = (tmp_path / "run.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "run.csv").write_text("".join(lines[: rows_kept + 1]))
+    with pytest.raises(RecordingError, match=f"{rows_kept} rows, but run.toml says rows = 6"):
+        read_recording(tmp_path / "run.csv")
+
+
+def test_a_machine_file_of_the_same_name_is_not_overwritten(tmp_path):
+    (tmp_path / "carm.toml").write_text('name = "carm"\n')
+    with pytest.raises(RecordingError, match="choose another name"):
+        write_recording(example(), tmp_path / "carm.csv")
+    assert (tmp_path / "carm.toml").read_text() == 'name = "carm"\n'
+    assert not (tmp_path / "carm.csv").exists()
+
+
+@FILES
+@given(cut=st.integers(1, 2400))
+def test_a_truncated_mf4_is_refused_or_whole(tmp_path, cut):
+    write_recording(example(), tmp_path / "run.mf4")
+    content = (tmp_path / "run.mf4").read_bytes()
+    read_or_refused(tmp_path / "cut.mf4", content[: max(len(content) - cut, 0)])
+
+
+@FILES
+@given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
+def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path, place, bit):
+    write_recording(example(), tmp_path / "run.mf4")
+    content = bytearray((tmp_path / "run.mf4").read_bytes())
+    content[place % len(content)] ^= 1 << bit
+    read_or_refused(tmp_path / "flipped.mf4", bytes(content))
+
+
+def read_or_refused(path: Path, content: bytes):
+    path.write_bytes(content)
+    try:
+        found = read_recording(path)
+    except RecordingError as refusal:
+        assert str(refusal).startswith(str(path)) and "\n" not in str(refusal)
+    else:
+        assert_same(found, example())
+
+
+@FILES
+@given(place=st.integers(0, 10_000), byte=st.integers(0, 255), keep=st.integers(0, 10_000))
+def test_a_damaged_csv_is_read_or_refused_in_one_line(tmp_path, place, byte, keep):
+    write_recording(example(), tmp_path / "run.csv")
+    content = bytearray((tmp_path / "run.csv").read_bytes())
+    content[place % len(content)] = byte
+    (tmp_path / "run.csv").write_bytes(content[: keep + 1])
+    try:
+        read_recording(tmp_path / "run.csv")
+    except RecordingError as refusal:
+        assert "\n" not in str(refusal)
+
+
+@FILES
+@given(place=st.integers(0, 10_000), byte=st.integers(0, 255))
+def test_damaged_metadata_are_read_or_refused_in_one_line(tmp_path, place, byte):
+    write_recording(example(), tmp_path / "run.csv")
+    content = bytearray((tmp_path / "run.toml").read_bytes())
+    content[place % len(content)] = byte
+    (tmp_path / "run.toml").write_bytes(content)
+    try:
+        read_recording(tmp_path / "run.csv")
+    except RecordingError as refusal:
+        assert "\n" not in str(refusal)
+    (tmp_path / "run.toml").unlink()
+
+
+def test_convert_goes_both_ways_without_loss(tmp_path):
+    write_recording(example(), tmp_path / "a.csv")
+    convert(tmp_path / "a.csv", tmp_path / "b.mf4")
+    convert(tmp_path / "b.mf4", tmp_path / "c.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "c.csv").read_bytes()
+    assert (tmp_path / "a.toml").read_bytes() == (tmp_path / "c.toml").read_bytes()
+
+
+@pytest.mark.parametrize("target", ["b.mat", "b.log", "b"])
+def test_a_format_that_cannot_be_written_is_refused_before_reading(tmp_path, target):
+    with pytest.raises(RecordingError, match=r"cannot be written as .*\.mf4, \.csv can"):
+        convert(tmp_path / "absent.csv", tmp_path / target)
+
+
+@pytest.mark.parametrize("name", ["absent.mf4", "absent.csv", "absent.mat", "absent.log", "absent.blf"])
+def test_a_missing_file_is_one_line(tmp_path, name):
+    with pytest.raises(RecordingError, match="no such file"):
+        read_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["run.mf4", "run.csv"])
+def test_a_folder_that_is_not_there_is_one_line(tmp_path, name):
+    with pytest.raises(RecordingError, match=r"cannot be written: No such file or directory$"):
+        write_recording(example(), tmp_path / "absent" / name)
