@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, Node, Pdo
-from hil.machine.build import joint_of, require_effort_unit, require_kind, require_known
+from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
 from hil.machine.messages import Complaint
 from hil.machine.schema import MachineTable
 from hil.machine.schema_bus import BusTable, NodeTable, PdoTable
@@ -179,6 +179,7 @@ def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScalin
         limit=drive.limit,
         rated_torque_mNm=max(1, round(drive.rated * drive.constant * 1000.0)),
         rated_current_mA=max(1, round(drive.rated * 1000.0)),
+        position_unit=POSITION_UNITS[joint_of(axis, table, plant.tree).kind],
     )
 
 

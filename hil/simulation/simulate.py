@@ -1,0 +1,120 @@
+"""The simulation of a recording, noise off: from its reference and excitation and the machine file, nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.machine import Machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation.simulator import Inputs, Outputs, Simulator
+from virtual_bus.settings import EffectSetting
+
+RATE_TOLERANCE = 1e-3
+"""A recorder's clock may run this much, relatively, off the machine file's rate; more is another rate."""
+
+IMU_UNITS = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "rad/s", "gyro_y": "rad/s", "gyro_z": "rad/s"}
+
+
+def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSetting] = ()) -> Recording:
+    """Simulate what a machine would have recorded.
+
+    A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command. Row 0 is
+    standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with the
+    controller states of the recording's metadata, else with integrators at the holding effort.
+
+    Parameters
+    ----------
+    machine : Machine
+    recording : Recording
+    effects : sequence of EffectSetting, optional
+        Physics added to the machine's own.
+
+    Returns
+    -------
+    Recording
+        The same rows: inputs, command, measured effort, encoders and IMU.
+
+    Raises
+    ------
+    RecordingError
+        No reference (or command), a hole in it, or another sample rate than the machine's.
+    BadAnswer
+        The simulation diverged.
+    """
+    inputs = inputs_of(machine, recording)
+    outputs = Simulator(machine).run(inputs, effects=(*machine.plant.effects, *effects))
+    return as_recording(machine, recording, inputs, outputs)
+
+
+def inputs_of(machine: Machine, recording: Recording) -> Inputs:
+    """What drives a simulation, taken from a recording of this machine; RecordingError where it cannot."""
+    rate = recording.sample_rate_Hz
+    if abs(rate / machine.sample_rate_Hz - 1.0) > RATE_TOLERANCE:
+        raise RecordingError(f"the recording has {rate:g} rows a second; {machine.name} runs at {machine.sample_rate_Hz:g} Hz")
+    shape = (recording.rows, len(machine.axes))
+    closed = bool(machine.controllers)
+    reference = _complete(machine, recording, "reference") if closed else None
+    command = None if closed else _complete(machine, recording, "command")
+    excitation = _complete(machine, recording, "excitation", np.zeros(shape))
+    feedforward = _feedforward(machine, recording, shape)
+    states = recording.metadata.get("initial", {}).get("controller_states") if closed else None
+    return Inputs(reference, excitation, feedforward, command, _start_pose(machine, recording, reference), states)
+
+
+def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs: Outputs) -> Recording:
+    """Outputs as channels beside the recording's time and inputs."""
+    channels: dict[str, Channel] = {"time": recording.channel("time")}
+
+    def add(group: str, values: np.ndarray, of_position: bool) -> None:
+        for i, units in enumerate(machine.units):
+            name = f"{'current' if group == 'effort' and units.effort == 'A' else group}_{units.axis}"
+            channels[name] = Channel(units.position if of_position else units.effort, values[:, i])
+
+    if inputs.reference is not None:
+        add("reference", inputs.reference, True)
+        add("excitation", inputs.excitation, False)
+        add("feedforward", inputs.feedforward, False)
+    add("command", outputs.command, False)
+    add("effort", outputs.effort, False)
+    for e, encoder in enumerate(machine.plant.encoders):
+        axis = encoder.channel.removeprefix("link_").removeprefix("position_")
+        unit = machine.units[machine.axis_index(axis)].position
+        channels[encoder.channel] = Channel(unit, outputs.encoders[:, e])
+    for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
+        channels[name] = Channel(IMU_UNITS[name], values)
+    metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation={"noise": False})
+    return Recording(channels, metadata)
+
+
+def _complete(machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None) -> np.ndarray:
+    """(N, n_axes) values without a hole."""
+    names = [f"{group}_{axis}" for axis in machine.axes]
+    if default is not None and not any(name in recording for name in names):
+        return default
+    values = recording.matrix(names)
+    holes = np.argwhere(~np.isfinite(values))
+    if holes.size:
+        row, column = holes[0]
+        raise RecordingError(f"{names[column]} is missing in row {row} ({recording.time[row]:.6g} s); a simulation needs every row of it")
+    return values
+
+
+def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | None) -> np.ndarray:
+    pose = recording.experiment.get("start_pose")
+    if pose is not None:
+        if len(pose) != len(machine.axes):
+            raise RecordingError(f"metadata experiment.start_pose has {len(pose)} entries; {machine.name} has {len(machine.axes)} axes")
+        return np.array(pose, dtype=float)
+    if reference is not None:
+        return reference[0].copy()
+    return _complete(machine, recording, "position", np.zeros((1, len(machine.axes))))[0]
+
+
+def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:
+    """As recorded: a function of the reference, computed before the run."""
+    if not any(controller.gravity_feedforward for controller in machine.controllers):
+        return np.zeros(shape)
+    return _complete(machine, recording, "feedforward")
