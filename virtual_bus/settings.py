@@ -6,6 +6,7 @@ Frames, symbols and signs: docs/notation.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -140,3 +141,46 @@ class PlantSettings:
     substeps: int  # plant steps per sample, a whole number
     watched_bodies: tuple[str, ...] = ()  # whose pose the truth file holds
     effects: tuple[EffectSetting, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class EmulatedDrive:
+    """A CiA 402 drive of the emulated machine: its data sheet, its scaling, and what is wired to it."""
+
+    name: str
+    axis: str
+    node_id: int
+    eds: Path
+    rated: float  # rated current (or effort) in the drive's unit: per mille on the wire refer to it
+    rated_current_mA: int  # object 6075h
+    rated_torque_mNm: int  # object 6076h
+    limit: float  # in the drive's unit: objects 6072h and 6073h when it leaves the factory
+    position_resolution: float  # rad or m at the joint, per count
+    counts_per_turn: int  # encoder counts from one index pulse to the next
+    velocity_gain: float  # the drive's own loop for homing and stopping: drive's unit per rad/s (or m/s) at the joint
+    velocity_integral_gain: float  # drive's unit per rad (or m)
+    negative_switch: float | None = None  # joint position of the limit switches; None: not wired
+    positive_switch: float | None = None
+    sign: int = 1  # -1: wired so that a positive target and rising counts mean the negative direction of the joint
+
+
+@dataclass(frozen=True)
+class EmulatedEncoder:
+    """A CiA 406 link encoder of the emulated machine."""
+
+    name: str
+    axis: str
+    node_id: int
+    eds: Path
+    counts_per_turn: int
+    zero_counts: int  # raw count at joint position zero
+    sign: int = 1
+
+
+@dataclass(frozen=True)
+class EmulatedBus:
+    """What hangs on the emulated machine's CAN bus."""
+
+    sync_cob_id: int
+    drives: tuple[EmulatedDrive, ...]
+    encoders: tuple[EmulatedEncoder, ...]

@@ -1,7 +1,8 @@
 """Electronic data sheets (CiA 306) as vendors really write them, read into an object dictionary of the `canopen` library.
 
-The library's reader stops at what real files contain: integers left empty, bytes of a Windows code page, comments behind values, octal numbers,
-negative defaults written as unsigned hex, sections in any case and order. So the text is put right first and the library reads clean text.
+The library's reader stops at what real files contain: integers left empty, bytes of a Windows code page, comments behind values, octal
+numbers, negative defaults written as unsigned hex, sections in any case and order. So the text is put right first and the library reads
+clean text.
 """
 
 from __future__ import annotations
@@ -20,18 +21,20 @@ _COMMENT = re.compile(r"\s;.*$")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
 
 _VARIABLE, _DOMAIN_OBJECT = 0x07, 0x02
-_CANONICAL_KEYS = {
-    key.lower(): key
-    for key in (
-        "ParameterName ObjectType DataType AccessType DefaultValue ParameterValue PDOMapping LowLimit HighLimit SubNumber CompactSubObj "
-        "StorageLocation ObjFlags NrOfEntries NodeID Baudrate VendorName VendorNumber ProductName ProductNumber RevisionNumber OrderCode "
-        "SimpleBootUpMaster SimpleBootUpSlave Granularity DynamicChannelsSupported GroupMessaging NrOfRXPDO NrOfTXPDO LSS_Supported "
-        "BaudRate_10 BaudRate_20 BaudRate_50 BaudRate_125 BaudRate_250 BaudRate_500 BaudRate_800 BaudRate_1000 Denotation Factor Unit Description"
-    ).split()
+_TEXT_KEYS = frozenset({"ParameterName", "AccessType", "VendorName", "ProductName", "OrderCode", "StorageLocation", "Denotation"})
+_VALUE_KEYS = frozenset({"DefaultValue", "ParameterValue", "LowLimit", "HighLimit"})
+_NUMBER_KEYS = frozenset(
+    {"ObjectType", "DataType", "PDOMapping", "SubNumber", "CompactSubObj", "NodeID", "Baudrate", "VendorNumber", "ProductNumber"}
+    | {"RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging"}
+    | {"NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"}
+    | {f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}
+)
+_CANONICAL_KEYS = {key.lower(): key for key in _TEXT_KEYS | _VALUE_KEYS | _NUMBER_KEYS}
+_CANONICAL_SECTIONS = {
+    "deviceinfo": "DeviceInfo",
+    "devicecomissioning": "DeviceComissioning",  # the standard's own spelling
+    "devicecommissioning": "DeviceComissioning",
 }
-_CANONICAL_SECTIONS = {"deviceinfo": "DeviceInfo", "devicecomissioning": "DeviceComissioning", "devicecommissioning": "DeviceComissioning"}
-_TEXT_KEYS = frozenset("ParameterName AccessType VendorName ProductName OrderCode StorageLocation Denotation Factor Unit Description".split())
-_VALUE_KEYS = frozenset("DefaultValue ParameterValue LowLimit HighLimit".split())
 _ACCESS_TYPES = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
 _FIXED_BITS = {
     datatypes.BOOLEAN: 8,  # a byte over SDO
@@ -202,7 +205,8 @@ def _variable_keys(keys: dict[str, str], head: str, object_type: int, node_id: i
     access = (keys.get("AccessType") or "rw").lower()
     if access not in _ACCESS_TYPES:
         raise ProtocolError(f"[{head}]: AccessType={access}: must be one of {', '.join(sorted(_ACCESS_TYPES))}")
-    clean = {"DataType": str(data_type), "AccessType": access, "PDOMapping": str(int(keys.get("PDOMapping", "0").lower() in ("1", "0x1", "0x01", "true")))}
+    mappable = keys.get("PDOMapping", "0").lower() in ("1", "0x1", "0x01", "true")
+    clean = {"DataType": str(data_type), "AccessType": access, "PDOMapping": str(int(mappable))}
     for key in _VALUE_KEYS & keys.keys():
         if (value := keys[key]) != "" or data_type in (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING):
             clean[key] = _typed(value, data_type, node_id, f"[{head}] {key}")

@@ -17,3 +17,28 @@ def bare_device(eds: str | Path, node_id: int, emit: Emit, memory: Path | None =
         The file is no usable EDS or DCF.
     """
     return Node(load_object_dictionary(eds, node_id), node_id, emit, memory)
+
+
+class BareMachine:
+    """One bare device with a CAN connector and the wall clock, as `virtual_bus.emulator.run_device` wants it."""
+
+    def __init__(self, eds: str | Path, node_id: int, memory: Path | None = None) -> None:
+        self.node = bare_device(eds, node_id, lambda can_id, data: None, memory)
+        self.time_s = 0.0
+
+    def connect(self, emit: Emit) -> None:
+        """Say where frames go."""
+        self.node.connect(emit)
+
+    def power_on(self) -> None:
+        """Boot."""
+        self.node.power_on(self.time_s)
+
+    def receive(self, can_id: int, data: bytes) -> None:
+        """One data frame of the bus."""
+        self.node.receive(can_id, data, self.time_s)
+
+    def idle(self, seconds: float) -> None:
+        """Let that much time pass."""
+        self.time_s += seconds
+        self.node.tick(self.time_s)

@@ -1,7 +1,7 @@
 """One CANopen device (CiA 301): NMT, SDO, PDO, SYNC, heartbeat, emergency, stored parameters.
 
-A node owns no bus and no clock. Frames and time go in by `receive` and `tick`, frames come out through `emit`. Profile devices derive from it and
-fill in the hooks at the end of the class.
+A node owns no bus and no clock. Frames and time go in by `receive` and `tick`, frames come out through `emit`. Profile devices derive from
+it and fill in the hooks at the end of the class.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import canopen
 
@@ -29,6 +30,14 @@ Handler = Callable[[bytes], None]
 _ALL_OBJECTS = range(0x1000, 0x10000)
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1 keeps the state
+
+
+class Timed(Protocol):
+    """A part of a node with something due at a time."""
+
+    deadline_s: float
+
+    def expire(self, now_s: float) -> None: ...
 
 
 class Node:
@@ -93,6 +102,10 @@ class Node:
         entry = self.objects.find(index, subindex)
         entry.default = entry.value = value
 
+    def connect(self, emit: Emit) -> None:
+        """Say where frames go."""
+        self.emit = self._emit_on_bus = emit
+
     def power_on(self, now_s: float) -> None:
         """Initialise, boot up, wait in pre-operational."""
         self.now_s = now_s
@@ -127,6 +140,11 @@ class Node:
         self.emergency.clear_error(_BUS_OFF_RECOVERED)
 
     @property
+    def event_driven(self) -> bool:
+        """Whether a TPDO waits for a value to change: such a device wants a `tick` every sample."""
+        return bool(self._event_tpdos)
+
+    @property
     def may_tell(self) -> bool:
         """Whether emergency messages are allowed in this state."""
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
@@ -141,7 +159,7 @@ class Node:
         """Time has come to `now_s`: whatever is due by then goes out."""
         self.now_s = now_s
         if now_s >= self.deadline_s:
-            timed = (self._consumer, self._producer, self._sync_producer, self.emergency, *self._rpdos, *self._tpdos)
+            timed: tuple[Timed, ...] = (self._consumer, self._producer, self._sync_producer, self.emergency, *self._rpdos, *self._tpdos)
             self.deadline_s = math.inf
             for part in timed:
                 part.expire(now_s)
@@ -230,8 +248,10 @@ class Node:
 
     def _configure(self) -> None:
         operational = self.state is NmtState.OPERATIONAL
-        for pdo in (*self._rpdos, *self._tpdos):
-            pdo.configure(operational)
+        for rpdo in self._rpdos:
+            rpdo.configure(operational)
+        for tpdo in self._tpdos:
+            tpdo.configure(operational)
         self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.alive and rpdo.synchronous]
         self._sync_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and tpdo.synchronous]
         self._event_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and not tpdo.synchronous]

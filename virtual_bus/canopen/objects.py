@@ -29,12 +29,27 @@ def key_of(index: int, subindex: int = 0) -> int:
 class Entry:
     """One variable of the dictionary. `value` is an int, a float, or bytes for strings and domains."""
 
-    __slots__ = ("bits", "character", "data_type", "default", "high", "index", "low", "mappable_in_rpdo", "mappable_in_tpdo", "readable", "signed", "subindex", "value", "writable")
+    __slots__ = (
+        "bits",
+        "character",
+        "data_type",
+        "default",
+        "high",
+        "index",
+        "low",
+        "mappable_in_rpdo",
+        "mappable_in_tpdo",
+        "readable",
+        "signed",
+        "subindex",
+        "value",
+        "writable",
+    )
 
     def __init__(self, variable: ODVariable) -> None:
         self.index: int = variable.index
         self.subindex: int = variable.subindex
-        self.data_type: int = variable.data_type
+        self.data_type: int = variable.data_type or 0
         self.readable = variable.access_type != "wo"
         self.writable = "w" in variable.access_type
         self.mappable_in_rpdo = variable.pdo_mappable and variable.access_type in ("rw", "rww", "wo")

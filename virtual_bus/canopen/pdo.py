@@ -26,7 +26,8 @@ class Layout:
         self.entries = entries
         bits = sum(entry.bits for entry in entries)
         self.length = (bits + 7) // 8
-        self._struct = struct.Struct("<" + "".join(entry.character for entry in entries)) if all(entry.character for entry in entries) else None
+        characters = [entry.character for entry in entries]
+        self._struct = struct.Struct("<" + "".join(characters)) if all(characters) else None
 
     def pack(self) -> bytes:
         """Present values, as they go into the frame."""

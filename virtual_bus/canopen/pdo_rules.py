@@ -71,15 +71,12 @@ def mappable_entry(objects: Objects, value: int, *, receive: bool) -> Entry:
     if bits > MAX_PDO_BITS:
         raise SdoAbort(abort.PDO_LENGTH)
     if index in _BASIC_DUMMY_TYPES and subindex == 0:
-        entry: Entry | None = dummy_entry(index)
-        if not receive:
-            raise SdoAbort(abort.NOT_MAPPABLE)
+        entry, allowed = dummy_entry(index), receive
     else:
-        entry = objects.get(index, subindex)
-        if entry is None:
+        found = objects.get(index, subindex)
+        if found is None:
             raise SdoAbort(abort.NO_OBJECT)
-        if not (entry.mappable_in_rpdo if receive else entry.mappable_in_tpdo):
-            raise SdoAbort(abort.NOT_MAPPABLE)
-    if not entry.bits or bits != entry.bits:
+        entry, allowed = found, found.mappable_in_rpdo if receive else found.mappable_in_tpdo
+    if not allowed or not entry.bits or bits != entry.bits:
         raise SdoAbort(abort.NOT_MAPPABLE)
     return entry

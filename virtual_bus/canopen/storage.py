@@ -84,7 +84,8 @@ class Storage:
                 if key in self._objects.entries:
                     self._objects.entries[key].decode(data)
         except (OSError, ValueError, TypeError, AttributeError, SdoAbort) as error:
-            raise EmulatorError(f"{self._path}: not a device's stored parameters ({error}); delete it to start from the data sheet's defaults") from error
+            advice = "delete it to start from the data sheet's defaults"
+            raise EmulatorError(f"{self._path}: not a device's stored parameters ({error}); {advice}") from error
         return kept
 
     def _write_file(self) -> None:

@@ -1,0 +1,129 @@
+"""The bus without wires: a python-can bus whose other end is the emulated machine, in this thread, on virtual time.
+
+Every frame is still encoded and decoded, serial bytes and Modbus messages go through in-process lines with the same codecs, and nothing
+ever waits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TextIO
+
+import can
+
+from virtual_bus.machine import EmulatedMachine
+from virtual_bus.serial.pipe import PipeEnd, pipe
+
+CHANNEL = "lockstep"
+
+
+class ReceivedFrame(can.Message):
+    """A data frame with an 11-bit identifier, made without the checks of the general constructor: 0.4 instead of 1.5 us."""
+
+    __slots__ = ()
+
+    def __init__(self, can_id: int, data: bytes, timestamp_s: float) -> None:
+        self.timestamp = timestamp_s
+        self.arbitration_id = can_id
+        self.is_extended_id = self.is_remote_frame = self.is_error_frame = self.is_fd = False
+        self.bitrate_switch = self.error_state_indicator = False
+        self.channel = CHANNEL
+        self.is_rx = True
+        self.data = data  # type: ignore[assignment]
+        self.dlc = len(data)
+
+
+class LockstepBus(can.BusABC):
+    """A frame that is sent is answered before `send` returns; the answers wait for `recv`.
+
+    Parameters
+    ----------
+    machine : EmulatedMachine
+        It is connected and powered on by this constructor: its boot-ups are the first frames to receive.
+    log : text file, optional
+        Takes every frame of both directions in candump's form, with virtual time.
+    """
+
+    def __init__(self, machine: EmulatedMachine, log: TextIO | None = None) -> None:
+        self.machine = machine
+        self.time_s = 0.0  # virtual: one period per SYNC, and what passes in `recv` and `pass_time`
+        self.channel_info = "lockstep: the emulated machine in this process"
+        self._frames: deque[tuple[int, bytes]] = deque()
+        self._sync_id = machine.bus.sync_cob_id
+        self._period_s = machine.period_s
+        self._log = log
+        super().__init__(channel=CHANNEL)
+        machine.connect(self._queue if log is None else self._queue_logged)
+        machine.power_on()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Hand a frame to the machine. Remote and 29-bit frames find no listener."""
+        if msg.is_remote_frame or msg.is_extended_id:
+            return
+        self.send_frame(msg.arbitration_id, bytes(msg.data))
+
+    def send_frame(self, can_id: int, data: bytes) -> None:
+        """The same without a message object around the frame."""
+        if self._log is not None:
+            self._write_log(can_id, data)
+        self.machine.receive(can_id, data)
+        if can_id == self._sync_id:
+            self.time_s += self._period_s
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame. With none there, virtual time passes until one comes or the time-out is over; no time-out means no wait."""
+        while True:
+            if not self._frames and not (timeout and self._wait_for_frame(timeout)):
+                return None
+            message = ReceivedFrame(*self._frames.popleft(), self.time_s)
+            if self._filters is None or self._matches_filters(message):
+                return message
+
+    def receive_frame(self) -> tuple[int, bytes] | None:
+        """The next frame as (identifier, data), None when there is none."""
+        return self._frames.popleft() if self._frames else None
+
+    def pass_time(self, seconds: float) -> None:
+        """Let virtual time pass without a SYNC; frames that come meanwhile wait for `recv`."""
+        while seconds > 0.0:
+            step_s = min(seconds, self._period_s)
+            self.time_s += step_s
+            self.machine.idle(step_s)
+            seconds -= step_s
+
+    def _wait_for_frame(self, timeout_s: float) -> bool:
+        while timeout_s > 0.0 and not self._frames:
+            step_s = min(timeout_s, self._period_s)
+            self.pass_time(step_s)
+            timeout_s -= step_s
+        return bool(self._frames)
+
+    def _queue(self, can_id: int, data: bytes) -> None:
+        self._frames.append((can_id, data))
+
+    def _queue_logged(self, can_id: int, data: bytes) -> None:
+        self._write_log(can_id, data)
+        self._frames.append((can_id, data))
+
+    def _write_log(self, can_id: int, data: bytes) -> None:
+        assert self._log is not None
+        self._log.write(f"({self.time_s:.6f}) {CHANNEL} {can_id:03X}#{data.hex().upper()}\n")
+
+
+def imu_line(machine: EmulatedMachine) -> PipeEnd:
+    """The bench's end of a serial line to the machine's IMU."""
+    imu = machine.imu
+    assert imu is not None, "this machine has no IMU"
+    bench, device = pipe()
+    device.on_data = lambda: device.write(imu.receive(device.read()))
+    machine.imu_out = device.write
+    return bench
+
+
+def io_line(machine: EmulatedMachine) -> PipeEnd:
+    """The bench's end of a Modbus/TCP connection to the machine's I/O device."""
+    io = machine.io
+    assert io is not None, "this machine has no I/O device"
+    bench, device = pipe()
+    device.on_data = lambda: device.write(io.serve(device.read()))
+    return bench

@@ -1,0 +1,228 @@
+"""The emulated machine: physics, drives, link encoders, IMU and brakes on one time of its own.
+
+Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of whoever calls `idle`, so heartbeats run,
+time-outs expire and the arm falls if nobody holds it; dense traffic without SYNC (configuration by SDO) takes no time, so that runs are
+repeatable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from virtual_bus.canopen.drive import Cia402Drive
+from virtual_bus.canopen.encoder import Cia406Encoder
+from virtual_bus.canopen.node import Emit, Node
+from virtual_bus.canopen.power_state import PowerState
+from virtual_bus.modbus.io_device import EmulatedIo
+from virtual_bus.physics import Physics
+from virtual_bus.serial.xsens_imu import EmulatedImu
+from virtual_bus.settings import EmulatedBus
+
+QUIET_S = 0.002
+"""A pause between frames shorter than this is the master computing, not waiting."""
+SILENCE_S = 0.05
+"""So much waiting since the last SYNC, and the machine's time begins to follow the clock."""
+TEMPERATURE_EVERY = 16  # samples between updates of the temperature registers: windings are slow
+
+_PIN = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}  # a drive's own brake output is on
+
+
+class PhysicsLike(Protocol):
+    """What the machine needs of `virtual_bus.physics.Physics`."""
+
+    axes: tuple[str, ...]
+
+    def place(self, axis_positions: np.ndarray) -> None: ...
+    def set_brakes(self, closed: np.ndarray) -> None: ...
+    def apply(self, effort: np.ndarray) -> None: ...
+    def latch(self) -> object: ...
+    def advance(self) -> None: ...
+
+
+class EmulatedMachine:
+    """A whole machine behind its wires.
+
+    Parameters
+    ----------
+    physics : Physics
+        Plant, effects and sensors.
+    bus : EmulatedBus
+        The CANopen devices.
+    period_s : float
+        Sample period, one per SYNC.
+    imu, io : optional
+        Devices on the serial line and behind Modbus. With `io`, build it with ``on_brakes=physics.set_brakes``; without, each drive works
+        its own axis's brake.
+    memory : path, optional
+        Folder in which each device keeps its stored parameters, a file per device.
+    witness : callable, optional
+        Called with the machine's time [s] whenever the sensors have been latched: for a truth recording.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        bus: EmulatedBus,
+        period_s: float,
+        *,
+        imu: EmulatedImu | None = None,
+        io: EmulatedIo | None = None,
+        memory: Path | None = None,
+        witness: Callable[[float], None] | None = None,
+    ) -> None:
+        self.physics, self.bus, self.period_s, self.imu, self.io = physics, bus, period_s, imu, io
+        self.time_s = 0.0
+        self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU says
+        self._witness = witness
+
+        def kept(name: str) -> Path | None:
+            return None if memory is None else memory / f"{name}.json"
+
+        def nowhere(can_id: int, data: bytes) -> None:
+            """Until `connect`."""
+
+        axis = physics.axes.index
+        self.drives = {d.name: Cia402Drive(d, period_s, nowhere, kept(d.name)) for d in bus.drives}
+        self.encoders = {e.name: Cia406Encoder(e, nowhere, kept(e.name)) for e in bus.encoders}
+        self._drives = [(axis(drive.settings.axis), drive) for drive in self.drives.values()]
+        self._encoders = [(axis(encoder.settings.axis), encoder) for encoder in self.encoders.values()]
+        self._nodes: list[Node] = sorted([*self.drives.values(), *self.encoders.values()], key=lambda node: node.node_id)
+        self._sync_nodes: list[Node] = []
+        self._routes: dict[int, list[Callable[[bytes], None]]] = {}
+        self._effort = np.zeros(len(physics.axes))
+        self._brakes_closed = [True] * len(physics.axes)
+        self._samples = 0
+        self._pause_s = self._waited_s = self._owed_s = 0.0
+        for node in self._nodes:
+            node.on_routes = self._collect_routes
+
+    # ---- life -----------------------------------------------------------------------------------------
+    def connect(self, emit: Emit) -> None:
+        """Say where frames go."""
+        for node in self._nodes:
+            node.connect(emit)
+
+    def place(self, axis_positions: np.ndarray) -> None:
+        """Standstill in elastic equilibrium at these joint positions (n_axes,) [rad or m], brakes closed, drives' counters at zero."""
+        self.physics.place(axis_positions)
+        for index, drive in self._drives:
+            drive.place(float(axis_positions[index]))
+        self._latch()
+
+    def power_on(self) -> None:
+        """Every device boots, in the order of node ids."""
+        for node in self._nodes:
+            node.power_on(self.time_s)
+        if self.imu is not None:
+            self.imu_out(self.imu.power_on())
+
+    def _collect_routes(self) -> None:
+        sync = self.bus.sync_cob_id
+        routes: dict[int, list[Callable[[bytes], None]]] = {}
+        for node in self._nodes:
+            for can_id, handler in node.routes.items():
+                if can_id != sync:
+                    routes.setdefault(can_id, []).append(handler)
+        self._routes = routes
+        self._sync_nodes = [node for node in self._nodes if sync in node.routes]
+
+    # ---- frames and time ------------------------------------------------------------------------------
+    def receive(self, can_id: int, data: bytes) -> None:
+        """One data frame of the bus."""
+        self._pause_s = 0.0
+        if can_id == self.bus.sync_cob_id:
+            self._sync(data)
+            return
+        for handler in self._routes.get(can_id, ()):
+            handler(data)
+
+    def idle(self, seconds: float) -> None:
+        """The bus has been silent for that long (call it in any slices)."""
+        before = self._pause_s
+        self._pause_s = pause = before + seconds
+        if pause < QUIET_S:
+            return
+        waited = seconds if before >= QUIET_S else pause
+        if self._waited_s < SILENCE_S:
+            self._waited_s += waited
+            waited = self._waited_s - SILENCE_S
+            if waited <= 0.0:
+                return
+        self._owed_s += waited
+        while self._owed_s >= self.period_s:
+            self._owed_s -= self.period_s
+            self._tick_nodes()
+            self._act()
+            self._advance()
+
+    def _sync(self, data: bytes) -> None:
+        """SYNC k: what is due first, then targets, sensors, TPDOs in node-id order, then physics to k+1.
+
+        Heartbeats go before the TPDOs: a master that waits for the last TPDO has then heard everything of this SYNC, and the order of
+        frames on the bus depends on no race.
+        """
+        self._waited_s = self._owed_s = 0.0
+        self._tick_nodes()
+        counter = None
+        for node in self._sync_nodes:
+            counter = node.begin_sync(data)
+        self._act()
+        for node in self._sync_nodes:
+            node.end_sync(counter)
+        self._advance()
+
+    def _tick_nodes(self) -> None:
+        now_s = self.time_s
+        for node in self._nodes:
+            if now_s >= node.deadline_s or node.event_driven:
+                node.tick(now_s)
+            else:
+                node.now_s = now_s
+
+    def _act(self) -> None:
+        """The drives' efforts act from now on; every sensor is read."""
+        effort = self._effort
+        for index, drive in self._drives:
+            effort[index] = drive.command()
+        if self.io is None:
+            self._work_brakes()
+        self.physics.apply(effort)
+        latched = self._latch()
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+            self.imu_out(said)
+        if self._witness is not None:
+            self._witness(self.time_s)
+
+    def _latch(self):  # type: ignore[no-untyped-def]
+        latched = self.physics.latch()
+        counts, currents, temperatures = latched.position_counts.tolist(), latched.effort.tolist(), latched.temperature_degC.tolist()
+        for index, drive in self._drives:
+            drive.latch(counts[index], currents[index], temperatures[index])
+        if self._encoders:
+            link_counts = latched.link_counts.tolist()
+            for index, encoder in self._encoders:
+                encoder.latch(link_counts[index])
+        if self.io is not None and self._samples % TEMPERATURE_EVERY == 0:
+            for axis, temperature in zip(self.physics.axes, temperatures, strict=True):
+                self.io.set_temperature(axis, temperature)
+        return latched
+
+    def _advance(self) -> None:
+        self.physics.advance()
+        self._samples += 1
+        self.time_s += self.period_s
+        if self.io is not None:
+            self.io.advance(self.time_s)
+
+    def _work_brakes(self) -> None:
+        """Without an I/O device each drive opens its own axis's brake while its power stage is on."""
+        closed = list(self._brakes_closed)
+        for index, drive in self._drives:
+            closed[index] = drive.power_state not in _PIN
+        if closed != self._brakes_closed:
+            self._brakes_closed = closed
+            self.physics.set_brakes(np.array(closed))
