@@ -18,6 +18,7 @@ from drivers.settings import Node
 HEARTBEAT_TOLERANCE = 2.5
 """A heartbeat may be missing for so many of its periods: one lost frame and half a period of jitter."""
 
+STALE_FRAMES = 256  # read away before a reset: a boot-up from before it is not its answer
 BOOT_SETTLE_S = 0.05
 """How long to listen on after the last node booted, for a second device of one id: equal devices boot in equal time."""
 
@@ -137,6 +138,9 @@ class Supervision:
             One reset, two boot-ups from one id.
         """
         clock = self._network.clock
+        for _ in range(STALE_FRAMES):
+            if not self._network.pump(0.0):
+                break
         for watched in self._nodes.values():
             watched.boots = 0
         for node in nodes:

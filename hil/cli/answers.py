@@ -11,7 +11,9 @@ from hil.cli.options import EffectsOption, MachineArgument, load
 from hil.cli.output import Answer, JsonOption
 
 RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
-OptionalMachine = Annotated[str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")]
+OptionalMachine = Annotated[
+    str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -28,9 +30,7 @@ def register(app: typer.Typer) -> None:
         help="Identify the frequency response matrix, with covariances, from recordings of one pose."
         "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png"
     )(identify)
-    app.command(
-        help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv"
-    )(convert)
+    app.command(help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv")(convert)
 
 
 def simulate(

@@ -10,7 +10,9 @@ import typer
 from hil.cli.options import MachineArgument, load
 from hil.cli.output import Answer, JsonOption
 
-app = typer.Typer(help="Machine files: list the shipped ones, show, check, export.\n\nExample:  isocenter machine check carm", no_args_is_help=True)
+app = typer.Typer(
+    help="Machine files: list the shipped ones, show, check, export.\n\nExample:  isocenter machine check carm", no_args_is_help=True
+)
 
 
 @app.command("list", help="The machines that are shipped.\n\nExample:  isocenter machine list")
@@ -22,7 +24,9 @@ def list_machines(json_to: JsonOption = None) -> None:
     machines = [load_machine(name) for name in list_shipped()]
     for machine in machines:
         answer.say(f"{machine.name:10s} {machine.description}")
-    answer.write([{"name": machine.name, "description": machine.description, "axes": machine.axes, "hash": machine.hash} for machine in machines])
+    answer.write(
+        [{"name": machine.name, "description": machine.description, "axes": machine.axes, "hash": machine.hash} for machine in machines]
+    )
 
 
 @app.command(help="What a machine file says: bodies, drives, sensors, limits, bus.\n\nExample:  isocenter machine show carm")

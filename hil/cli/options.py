@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from hil.machine import Machine
     from virtual_bus.settings import EffectSetting
 
-MachineOption = Annotated[str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")]
+MachineOption = Annotated[
+    str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")
+]
 MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")]
 BusOption = Annotated[
     str,
@@ -30,7 +32,9 @@ PoseOption = Annotated[
     str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
 ]
 ImuOption = Annotated[str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, where the machine file names none.")]
-IoOption = Annotated[str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")]
+IoOption = Annotated[
+    str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")
+]
 NominalPeriodOption = Annotated[float, typer.Option("--period", metavar="S", help="Base period; lines are its inverse apart.")]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import BusOption, EffectsOption, PoseOption, load, parse_pose
-from hil.cli.output import Answer, JsonOption
+from hil.cli.output import Answer
 
 
 def register(app: typer.Typer) -> None:

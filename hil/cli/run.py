@@ -28,7 +28,13 @@ if TYPE_CHECKING:
     from hil.machine import Machine
 
 OutOption = Annotated[
-    Path, typer.Option("-o", "--out", metavar="REC", help="Recording to write (.mf4 or .csv); of several, each gets its realisation and experiment in its name.")
+    Path,
+    typer.Option(
+        "-o",
+        "--out",
+        metavar="REC",
+        help="Recording to write (.mf4 or .csv); of several, each gets its realisation and experiment in its name.",
+    ),
 ]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of phases, and in lockstep of the emulator's noise.")]
 FrameLogOption = Annotated[Path | None, typer.Option("--frame-log", metavar="FILE", help="Write every CAN frame as candump does (.log).")]
@@ -75,7 +81,9 @@ def multisine(
     realisations: Annotated[int, typer.Option("--realisations", help="Draws of the phases.")] = 1,
     phases: Annotated[str, typer.Option("--phases", help="random, or optimised for a low crest factor.")] = "random",
     jog_amplitude: Annotated[float, typer.Option("--jog", help="Jog amplitude in degrees (mm); 0 switches it off.")] = 2.0,
-    jog_frequency: Annotated[float | None, typer.Option("--jog-frequency", metavar="HZ", help="Jog frequency; line 1 of the period unless given.")] = None,
+    jog_frequency: Annotated[
+        float | None, typer.Option("--jog-frequency", metavar="HZ", help="Jog frequency; line 1 of the period unless given.")
+    ] = None,
     seed: SeedOption = 0,
     effects: EffectsOption = None,
     imu: ImuOption = "",
@@ -172,7 +180,9 @@ def jog(
     _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
 
 
-@app.command(help="Hold a pose: noise, drift, holding effort.\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4")
+@app.command(
+    help="Hold a pose: noise, drift, holding effort.\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4"
+)
 def static(
     machine_name: MachineOption,
     out: OutOption,

@@ -1,0 +1,172 @@
+"""The emulated machine of a machine file: its physics, and every device that hangs on its wires."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+import can
+import numpy as np
+
+from drivers.bus_url import open_bus
+from hil.errors import UnusableInput
+from hil.machine import Machine
+from hil.rendezvous import EmulatorCard, published
+from hil.truth import TruthLog
+from virtual_bus.canopen.bare import BareMachine
+from virtual_bus.emulator import Ports, run_device, run_emulator
+from virtual_bus.machine import EmulatedMachine
+from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
+from virtual_bus.physics import Physics
+from virtual_bus.plant.linearise import inertia_matrix
+from virtual_bus.serial.xsens_imu import EmulatedImu
+from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
+
+OWN_LOOP_BANDWIDTH_Hz = 0.5
+"""The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
+
+STANDARD_BITRATE = 1_000_000
+
+
+def build_emulated(
+    machine: Machine, pose: np.ndarray | None = None, *, seed: int = 0, noise: bool = True, truth: TruthLog | None = None
+) -> EmulatedMachine:
+    """The whole machine behind its wires, placed at `pose` (n_axes,), not yet powered on.
+
+    Raises
+    ------
+    UnusableInput
+        The machine file has no bus.
+    """
+    if machine.bus is None:
+        raise UnusableInput(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
+    physics = Physics(machine.plant, seed, noise)
+    io_map = machine.bus.io
+    io = None
+    if io_map is not None:
+        layout = IoLayout(
+            io_map.unit_id,
+            io_map.brake_coils,
+            io_map.brake_feedback_inputs,
+            io_map.hold_to_run_input,
+            io_map.door_input,
+            io_map.temperature_registers,
+        )
+        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes)
+        io.set_hold_to_run(True)
+        io.set_door(True)
+    emulated = EmulatedMachine(
+        physics,
+        emulated_bus(machine, physics),
+        machine.plant.sample_period_s,
+        imu=EmulatedImu() if machine.bus.imu is not None else None,
+        io=io,
+        witness=None if truth is None else lambda time_s: truth.add(time_s, physics.truth()),
+    )
+    emulated.place(np.zeros(len(machine.axes)) if pose is None else pose)
+    return emulated
+
+
+def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
+    """The CANopen devices, as the machine file describes them."""
+    bus = machine.bus
+    assert bus is not None
+    gains = _velocity_gains(machine, physics)
+    drives, encoders = [], []
+    for node in bus.nodes:
+        scaling = bus.scalings[machine.axis_index(node.axis)]
+        if node.role == "drive":
+            drives.append(
+                EmulatedDrive(
+                    node.name,
+                    node.axis,
+                    node.node_id,
+                    node.eds,
+                    scaling.rated,
+                    scaling.rated_current_mA,
+                    scaling.rated_torque_mNm,
+                    scaling.limit,
+                    scaling.position_resolution,
+                    counts_per_turn=_counts_per_motor_turn(machine, node.axis, scaling.position_resolution),
+                    velocity_gain=gains[node.axis],
+                    velocity_integral_gain=gains[node.axis] * 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz / 4.0,
+                    sign=scaling.sign,
+                )
+            )
+        else:
+            turn = 2.0 * math.pi if machine.units[machine.axis_index(node.axis)].position == "rad" else 1.0
+            encoders.append(
+                EmulatedEncoder(
+                    node.name,
+                    node.axis,
+                    node.node_id,
+                    node.eds,
+                    counts_per_turn=round(turn / scaling.link_resolution),
+                    zero_counts=scaling.link_zero_counts,
+                )
+            )
+    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders))
+
+
+def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> int:
+    drive = machine.plant.drives[machine.axis_index(axis)]
+    turn = 2.0 * math.pi if machine.units[machine.axis_index(axis)].position == "rad" else 1.0
+    return max(1, round(turn / (resolution * drive.ratio)))
+
+
+def _velocity_gains(machine: Machine, physics: Physics) -> dict[str, float]:
+    """Drive's unit per rad/s (or m/s) at the joint: the joint's inertia at pose zero times the bandwidth, over the effort of one unit."""
+    model = physics.model
+    inertia = inertia_matrix(physics.plant, model, np.zeros(physics.plant.joints))
+    joints = physics.plant.joint_of_axis()
+    return {
+        drive.axis: 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz * inertia[joints[drive.axis], joints[drive.axis]] / (drive.constant * drive.ratio)
+        for drive in machine.plant.drives
+    }
+
+
+def emulate_machine(
+    machine: Machine, bus_url: str, pose: Mapping[str, float], *, seed: int = 0, noise: bool = True, truth: Path | None = None
+) -> None:
+    """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
+
+    The first line of standard output is JSON and says where the ports of IMU and I/O are.
+    """
+    with ExitStack() as stack:
+        bus = stack.enter_context(opened_bus(bus_url, machine.bus.bitrate_bit_s if machine.bus is not None else STANDARD_BITRATE))
+        log = stack.enter_context(closing(TruthLog(truth))) if truth is not None else None
+        start = np.array([pose.get(axis, 0.0) for axis in machine.axes])
+        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log)
+
+        def ready(ports: Ports) -> None:
+            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_device, ports.io_url)))
+            _say({"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url})
+
+        run_emulator(bus, emulated, ready)
+
+
+def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:
+    """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
+    device = BareMachine(eds, node_id)
+    with opened_bus(bus_url, STANDARD_BITRATE) as bus:
+        run_device(bus, device, lambda: _say({"ready": str(eds), "bus": bus_url, "node": node_id}))
+
+
+@contextmanager
+def opened_bus(url: str, bitrate: int) -> Iterator[can.BusABC]:
+    """An open bus, shut down on the way out."""
+    bus = open_bus(url, bitrate)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def _say(document: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(document) + "\n")
+    sys.stdout.flush()

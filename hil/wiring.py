@@ -1,0 +1,133 @@
+"""From a bus URL to a machine link: the same drivers on an emulated machine in this process, or on a bus outside it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.errors import BusUnavailable
+from drivers.machine_link import CanMachine
+from drivers.modbus.io import Io, IoDriver
+from drivers.modbus.io_process import IoProcess
+from drivers.modbus.transport import InProcessTransport
+from drivers.serial.imu import ImuDriver
+from drivers.serial.stream import SerialStream
+from drivers.settings import BusSettings
+from hil.clock import LockstepClock, WallClock
+from hil.emulation import build_emulated, opened_bus
+from hil.errors import UnusableInput
+from hil.machine import Machine
+from hil.rendezvous import find
+from hil.truth import TruthLog
+from virtual_bus.lockstep import LockstepBus, imu_line, io_line
+
+if TYPE_CHECKING:
+    from hil.bench import BenchOptions
+
+
+@dataclass
+class Wiring:
+    """A machine link and the clock it ticks by."""
+
+    link: CanMachine
+    clock: LockstepClock | WallClock
+    lockstep: bool
+    truth: TruthLog | None = None
+
+    def start_truth(self) -> None:
+        """Truth rows begin with the next SYNC."""
+        if self.truth is not None:
+            self.truth.recording = True
+
+    def pause_truth(self) -> None:
+        """Truth rows end here."""
+        if self.truth is not None:
+            self.truth.recording = False
+
+
+@contextlib.contextmanager
+def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None) -> Iterator[Wiring]:
+    """The emulated machine in this process, standing at `start_pose` (n_axes,), and its drivers on virtual time."""
+    settings = machine.bus
+    assert settings is not None
+    with contextlib.ExitStack() as stack:
+        truth = None
+        if options.truth is not None:
+            truth = stack.enter_context(contextlib.closing(TruthLog(options.truth, tuple(j.name for j in machine.plant.tree.joints))))
+            truth.recording = False
+        emulated = build_emulated(machine, start_pose, seed=options.seed, noise=options.noise, truth=truth)
+        log = stack.enter_context(options.frame_log.open("w", encoding="utf-8")) if options.frame_log is not None else None
+        bus = LockstepBus(emulated, log)
+        stack.callback(bus.shutdown)
+        imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
+        io: Io | None = None
+        if settings.io is not None:
+            line = io_line(emulated)
+
+            def serve(request: bytes) -> bytes:
+                line.write(request)
+                return line.read()
+
+            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
+        clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
+        yield Wiring(CanMachine(settings, bus, clock, imu, io), clock, True, truth)
+
+
+@contextlib.contextmanager
+def wall_wiring(machine: Machine, options: BenchOptions) -> Iterator[Wiring]:
+    """A machine on a bus outside this process, real or emulated, on wall time.
+
+    Raises
+    ------
+    BusUnavailable
+        No such bus, serial port or I/O.
+    UnusableInput
+        The machine has an IMU or I/O and nobody says where.
+    """
+    settings = machine.bus
+    assert settings is not None
+    if options.truth is not None:
+        raise UnusableInput("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
+    if options.frame_log is not None:
+        raise UnusableInput(
+            f"--frame-log: the loop writes none on a real bus; record {options.bus_url} beside it: candump -l, python -m can.logger"
+        )
+    settings = _with_ports(machine, settings, options)
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
+        imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
+        io = None
+        if settings.io is not None:
+            io = IoProcess(settings.io, machine.axes)
+            stack.callback(io.close)
+            io.start()
+        clock = WallClock()
+        yield Wiring(CanMachine(settings, bus, clock, imu, io), clock, False)
+
+
+def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) -> BusSettings:
+    """Settings with the IMU's device and the I/O's URL filled in: from the command line, the machine file, or an emulator on this host."""
+    card = find(options.bus_url)
+    if settings.imu is not None:
+        device = options.imu_device or settings.imu.device or (card.imu_device if card else "")
+        if not device:
+            raise _nowhere(machine, options, "IMU", "[bus.imu] device", "--imu DEVICE")
+        settings = dataclasses.replace(settings, imu=dataclasses.replace(settings.imu, device=device))
+    if settings.io is not None:
+        url = options.io_url or settings.io.url or (card.io_url if card else "")
+        if not url:
+            raise _nowhere(machine, options, "I/O", "[bus.io] url", "--io URL")
+        settings = dataclasses.replace(settings, io=dataclasses.replace(settings.io, url=url))
+    return settings
+
+
+def _nowhere(machine: Machine, options: BenchOptions, what: str, key: str, option: str) -> BusUnavailable:
+    return BusUnavailable(
+        f"{machine.name} on {options.bus_url}: nobody says where its {what} is; "
+        f"start `isocenter emulate` on this bus, set {key} or give {option}"
+    )
