@@ -32,6 +32,7 @@ _NAMES = {
     "amplitudes": "amplitude_A",
     "band": "lines",
 }
+_PER_TIME = {"speed": "_s", "acceleration": "_s2"}
 _JOG_NAMES = {"amplitude": "amplitude_rad", "frequency": "frequency_Hz"}
 _BAND_NAMES = {"low": "low_Hz", "high": "high_Hz", "dense": "dense_Hz"}
 
@@ -100,7 +101,7 @@ def _experiment(table: Any, machine: Machine) -> Experiment:
                 given["jog"] = _jog(table.jog, given.get("axes") or machine.axes, machine)
             return JogOnly(**given)
         case "scan":
-            for name in ("start", "stop", "speed"):
+            for name in ("start", "stop", "speed", "acceleration"):
                 _check_dimension(table, name, (table.axis,), machine, ())
             return Scan(**given)
         case "static":
@@ -133,6 +134,7 @@ def _check_dimension(table: Table, name: str, axes: Iterable[str], machine: Mach
             place = "axis" if table.has("axis") else "axes"
             raise Complaint((*where, place), f"{machine.name} has no axis {axis}; it has {', '.join(units)}")
         unit = units[axis].effort if name == "amplitude" and not where else units[axis].position
-        wanted, found = dimension_of(unit), table.dimension(name)
-        if found is not None and found != wanted and not (name == "speed" and found == ("angular_speed" if wanted == "angle" else "speed")):
-            raise Complaint((*where, table.key(name)), f"{axis} takes {unit}{'/s' if name == 'speed' else ''} here")
+        per = _PER_TIME.get(name, "")
+        found = table.dimension(name)
+        if found is not None and found != dimension_of(unit + per):
+            raise Complaint((*where, table.key(name)), f"{axis} takes {(unit + per).replace('_', '/')} here")

@@ -74,6 +74,7 @@ class ScanTable(ExperimentTable):
     start: Annotated[Number, Quantity("angle", "length")]
     stop: Annotated[Number, Quantity("angle", "length")]
     speed: Annotated[Positive | None, Quantity("angular_speed", "speed")] = None
+    acceleration: Annotated[Positive | None, Quantity("angular_acceleration", "acceleration")] = None
     dwell: Duration = None
     sweeps: AtLeastOne | None = None
 

@@ -37,6 +37,8 @@ def experiment_text(experiment: Experiment, machine: Machine) -> str:
             unit = _position_unit(experiment.axis, machine)
             ends = [_position("start", experiment.start, unit), _position("stop", experiment.stop, unit)]
             table = {"kind": "scan", "axis": experiment.axis, **dict(ends), **dict([_position("speed", experiment.speed, unit, "_s")])}
+            if experiment.acceleration is not None:
+                table |= dict([_position("acceleration", experiment.acceleration, unit, "_s2")])
             table |= {"dwell_s": float(experiment.dwell_s), "sweeps": experiment.sweeps, "pose": _pose(experiment.pose, machine)}
         case Static():
             table = {"kind": "static", "duration_s": float(experiment.seconds), "pose": _pose(experiment.pose, machine)}

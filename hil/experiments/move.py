@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,13 @@ from hil.experiments.plan import Plan, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
 
+UNHURRIED = 0.5
+"""Share of the machine's speed, acceleration and jerk that a move takes: getting to a start pose is no race, and gravity needs its part."""
+
 
 @dataclass(frozen=True)
 class Move:
-    """From pose to pose within the machine's limits; how the bench gets to an experiment's start.
+    """From pose to pose at half the machine's pace; how the bench gets to an experiment's start.
 
     Parameters
     ----------
@@ -32,12 +35,16 @@ class Move:
     def plans(self, machine: Machine) -> list[Plan]:
         """One plan."""
         start, goal = pose_array(machine, self.start), pose_array(machine, self.goal)
+        limits = tuple(
+            replace(each, speed=UNHURRIED * each.speed, acceleration=UNHURRIED * each.acceleration, jerk=UNHURRIED * each.jerk)
+            for each in machine.limits
+        )
         try:
-            reference = move(start, goal, machine.limits, machine.sample_rate_Hz).position
+            reference = move(start, goal, limits, machine.sample_rate_Hz).position
         except DesignError as error:
             raise ExperimentError(f"move: {error}") from None
         safety = Safety(machine, start)
         safety.check_reference("move", reference)
-        safety.check_holding("move", reference)
+        peaks = safety.check_motion("move", reference)
         metadata = experiment_metadata("move", period_samples=len(reference), settle_periods=0, periods=1, start_pose=start)
-        return [safety.plan(reference, np.zeros_like(reference), start, metadata)]
+        return [safety.plan(reference, np.zeros_like(reference), start, metadata, (peaks,))]

@@ -14,8 +14,8 @@ from virtual_bus.physics import Physics
 
 
 @dataclass(frozen=True)
-class Steady:
-    """One period of the steady response, arrays (N, n_axes), deviations from standstill."""
+class Response:
+    """A response in deviations from standstill, arrays (N, n_axes)."""
 
     command: np.ndarray
     position: np.ndarray
@@ -34,7 +34,6 @@ class ClosedLoop:
     """
 
     def __init__(self, machine: Machine, physics: Physics, pose: np.ndarray) -> None:
-        self.holding = np.asarray(physics.holding_effort(pose))
         self._machine = machine
         model = physics.linearise(pose)
         outputs = [model.output_labels.index(f"position_{axis}") for axis in machine.axes]
@@ -44,7 +43,7 @@ class ClosedLoop:
         )
         self._check_stable(pose)
 
-    def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Steady:
+    def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Response:
         """Response to one period of reference deviation and excitation, (N, n_axes) each.
 
         U = (I + C_y G)^-1 (W + C_r R), Y = G U at the lines that are there.
@@ -58,10 +57,10 @@ class ClosedLoop:
         frequencies = lines * rate / samples
         from_reference, from_position = self._controllers(frequencies)
         plant = self._plant(frequencies)
-        loop = np.eye(len(self.holding)) + from_position[:, :, None] * plant
+        loop = np.eye(len(self._machine.axes)) + from_position[:, :, None] * plant
         u = np.linalg.solve(loop, (w[lines] + from_reference * r[lines])[:, :, None])
         y = (plant @ u)[:, :, 0]
-        return Steady(
+        return Response(
             command=self._in_time(u[:, :, 0], lines, samples),
             position=self._in_time(y, lines, samples),
             speed=self._in_time(y * (2j * np.pi * frequencies)[:, None], lines, samples),
@@ -91,7 +90,7 @@ class ClosedLoop:
         """Poles of plant, delay and C_y together lie inside the unit circle."""
         blocks = [scipy.signal.sos2zpk(each.position_sections) for each in self._machine.controllers]
         controller = [scipy.signal.zpk2ss(*block) for block in blocks]
-        n, m = len(self._a), len(self.holding)
+        n, m = len(self._a), len(self._machine.axes)
         sizes = [len(a) for a, _, _, _ in controller]
         total = n + m + sum(sizes)
         loop = np.zeros((total, total))

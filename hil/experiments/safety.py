@@ -12,8 +12,9 @@ import numpy as np
 
 from hil.errors import ExperimentError
 from hil.experiments.plan import Plan
-from hil.experiments.prediction import ClosedLoop, Steady
+from hil.experiments.prediction import ClosedLoop, Response
 from hil.machine import Machine
+from hil.simulation import Inputs, Simulator
 from virtual_bus.physics import Physics
 
 COMMAND_SHARE = 0.9
@@ -42,6 +43,11 @@ class Bound:
         return float(values[np.argmax(np.abs(values - middle))])
 
     @property
+    def broken(self) -> str:
+        """What is wrong, in words."""
+        return f"{self.what} would reach {self.extreme:.4g} {self.unit}; allowed is {self.lower:.4g} to {self.upper:.4g} {self.unit}"
+
+    @property
     def largest_share(self) -> float:
         """Largest a >= 0 that keeps the bound; negative where even a = 0 breaks it."""
         if (self.offset > self.upper).any() or (self.offset < self.lower).any():
@@ -67,28 +73,55 @@ class Safety:
         self._machine = machine
         self._pose = start_pose
         self._effort_units = [units.effort for units in machine.units]
-        self.check_holding("start pose", start_pose[None, :])
+        self.check_holding()
 
     @cached_property
     def _physics(self) -> Physics:
         return Physics(self._machine.plant, noise=False)
 
     @cached_property
+    def _holding(self) -> np.ndarray:
+        return np.asarray(self._physics.holding_effort(self._pose))
+
+    @cached_property
     def _loop(self) -> ClosedLoop:
         return ClosedLoop(self._machine, self._physics, self._pose)
 
-    def check_holding(self, kind: str, reference: np.ndarray) -> None:
-        """Gravity along a reference (N, n_axes) leaves room below the drives' limits."""
-        way = reference[np.linspace(0, len(reference) - 1, min(len(reference), 25)).astype(int)]
-        efforts = np.array([self._physics.holding_effort(pose) for pose in way])
-        for axis, controller in enumerate(self._machine.controllers):
-            worst = int(np.abs(efforts[:, axis]).argmax())
-            if abs(efforts[worst, axis]) > COMMAND_SHARE * controller.limit:
-                unit = self._effort_units[axis]
+    def check_holding(self) -> None:
+        """Gravity at the start pose leaves room below the drives' limits."""
+        for effort, unit, controller in zip(self._holding, self._effort_units, self._machine.controllers, strict=True):
+            if abs(effort) > COMMAND_SHARE * controller.limit:
                 raise ExperimentError(
-                    f"{kind}: holding {controller.axis} at {way[worst].round(4).tolist()} takes {efforts[worst, axis]:.3g} {unit}; "
+                    f"start pose: holding {controller.axis} at {self._pose.round(4).tolist()} takes {effort:.3g} {unit}; "
                     f"{COMMAND_SHARE:.0%} of its {controller.limit:g} {unit} limit may be used"
                 )
+
+    def check_motion(self, kind: str, reference: np.ndarray) -> str:
+        """Simulate the machine without noise along a reference (N, n_axes); hold command, position and tracking error against limits.
+
+        Returns
+        -------
+        str
+            Predicted peak command of each axis, for the person at the bench.
+
+        Raises
+        ------
+        ExperimentError
+            A limit would be broken.
+        """
+        still = np.zeros_like(reference)
+        feedforward = gravity_feedforward(self._machine, self._physics, reference)
+        inputs = Inputs(reference, still, still if feedforward is None else feedforward, None, self._pose)
+        simulated = Simulator(self._machine).run(inputs)
+        channels = [encoder.channel for encoder in self._machine.plant.encoders]
+        position = simulated.encoders[:, [channels.index(f"position_{axis}") for axis in self._machine.axes]]
+        # no speed: whole encoder counts per sample say little of it, and the reference's is checked
+        motion = Response(simulated.command - self._holding, position - self._pose, still)
+        bounds = self._bounds(reference - self._pose, motion, Response(still, still, still))
+        for bound in bounds:
+            if bound.largest_share < 1.0:
+                raise ExperimentError(f"{kind}: {bound.broken}; lower speed or acceleration asks less")
+        return self._peaks(bounds)
 
     def check_reference(self, kind: str, reference: np.ndarray, hint: str = "") -> None:
         """Range, speed, acceleration and jerk of a reference (N, n_axes) that starts from standstill at the start pose."""
@@ -138,14 +171,14 @@ class Safety:
             raise ExperimentError(f"{kind}: {self._complaint(tightest, amplitude)}")
         return [self._peaks(bounds) for bounds in found]
 
-    def _bounds(self, deviation: np.ndarray, moved: Steady, driven: Steady) -> list[Bound]:
+    def _bounds(self, deviation: np.ndarray, moved: Response, driven: Response) -> list[Bound]:
         """Every limit that one excitation could break. Acceleration and jerk are limits of references: what an excitation does there is
         bounded by the drives' effort."""
         bounds = []
         for axis, (limit, controller) in enumerate(zip(self._machine.limits, self._machine.controllers, strict=True)):
             most, error = COMMAND_SHARE * controller.limit, limit.tracking_error
             rows = (
-                ("command", self._effort_units[axis], -most, most, self._loop.holding[axis] + moved.command, driven.command),
+                ("command", self._effort_units[axis], -most, most, self._holding[axis] + moved.command, driven.command),
                 ("position", limit.unit, limit.lower, limit.upper, self._pose[axis] + moved.position, driven.position),
                 ("speed", f"{limit.unit}/s", -limit.speed, limit.speed, moved.speed, driven.speed),
                 ("tracking error", limit.unit, -error, error, deviation - moved.position, -driven.position),
@@ -163,14 +196,12 @@ class Safety:
         return np.zeros_like(deviation) if along is None or at_rest is None else along - at_rest
 
     def _complaint(self, bound: Bound, amplitude: float | None) -> str:
-        limit = f"{bound.lower:.4g} to {bound.upper:.4g} {bound.unit}"
-        broken = f"{bound.what} would reach {bound.extreme:.4g} {bound.unit}; allowed is {limit}"
         if bound.largest_share <= 0.0:
-            return f"{broken}, which holding and jog break by themselves"
+            return f"{bound.broken}, which holding and jog break by themselves"
         if amplitude is None:
-            return f"{broken}; at most {rounded_down(bound.largest_share):.3g} times these amplitudes would do"
+            return f"{bound.broken}; at most {rounded_down(bound.largest_share):.3g} times these amplitudes would do"
         unit, largest = self._effort_units[0], rounded_down(bound.largest_share * amplitude)
-        return f"{broken}; an amplitude of at most {largest:.3g} {unit} instead of {amplitude:g} {unit} would do"
+        return f"{bound.broken}; an amplitude of at most {largest:.3g} {unit} instead of {amplitude:g} {unit} would do"
 
     def _peaks(self, bounds: list[Bound]) -> str:
         commands = [bound for bound in bounds if bound.what.startswith("command")]

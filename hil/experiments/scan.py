@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from controllers.errors import DesignError
+from controllers.settings import AxisLimits
 from controllers.trajectory import sweep
 from hil.errors import ExperimentError
 from hil.experiments.metadata import experiment_metadata
@@ -27,6 +28,8 @@ class Scan:
         Ends [rad or m].
     speed : float
         Of the constant part [rad/s or m/s]; 30 deg/s unless given.
+    acceleration : float, optional
+        Of the ramps [rad/s^2 or m/s^2]; the axis's limit unless given.
     pose : mapping
         Positions of the other axes [rad or m]; those left out stand at zero.
     dwell_s : float
@@ -39,6 +42,7 @@ class Scan:
     start: float
     stop: float
     speed: float = np.radians(30.0)
+    acceleration: float | None = None
     pose: Mapping[str, float] = field(default_factory=dict)
     dwell_s: float = 1.0
     sweeps: int = 1
@@ -52,18 +56,27 @@ class Scan:
         axis = int(axis_indices(machine, (self.axis,))[0])
         start = pose_array(machine, {**self.pose, self.axis: self.start})
         try:
-            there = sweep(axis, start, self.stop, self.speed, machine.limits, machine.sample_rate_Hz).position
+            there = sweep(axis, start, self.stop, self.speed, self._limits(machine, axis), machine.sample_rate_Hz).position
         except DesignError as error:
             raise ExperimentError(f"scan: {error}") from None
         reference = self._with_dwells(there, machine.sample_rate_Hz)
         safety = Safety(machine, start)
         safety.check_reference("scan", reference)
-        safety.check_holding("scan", reference)
+        peaks = safety.check_motion("scan", reference)
         returns = self.sweeps // 2 if self.sweeps % 2 == 0 else 1
         metadata = experiment_metadata(
             "scan", period_samples=len(reference) // returns, settle_periods=0, periods=returns, start_pose=start
         )
-        return [safety.plan(reference, np.zeros_like(reference), start, metadata)]
+        return [safety.plan(reference, np.zeros_like(reference), start, metadata, (peaks,))]
+
+    def _limits(self, machine: Machine, axis: int) -> tuple[AxisLimits, ...]:
+        limit = machine.limits[axis]
+        if self.acceleration is None:
+            return machine.limits
+        if not 0.0 < self.acceleration <= limit.acceleration:
+            raise ExperimentError(f"scan: acceleration = {self.acceleration:g}: must be positive and at most {limit.acceleration:.5g}")
+        gentler = replace(limit, acceleration=self.acceleration)
+        return (*machine.limits[:axis], gentler, *machine.limits[axis + 1 :])
 
     def _with_dwells(self, there: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
         """Dwell, sweep, dwell, back: a period is there, dwell, back, dwell, and starts within its first dwell."""

@@ -47,7 +47,7 @@ multisines = st.builds(
 experiments = st.one_of(
     multisines,
     st.builds(JogOnly, pose=poses, axes=axes, jog=jogs, period_s=positive, periods=counts, settle_periods=counts),
-    st.builds(Scan, st.sampled_from(CARM.axes), numbers, numbers, positive, poses, positive, counts),
+    st.builds(Scan, st.sampled_from(CARM.axes), numbers, numbers, positive, st.none() | positive, poses, positive, counts),
     st.builds(Static, positive, poses),
     st.builds(Move, poses, poses),
 )
@@ -129,6 +129,7 @@ def test_without_a_jog_table_a_file_has_no_jog():
         ('format = 1\nkind = "scan"\naxis = "roll"\nstart_deg = 0', "stop.*is missing"),
         ('format = 1\nkind = "scan"\naxis = "roll"\nstart_mm = 0\nstop_deg = 3', "start_mm = 0: roll takes rad here"),
         ('format = 1\nkind = "scan"\naxis = "roll"\nstart_deg = 0\nstop_deg = 3\nspeed_m_s = 3', "speed_m_s = 3: roll takes rad/s here"),
+        ('format = 1\nkind = "scan"\naxis = "roll"\nstart_deg = 0\nstop_deg = 3\nacceleration_mm_s2 = 3', "roll takes rad/s2 here"),
         ('format = 1\nkind = "scan"\naxis = "tilt"\nstart_deg = 0\nstop_deg = 3', "no axis tilt"),
         ('format = 1\nkind = "jog"\njog = { amplitude_mm = 2 }', "jog.amplitude_mm = 2: propeller takes rad here"),
         ("format = ", "no valid TOML"),

@@ -11,6 +11,7 @@ from hil.errors import ExperimentError
 from hil.experiments import Jog, JogOnly, Move, Multisine, Scan, Static
 from hil.experiments.safety import COMMAND_SHARE
 from hil.machine import load_machine
+from hil.simulation import Inputs, Simulator
 from virtual_bus.physics import Physics
 
 CARM = load_machine("carm")
@@ -130,6 +131,27 @@ def test_the_prediction_counts_the_holding_effort():
     np.testing.assert_allclose(named, np.abs(holding), atol=0.006)
 
 
+def test_the_predicted_peaks_are_those_of_the_nonlinear_simulation():
+    asked = Multisine(period_s=PERIOD_S, periods=2, amplitude_A=0.5, jog=Jog(amplitude_rad=0.01, line=1), pose={"roll": 0.4})
+    simulator = Simulator(CARM)
+    for plan in asked.plans(CARM):
+        still = np.zeros_like(plan.reference)
+        simulated = simulator.run(Inputs(plan.reference, plan.excitation, still, None, plan.start_pose))
+        peaks = np.abs(simulated.command[-PERIOD:]).max(axis=0)
+        np.testing.assert_allclose([float(value) for value in re.findall(r"([\d.]+) of", plan.notes[0])], peaks, rtol=0.02)
+
+
+def test_a_scan_that_would_ask_too_much_of_the_drive_is_refused():
+    scan = Scan("roll", -1.2, 1.2, np.radians(55.0))
+    peak = float(re.search(r"roll ([\d.]+) of", scan.plans(CARM)[0].notes[0]).group(1))
+    weaker = [dataclasses.replace(each, limit=peak / COMMAND_SHARE * 0.98) for each in CARM.controllers]
+    with pytest.raises(ExperimentError, match=r"scan: command of roll would reach.*lower speed or acceleration"):
+        scan.plans(dataclasses.replace(CARM, controllers=tuple(weaker)))
+    tighter = [dataclasses.replace(each, tracking_error=1e-4) for each in CARM.limits]
+    with pytest.raises(ExperimentError, match=r"scan: tracking error of .* would reach"):
+        scan.plans(dataclasses.replace(CARM, limits=tuple(tighter)))
+
+
 def test_a_pose_that_gravity_holds_only_at_the_limit_is_refused():
     pose = {"propeller": 0.9}
     holding = np.abs(Physics(CARM.plant, noise=False).holding_effort(np.array([0.9, 0.0])))
@@ -155,11 +177,12 @@ def test_a_scan_dwells_sweeps_and_dwells(speed_deg_s):
 
 
 def test_scans_there_and_back_are_periods():
-    plan = Scan("roll", 0.0, 1.0, 0.4, dwell_s=0.5, sweeps=4).plans(CARM)[0]
+    plan = Scan("roll", 0.0, 1.0, 0.4, acceleration=0.3, dwell_s=0.5, sweeps=4).plans(CARM)[0]
     samples = plan.metadata["period_samples"]
     assert plan.metadata["periods"] == 2 and plan.rows == 2 * samples
     np.testing.assert_allclose(plan.reference[:samples], plan.reference[samples:], atol=1e-12)
     assert np.abs(np.diff(plan.reference[:, 1])).max() * 256.0 == pytest.approx(0.4)
+    assert np.abs(np.diff(plan.reference[:, 1], 2)).max() * 256.0**2 == pytest.approx(0.3)
 
 
 def test_a_move_ends_at_its_goal_and_a_static_stays():
@@ -202,6 +225,7 @@ def test_gravity_feedforward_follows_the_reference_on_the_axes_that_ask():
         (replaced(jog=Jog(amplitude_rad=3.0, line=1)), "the reference of propeller"),
         (Scan("roll", 0.0, 3.0), "outside the range"),
         (Scan("roll", 0.0, 0.02), "too short"),
+        (Scan("roll", 0.0, 1.0, acceleration=100.0), "acceleration = 100"),
         (Scan("roll", 0.0, 1.0, sweeps=0), "sweeps = 0"),
         (Scan("roll", 0.0, 1.0, dwell_s=-1.0), "dwell_s"),
         (Static(seconds=0.0), "seconds = 0"),
