@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from enum import IntEnum
+from operator import itemgetter
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
@@ -266,8 +267,25 @@ def decode_mtdata2(data: bytes) -> list[tuple[int, bytes]]:
     return packets
 
 
+# The one layout this bench configures, all fields in float32, goes through one struct: a message each way passes in every tick.
+_STANDARD = struct.Struct(">HBHHBIHB3fHB3fHBI")
+_STANDARD_HEADS = (
+    *(DataId.PACKET_COUNTER, 2, DataId.SAMPLE_TIME_FINE, 4),
+    *(DataId.ACCELERATION, 12, DataId.RATE_OF_TURN, 12, DataId.STATUS_WORD, 4),
+)
+_HEAD_FIELDS = itemgetter(0, 1, 3, 4, 6, 7, 11, 12, 16, 17)
+
+
 def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -> bytes:
     """An MTData2 message with what the reading holds, in the order of its fields."""
+    if precision == Precision.FLOAT32 and None not in reading:
+        counter, time_ticks, acceleration, rate, status = reading
+        assert acceleration is not None and rate is not None
+        head = _STANDARD_HEADS
+        return encode(
+            MessageId.MTDATA2,
+            _STANDARD.pack(*head[:2], counter, *head[2:4], time_ticks, *head[4:6], *acceleration, *head[6:8], *rate, *head[8:], status),
+        )
     packets: list[tuple[int, bytes]] = []
     if reading.counter is not None:
         packets.append((DataId.PACKET_COUNTER, struct.pack(">H", reading.counter)))
@@ -290,6 +308,8 @@ def decode_reading(data: bytes) -> Reading:
     ProtocolError
         A packet is cut off or has the wrong size.
     """
+    if len(data) == _STANDARD.size and _HEAD_FIELDS(fields := _STANDARD.unpack(data)) == _STANDARD_HEADS:
+        return Reading(fields[2], fields[5], fields[8:11], fields[13:16], fields[18])
     counter = time_ticks = status = None
     acceleration = rate_of_turn = None
     for identifier, value in decode_mtdata2(data):

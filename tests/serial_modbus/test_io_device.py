@@ -52,6 +52,7 @@ def test_pymodbustcp_reads_inputs_and_temperatures(tcp):
     device.set_temperature("propeller", 24.3)
     device.set_temperature("roll", -5.1)
     assert client.read_discrete_inputs(8, 2) == [False, True]
+    assert client.read_discrete_inputs(0, 10) == [False] * 9 + [True]  # two bytes, the first eight inputs in the first
     assert client.read_input_registers(0, 6) == [0, 0, 0x10000 - 51, 0, 0, 243]
 
 

@@ -120,6 +120,13 @@ def test_any_single_damaged_byte_is_noticed(message, data):
     assert Message(*message) not in received
 
 
+def test_any_single_damaged_bit_is_noticed():
+    for position in range(8, 8 * len(CAPTURED_AT_REST)):
+        wire = bytearray(CAPTURED_AT_REST)
+        wire[position // 8] ^= 1 << position % 8
+        assert all(message.message_id != MessageId.MTDATA2 for message in StreamParser().feed(bytes(wire)))
+
+
 def test_damage_is_counted_and_the_next_message_is_read():
     parser = StreamParser()
     damaged = bytearray(CAPTURED_AT_REST)
