@@ -39,7 +39,8 @@ class LockstepBus(can.BusABC):
     Parameters
     ----------
     machine : EmulatedMachine
-        It is connected and powered on by this constructor: its boot-ups are the first frames to receive.
+        Powered on and connected by this constructor, in this order: like a machine that was on before the bench came, it has said its
+        boot-ups already.
     log : text file, optional
         Takes every frame of both directions in candump's form, with virtual time.
     """
@@ -53,8 +54,8 @@ class LockstepBus(can.BusABC):
         self._period_s = machine.period_s
         self._log = log
         super().__init__(channel=CHANNEL)
-        machine.connect(self._queue if log is None else self._queue_logged)
         machine.power_on()
+        machine.connect(self._queue if log is None else self._queue_logged)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the machine. Remote and 29-bit frames find no listener."""
