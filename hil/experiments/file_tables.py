@@ -30,6 +30,8 @@ class AxisTable(Table):
 
 
 class BandTable(Table):
+    """[band]: a choice of lines by frequency."""
+
     low: Frequency = None
     high: Frequency = None
     per_decade: Count | None = None
@@ -39,6 +41,8 @@ class BandTable(Table):
 
 
 class JogTable(Table):
+    """[jog]: a slow sine on the reference."""
+
     amplitude: Annotated[Positive | None, Quantity("angle", "length")] = None
     line: AtLeastOne | None = None
     frequency: Frequency = None
@@ -46,11 +50,15 @@ class JogTable(Table):
 
 
 class ExperimentTable(Table):
+    """What every experiment file has."""
+
     format: Literal[1]
     kind: str
 
 
 class PeriodicTable(ExperimentTable):
+    """What multisine and jog share."""
+
     axes: tuple[Name, ...] | None = None
     period: Annotated[Positive | None, Quantity("time")] = None
     periods: AtLeastOne | None = None
@@ -59,6 +67,8 @@ class PeriodicTable(ExperimentTable):
 
 
 class MultisineTable(PeriodicTable):
+    """kind = "multisine"."""
+
     experiments: Literal["orthogonal", "single"] | None = None
     lines: tuple[Whole, ...] | None = None
     band: BandTable | None = None
@@ -70,6 +80,8 @@ class MultisineTable(PeriodicTable):
 
 
 class ScanTable(ExperimentTable):
+    """kind = "scan"."""
+
     axis: Name
     start: Annotated[Number, Quantity("angle", "length")]
     stop: Annotated[Number, Quantity("angle", "length")]
@@ -80,6 +92,8 @@ class ScanTable(ExperimentTable):
 
 
 class StaticTable(ExperimentTable):
+    """kind = "static"."""
+
     duration: Annotated[Positive | None, Quantity("time")] = None
 
 

@@ -28,24 +28,24 @@ class Scan:
         Ends [rad or m].
     speed : float
         Of the constant part [rad/s or m/s]; 30 deg/s unless given.
-    acceleration : float, optional
-        Of the ramps [rad/s^2 or m/s^2]; the axis's limit unless given.
     pose : mapping
         Positions of the other axes [rad or m]; those left out stand at zero.
     dwell_s : float
         Standstill before the first sweep and after each.
     sweeps : int
         1: there; 2: there and back; and so on. Whole numbers of there-and-back are periods of the recording.
+    acceleration : float, optional
+        Of the ramps [rad/s^2 or m/s^2]; the axis's limit unless given.
     """
 
     axis: str
     start: float
     stop: float
     speed: float = np.radians(30.0)
-    acceleration: float | None = None
     pose: Mapping[str, float] = field(default_factory=dict)
     dwell_s: float = 1.0
     sweeps: int = 1
+    acceleration: float | None = None
 
     def plans(self, machine: Machine) -> list[Plan]:
         """One plan."""

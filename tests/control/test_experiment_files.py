@@ -47,7 +47,7 @@ multisines = st.builds(
 experiments = st.one_of(
     multisines,
     st.builds(JogOnly, pose=poses, axes=axes, jog=jogs, period_s=positive, periods=counts, settle_periods=counts),
-    st.builds(Scan, st.sampled_from(CARM.axes), numbers, numbers, positive, st.none() | positive, poses, positive, counts),
+    st.builds(Scan, st.sampled_from(CARM.axes), numbers, numbers, positive, poses, positive, counts, st.none() | positive),
     st.builds(Static, positive, poses),
     st.builds(Move, poses, poses),
 )
