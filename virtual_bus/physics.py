@@ -128,9 +128,7 @@ class Physics:
         `pose_<body>` is (12,): the position of the body's frame in the world, then its rotation by rows.
         """
         n = self.plant.joints
-        poses = np.zeros((len(self.settings.watched_bodies), 12))
-        if len(poses):
-            self.plant.poses(self._state[:n], self.model.constants, poses)
+        poses = self.plant.body_poses(self.model, self._state[:n])
         truth = {
             "joint_position": self._state[:n].copy(),
             "joint_speed": self._state[n : 2 * n].copy(),

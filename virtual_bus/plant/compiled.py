@@ -2,21 +2,18 @@
 
 Calling convention
 ------------------
-`plant = compile_plant(settings)` writes (or finds) the generated module; its compiled functions take arrays only and may be called from
-other numba functions. All arrays are float64 and C-contiguous, n joints in body order, axes in the order of the drives.
+`plant = compile_plant(settings)` writes (or finds) the generated module. Its compiled functions may be called from other numba functions and
+take arrays only: float64 and C-contiguous, n joints in body order, axes in the order of the drives.
 
-    model = plant.model(values, effects)          # a named tuple; new numbers need no compilation
-    work = plant.new_work()                       # scratch memory, one per thread
+    model = plant.model(values, effects)          # (1,) record of records.model_dtype; new numbers need no compilation
+    work = plant.new_work()                       # (1,) record of records.work_dtype: scratch memory, one per thread
     state = plant.new_state(joint_positions)      # (plant.state_size,) float64, at standstill
-    plant.advance(state, effort, brakes, model, work)      # one sample period: model.steps plant steps, in place
-    plant.imu_reading(state, effort, brakes, model, work, reading)   # (6 imus,) noise-free, of this instant
-    plant.joint_acceleration(state, effort, brakes, model, work)     # (n,) into work.derivative: of this instant
-    plant.imu(q, v, a, model.constants, reading)  # (6 imus,) before the low passes, of given motion
-    plant.mass_and_bias(q, v, model.constants, M, b)       # joint-space inertia (lower half) and gravity and velocity effort
-    plant.poses(q, model.constants, out)          # (bodies, 12): position and rotation by rows of settings.watched_bodies
+    plant.advance(state, effort, brakes, model, work)                # one sample period: model["steps"] plant steps, in place
+    plant.imu_reading(state, effort, brakes, model, work, reading)   # (6 imus,) noise-free, of this instant, after the low passes
+    plant.joint_acceleration(state, effort, brakes, model, work)     # (n,) of this instant, into work["acceleration"]
 
 `effort` (axes,) is in the drives' units and held over the sample; `brakes` (axes,) is 1.0 for closed, 0.0 for open.
-`state` is [positions n, speeds n, mean accelerations of the last step n, friction effort n, filtered imu channels 6 per imu].
+`state` is [positions n, speeds n, accelerations at the end of the last step n, friction effort n, filtered imu channels 6 per imu].
 
 A kernel that fuses the plant with something else is a generated module too, so that numba can cache it: see `CompiledPlant.fuse`.
 """
@@ -27,57 +24,23 @@ import difflib
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from virtual_bus.effects import effect, registry
-from virtual_bus.effects.effect import FRICTION
 from virtual_bus.effects.table import friction_table
 from virtual_bus.errors import PlantError
-from virtual_bus.plant import integrator, jit, readings
-from virtual_bus.plant import model as model_arrays
+from virtual_bus.plant import friction, integrator, jit, linear, readings, records
 from virtual_bus.plant.checks import check_plant
-from virtual_bus.plant.emit import Emitter
-from virtual_bus.plant.equations import PlantEquations
-from virtual_bus.plant.model import Model, Work, new_work
+from virtual_bus.plant.generate import plant_text
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-HEADER = '''"""Generated from a tree of rigid bodies; do not edit."""
-
-from math import cos, sin
-
-from virtual_bus.plant import integrator, readings
-from virtual_bus.plant.jit import compiled, compiled_and_cached
-
-
-def interpreted(function):
-    return function
-
-
-'''
-
-ENTRY_POINTS = """
-
-@compiled_and_cached
-def advance(state, effort, brakes, model, work):
-    integrator.advance(JOINTS, AXIS_JOINTS, mass_and_bias, friction_level, imu, state, effort, brakes, model, work)
-
-
-@compiled_and_cached
-def joint_acceleration(state, effort, brakes, model, work):
-    readings.joint_acceleration(JOINTS, AXIS_JOINTS, mass_and_bias, friction_level, state, effort, brakes, model, work)
-
-
-@compiled_and_cached
-def imu_reading(state, effort, brakes, model, work, reading):
-    readings.imu_reading(JOINTS, AXIS_JOINTS, mass_and_bias, friction_level, imu, state, effort, brakes, model, work, reading)
-"""
-
-DEPENDENCIES = (effect, jit, integrator, readings, model_arrays)  # compiled into every generated plant
+DEPENDENCIES = (effect, jit, linear, friction, integrator, readings, records)  # compiled into every generated plant
 FINEST_PHASE = 1.5  # largest product of inner step and spectral radius: well inside the Taylor flow's stability, error below 1e-4
 PROBED_POSES = 40  # at which the spectral radius is looked for
 SPECTRUM_MARGIN = 1.15  # for the poses between
@@ -113,18 +76,6 @@ class CompiledPlant:
         return self.module.imu_reading
 
     @property
-    def mass_and_bias(self) -> Any:
-        return self.module.mass_and_bias
-
-    @property
-    def imu(self) -> Any:
-        return self.module.imu
-
-    @property
-    def poses(self) -> Any:
-        return self.module.poses
-
-    @property
     def nominal(self) -> np.ndarray:
         """Parameter values of the settings, in the order of `parameters`."""
         return np.array([parameter.value for parameter in self.parameters])
@@ -140,8 +91,39 @@ class CompiledPlant:
             values[names.index(name)] = value
         return values
 
-    def new_work(self) -> Work:
-        return new_work(self.joints, len(self.settings.imus))
+    def new_work(self) -> np.ndarray:
+        """Scratch memory for one thread."""
+        return np.zeros(1, self._work_dtype)
+
+    @cached_property
+    def _work_dtype(self) -> np.dtype:
+        return records.work_dtype(self.joints, len(self.settings.imus), len(self.settings.watched_bodies))
+
+    @cached_property
+    def _query(self) -> np.ndarray:
+        return self.new_work()
+
+    def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint-space inertia (n, n), armature included, and effort (n,) that gravity and velocities ask for at zero acceleration."""
+        work = self._query
+        work["query_position"], work["query_speed"] = q, v
+        self.module.evaluate_equations(model, work)
+        lower = np.tril(work["mass"][0])
+        return lower + np.tril(lower, -1).T, work["bias"][0].copy()
+
+    def imu_motion(self, model: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Specific forces and angular rates (6 imus,) of this motion, in the IMUs' frames and before their low passes."""
+        work = self._query
+        work["query_position"], work["query_speed"], work["query_acceleration"] = q, v, a
+        self.module.evaluate_imu(model, work)
+        return work["reading"][0, : 6 * len(self.settings.imus)].copy()
+
+    def body_poses(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Position and rotation by rows (bodies, 12) of the watched bodies' frames in the world."""
+        work = self._query
+        work["query_position"] = q
+        self.module.evaluate_poses(model, work)
+        return work["poses"][0, : len(self.settings.watched_bodies)].copy()
 
     def new_state(self, joint_positions: np.ndarray) -> np.ndarray:
         """State at standstill at these positions (n,), with nothing in the IMUs' low passes: see `statics.settle` for equilibrium."""
@@ -152,7 +134,7 @@ class CompiledPlant:
     def joint_of_axis(self) -> dict[str, int]:
         return {drive.axis: self.settings.tree.joint_index(drive.joint) for drive in self.settings.drives}
 
-    def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> Model:
+    def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> np.ndarray:
         """The arrays of this plant with these numbers.
 
         Parameters
@@ -165,53 +147,46 @@ class CompiledPlant:
         values = self.nominal if values is None else np.asarray(values, dtype=float)
         by_name = {parameter.name: float(value) for parameter, value in zip(self.parameters, values, strict=True)}
         by_quantity = {(p.owner, p.quantity): by_name[p.name] for p in self.parameters}
-        constants = np.zeros(max(self.constant_count, 1))
-        self.module.derive([float(value) for value in values], constants)
         settings, tree = self.settings, self.settings.tree
-        first, rows = friction_table(settings.effects if effects is None else effects, self.joint_of_axis(), self.joints)
-        step_s = settings.sample_period_s / settings.substeps
+        model = np.zeros(1, records.model_dtype(self.joints, len(settings.drives), len(settings.imus), self.constant_count))
+        record = model[0]
+        self.module.derive([float(value) for value in values], record["constants"])
+        record["step_s"] = step_s = settings.sample_period_s / settings.substeps
+        record["steps"] = settings.substeps
+        for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
+            record[quantity] = [by_quantity[joint.name, quantity] for joint in tree.joints]
+        for k, drive in enumerate(settings.drives):
+            record["effort_gain"][k] = by_quantity[drive.axis, "constant"] * by_quantity[drive.axis, "ratio"]
         bandwidths = [
             by_quantity[imu.name, sensor] for imu in settings.imus for sensor in ("accelerometer_bandwidth", "gyro_bandwidth") for _ in AXES
         ]
+        for k, bandwidth in enumerate(bandwidths):
+            record["filter_weights"][k] = _low_pass_weights(bandwidth, step_s)
+            record["is_filtered"][k] = bandwidth > 0.0
+        first, rows = friction_table(settings.effects if effects is None else effects, self.joint_of_axis(), self.joints)
+        record["friction_first"] = first
+        record["friction_rows"][: len(rows)] = rows
+        record["inner_steps"] = self._inner_steps(model)
+        return model
 
-        def of_joints(quantity: str) -> np.ndarray:
-            return np.array([by_quantity[joint.name, quantity] for joint in tree.joints])
-
-        model = Model(
-            step_s=step_s,
-            steps=settings.substeps,
-            inner_steps=1,
-            constants=constants,
-            stiffness=of_joints("stiffness"),
-            damping=of_joints("damping"),
-            rest_position=of_joints("rest_position"),
-            brake_effort=of_joints("brake_effort"),
-            effort_gain=np.array([by_quantity[d.axis, "constant"] * by_quantity[d.axis, "ratio"] for d in settings.drives]),
-            filter_weights=np.array([_low_pass_weights(bandwidth, step_s) for bandwidth in bandwidths]).reshape(-1, 3),
-            is_filtered=np.array(bandwidths, dtype=float) > 0.0,
-            friction_first=first,
-            friction_rows=rows,
-        )
-        return model._replace(inner_steps=self._inner_steps(model))
-
-    def _inner_steps(self, model: Model) -> int:
+    def _inner_steps(self, model: np.ndarray) -> int:
         """As many steps of the linear part within a plant step as its fastest mode over all poses needs."""
         n = self.joints
         generator = np.random.default_rng(0)
-        mass, bias = np.zeros((n, n)), np.zeros(n)
+        stiffness, damping, rest, step_s = (model[name][0] for name in ("stiffness", "damping", "rest_position", "step_s"))
+        is_revolute = [joint.kind == "revolute" for joint in self.settings.tree.joints]
         fastest = 0.0
         for _ in range(PROBED_POSES):
-            q = np.where([joint.kind == "revolute" for joint in self.settings.tree.joints], generator.uniform(-np.pi, np.pi, n), 0.0)
-            q = np.where(model.stiffness > 0.0, model.rest_position, q)
-            self.mass_and_bias(q, np.zeros(n), model.constants, mass, bias)
+            q = np.where(is_revolute, generator.uniform(-np.pi, np.pi, n), 0.0)
+            mass, _ = self.inertia_and_bias(model, np.where(stiffness > 0.0, rest, q), np.zeros(n))
             try:
-                lower = np.linalg.cholesky(mass)
+                np.linalg.cholesky(mass)
             except np.linalg.LinAlgError:
                 raise PlantError("the plant's joint-space inertia is not positive definite: a moving body without mass or inertia") from None
-            inverse = np.linalg.inv(lower @ lower.T)
-            first_order = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * model.stiffness, -inverse * model.damping]])
+            inverse = np.linalg.inv(mass)
+            first_order = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * damping]])
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(first_order)).max()))
-        return max(1, int(np.ceil(SPECTRUM_MARGIN * fastest * model.step_s / FINEST_PHASE)))
+        return max(1, int(np.ceil(SPECTRUM_MARGIN * fastest * step_s / FINEST_PHASE)))
 
     def fuse(self, name: str, text: str, depends_on: str = "") -> ModuleType:
         """A further generated module, compiled and cached like the plant's own.
@@ -247,32 +222,6 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
         The settings are no plant: see `check_plant`.
     """
     check_plant(settings)
-    parameters = plant_parameters(settings)
-    text, constant_count = plant_text(settings, tuple(parameter.name for parameter in parameters))
+    generated = plant_text(settings)
     sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + registry.effect_sources()
-    return CompiledPlant(settings, parameters, load_generated("plant", text, sources), constant_count)
-
-
-def plant_text(settings: PlantSettings, parameter_names: tuple[str, ...]) -> tuple[str, int]:
-    """Source of a plant's generated module, and the length of its vector of constants."""
-    equations = PlantEquations(settings, parameter_names)
-    emitter = Emitter()
-    joints = settings.tree.joints
-    inertia = equations.inertia()
-    targets = [
-        (f"M[{i}, {j}]", inertia.get((i, j), equations.graph.zero)) for i in range(len(joints)) for j in range(i + 1)
-    ]
-    targets += [(f"b[{i}]", node) for i, node in enumerate(equations.bias())]
-    readings_of_imus = [node for imu in settings.imus for node in equations.imu(imu)]
-    poses = [(f"out[{i}, {k}]", node) for i, body in enumerate(settings.watched_bodies) for k, node in enumerate(equations.pose(body))]
-    axis_joints = tuple(settings.tree.joint_index(drive.joint) for drive in settings.drives)
-    parts = [
-        HEADER,
-        f"JOINTS = {tuple(range(len(joints)))!r}\nAXIS_JOINTS = {axis_joints!r}\n\n",
-        emitter.function_text("compiled_and_cached", "mass_and_bias", "q, v, c, M, b", targets),
-        emitter.function_text("compiled_and_cached", "imu", "q, v, a, c, out", [(f"out[{k}]", node) for k, node in enumerate(readings_of_imus)]),
-        emitter.function_text("compiled_and_cached", "poses", "q, c, out", poses),
-        emitter.derive_text(),
-        registry.dispatcher_text(FRICTION, "friction_level"),
-    ]
-    return "\n\n".join(parts) + ENTRY_POINTS, emitter.constant_count
+    return CompiledPlant(settings, plant_parameters(settings), load_generated("plant", generated.text, sources), generated.constant_count)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 
 from virtual_bus.plant.symbols import Node
 
@@ -11,7 +10,10 @@ SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 class Emitter:
-    """Writes the functions of one plant. What depends on parameters only is computed once, by `derive_text`, and read from `c[k]` elsewhere."""
+    """Writes the functions of one plant.
+
+    What depends on parameters only is computed once, by the function of `derive_text`, and read from `c[k]` elsewhere.
+    """
 
     def __init__(self) -> None:
         self._constants: dict[int, int] = {}  # node number -> slot of c
@@ -27,17 +29,16 @@ class Emitter:
             self._constant_nodes.append(node)
         return f"c[{self._constants[node.number]}]"
 
-    def function_text(self, decorator: str, name: str, arguments: str, outputs: Iterable[tuple[str, Node]]) -> str:
-        """A compiled function that stores each node in its target, e.g. `("M[1, 0]", node)`."""
-        targets = list(outputs)
-        return self._function(decorator, name, arguments, targets, hoist=True)
+    def function_text(self, name: str, targets: list[tuple[str, Node]], preamble: str) -> str:
+        """A compiled function of `model` and `work` that stores each node in its target, e.g. `("work.bias[1]", node)`."""
+        return self._function(f"@compiled_and_cached\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
 
     def derive_text(self) -> str:
         """The function that fills `c` from the parameters `p`. Call it last: the other functions decide what is in it."""
         targets = [(f"c[{k}]", node) for k, node in enumerate(self._constant_nodes)]
-        return self._function("interpreted", "derive", "p, c", targets, hoist=False)
+        return self._function("def derive(p, c):", targets, hoist=False)
 
-    def _function(self, decorator: str, name: str, arguments: str, targets: list[tuple[str, Node]], hoist: bool) -> str:
+    def _function(self, head: str, targets: list[tuple[str, Node]], hoist: bool) -> str:
         uses: Counter[int] = Counter()
         order: list[Node] = []
         stack = [(node, False) for _, node in reversed(targets)]
@@ -59,7 +60,7 @@ class Emitter:
                 uses[operand.number] += 1
                 stack.append((operand, False))
         text: dict[int, str] = {}
-        lines = [f"@{decorator}", f"def {name}({arguments}):"]
+        lines = [head]
         for node in order:
             expression = self._expression(node, text, hoist)
             is_leaf = node.operation in ("constant", "input") or (hoist and node.is_parametric)

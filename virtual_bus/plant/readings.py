@@ -2,56 +2,58 @@
 
 from __future__ import annotations
 
-from virtual_bus.plant.integrator import FRICTION_SWEEPS, STUCK_SPEED, friction_level, invert, load_joints, multiply, rubs
+from virtual_bus.plant.friction import STUCK_SPEED, SWEEPS, friction_level, rubs
+from virtual_bus.plant.integrator import load_joints, read_imus, read_state
 from virtual_bus.plant.jit import compiled
+from virtual_bus.plant.linear import invert, multiply
 
 
 @compiled
-def joint_acceleration(joints, axis_joints, mass_and_bias, effect_level, state, effort, brakes, model, work):
-    """Joint accelerations (n,) at this instant, into `work.derivative`. A joint at rest that its friction holds has none."""
-    n = len(joints)
-    position, speed = state[0:n], state[n : 2 * n]
-    load_joints(joints, axis_joints, effort, brakes, model, work)
-    mass_and_bias(position, speed, model.constants, work.mass, work.bias)
-    invert(joints, work.mass, work.pivots, work.inverse)
+def joint_acceleration(axis_joints, imus, mass_and_bias, effect_level, state, effort, brakes, model, work):
+    """Joint accelerations (n,) at this instant, into work.acceleration. A joint at rest that its friction holds has none."""
+    n = len(work.position)
+    read_state(imus, state, work)
+    load_joints(axis_joints, effort, brakes, model, work)
     for i in range(n):
-        spring = model.stiffness[i] * (position[i] - model.rest_position[i])
-        work.force[i] = work.effort[i] - work.bias[i] - spring - model.damping[i] * speed[i]
-    acceleration = work.derivative
-    multiply(joints, work.inverse, work.force, acceleration)
+        work.query_position[i] = work.position[i]
+        work.query_speed[i] = work.speed[i]
+    mass_and_bias(model, work)
+    invert(work.mass, work.pivots, work.inverse)
+    for i in range(n):
+        spring = model.stiffness[i] * (work.position[i] - model.rest_position[i])
+        work.force[i] = work.effort[i] - work.bias[i] - spring - model.damping[i] * work.speed[i]
+    multiply(work.inverse, work.force, work.acceleration)
     for j in range(n):
-        work.friction_change[j] = 0.0
-    for _ in range(FRICTION_SWEEPS):
+        work.friction[j] = 0.0
+    for _ in range(SWEEPS):
         for j in range(n):
             if not rubs(j, model, work):
                 continue
-            drive = acceleration[j] / work.inverse[j, j] - work.friction_change[j]
-            if abs(speed[j]) > STUCK_SPEED:
-                direction = 1.0 if speed[j] > 0.0 else -1.0
-                friction = -direction * friction_level(j, abs(speed[j]), direction, position[j], model, work, effect_level)
+            drive = work.acceleration[j] / work.inverse[j, j] - work.friction[j]
+            if abs(work.speed[j]) > STUCK_SPEED:
+                direction = 1.0 if work.speed[j] > 0.0 else -1.0
+                friction = -direction * friction_level(j, abs(work.speed[j]), direction, effect_level, model, work)
             else:
                 onward = 1.0 if drive > 0.0 else -1.0
-                holding = friction_level(j, 0.0, onward, position[j], model, work, effect_level)
-                friction = -onward * min(abs(drive), holding)
-            change = friction - work.friction_change[j]
-            work.friction_change[j] = friction
+                friction = -onward * min(abs(drive), friction_level(j, 0.0, onward, effect_level, model, work))
+            change = friction - work.friction[j]
+            work.friction[j] = friction
             for i in range(n):
-                acceleration[i] += work.inverse[j, i] * change
+                work.acceleration[i] += work.inverse[j, i] * change
 
 
 @compiled
-def imu_reading(joints, axis_joints, mass_and_bias, effect_level, imu, state, effort, brakes, model, work, reading):
+def imu_reading(axis_joints, imus, mass_and_bias, effect_level, imu, state, effort, brakes, model, work, reading):
     """Specific forces and angular rates (6 imus,) at this instant, after the channels' low passes, into `reading`."""
-    n = len(joints)
-    filtered = state[4 * n :]
+    n = len(work.position)
     unfiltered = False
-    for k in range(len(filtered)):
-        reading[k] = filtered[k]
-        unfiltered = unfiltered or not model.is_filtered[k]
+    for k in range(6 * imus):
+        reading[k] = state[4 * n + k]
+        unfiltered = unfiltered or model.is_filtered[k] == 0
     if not unfiltered:
         return
-    joint_acceleration(joints, axis_joints, mass_and_bias, effect_level, state, effort, brakes, model, work)
-    imu(state[0:n], state[n : 2 * n], work.derivative, model.constants, work.reading)
-    for k in range(len(filtered)):
-        if not model.is_filtered[k]:
+    joint_acceleration(axis_joints, imus, mass_and_bias, effect_level, state, effort, brakes, model, work)
+    read_imus(imu, work.position, work.speed, work.acceleration, model, work)
+    for k in range(6 * imus):
+        if model.is_filtered[k] == 0:
             reading[k] = work.reading[k]

@@ -6,7 +6,6 @@ import numpy as np
 
 from virtual_bus.errors import PlantError
 from virtual_bus.plant.compiled import CompiledPlant
-from virtual_bus.plant.model import Model
 
 DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
 TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
@@ -14,15 +13,13 @@ MAX_ITERATIONS = 50
 LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
 
 
-def static_effort(plant: CompiledPlant, model: Model, joint_positions: np.ndarray) -> np.ndarray:
+def static_effort(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
     """Effort (n,) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (n,)."""
-    n = plant.joints
-    mass, bias = np.zeros((n, n)), np.zeros(n)
-    plant.mass_and_bias(np.ascontiguousarray(joint_positions, dtype=float), np.zeros(n), model.constants, mass, bias)
-    return bias + model.stiffness * (joint_positions - model.rest_position)
+    _, bias = plant.inertia_and_bias(model, joint_positions, np.zeros(plant.joints))
+    return bias + model["stiffness"][0] * (joint_positions - model["rest_position"][0])
 
 
-def static_stiffness(plant: CompiledPlant, model: Model, joint_positions: np.ndarray) -> np.ndarray:
+def static_stiffness(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
     """Gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
     n = plant.joints
     gradient = np.zeros((n, n))
@@ -35,7 +32,7 @@ def static_stiffness(plant: CompiledPlant, model: Model, joint_positions: np.nda
     return gradient
 
 
-def equilibrium(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) -> np.ndarray:
+def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Joint positions (n,) at rest with the actuated joints held at `axis_positions` (axes,): springs against gravity.
 
     Raises
@@ -45,7 +42,7 @@ def equilibrium(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) 
     """
     held = list(plant.joint_of_axis().values())
     free = [j for j in range(plant.joints) if j not in held]
-    q = np.where(model.stiffness > 0.0, model.rest_position, 0.0)
+    q = np.where(model["stiffness"][0] > 0.0, model["rest_position"][0], 0.0)
     q[held] = axis_positions
     for _ in range(MAX_ITERATIONS):
         gradient = static_stiffness(plant, model, q)[np.ix_(free, free)]
@@ -63,13 +60,13 @@ def equilibrium(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) 
     raise PlantError(f"no elastic equilibrium at axis positions {np.round(axis_positions, 6).tolist()}: is one of {names} without stiffness?")
 
 
-def holding_effort(plant: CompiledPlant, model: Model, axis_positions: np.ndarray) -> np.ndarray:
+def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
     held = list(plant.joint_of_axis().values())
-    return static_effort(plant, model, equilibrium(plant, model, axis_positions))[held] / model.effort_gain
+    return static_effort(plant, model, equilibrium(plant, model, axis_positions))[held] / model["effort_gain"][0, : len(held)]
 
 
-def resting_state(plant: CompiledPlant, model: Model, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
+def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
     """Plant state (state_size,) at rest in elastic equilibrium, with the IMUs' low passes settled.
 
     `held_by_brakes` says whether closed brakes carry the load (drive effort zero) or the drives do (their effort is `holding_effort`).
@@ -80,6 +77,5 @@ def resting_state(plant: CompiledPlant, model: Model, axis_positions: np.ndarray
     held = list(plant.joint_of_axis().values())
     if held_by_brakes:
         state[3 * n + np.array(held)] = static_effort(plant, model, q)[held]
-    if len(plant.settings.imus):
-        plant.imu(q, np.zeros(n), np.zeros(n), model.constants, state[4 * n :])
+    state[4 * n :] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
     return state

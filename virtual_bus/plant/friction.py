@@ -1,0 +1,84 @@
+"""Friction over a time step: one constant effort per joint that does what the friction law does, found implicitly."""
+
+from __future__ import annotations
+
+from virtual_bus.effects.effect import JointState
+from virtual_bus.plant.jit import compiled
+
+SWEEPS = 3  # Gauss-Seidel over the joints that rub; their mutual coupling through the inertia is weak
+STUCK_SPEED = 1e-12  # rad/s or m/s: slower is rounding, the joint is at rest
+
+
+@compiled
+def rubs(j, model, work):
+    """Does anything rub at joint j: a closed brake or a friction effect?"""
+    return work.brake[j] > 0.0 or model.friction_first[j + 1] > model.friction_first[j]
+
+
+@compiled
+def friction_level(j, speed, direction, effect_level, model, work):
+    """Effort [Nm or N] that opposes motion of joint j: `speed` is a magnitude; at 0, the most the joint holds against that direction."""
+    state = JointState(speed, direction, work.position[j])
+    total = work.brake[j]
+    for row in range(model.friction_first[j], model.friction_first[j + 1]):
+        total += effect_level(int(model.friction_rows[row, 0]), state, model.friction_rows[row])
+    return total
+
+
+@compiled
+def mean_friction(j, start, drive, response, effect_level, model, work):
+    """Constant friction effort that does over a step what the friction law does, of a joint alone.
+
+    Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per unit of
+    effort. The joint slides throughout, or comes to rest and stays, or turns within the step; which one follows from the law.
+    """
+    onward = 1.0 if drive > 0.0 else -1.0
+    direction = onward
+    if start != 0.0:
+        direction = 1.0 if start > 0.0 else -1.0
+    kinetic = friction_level(j, abs(start), direction, effect_level, model, work)
+    end = start + response * (drive - direction * kinetic)
+    middle = 0.5 * (start + end)
+    if middle * direction > 0.0:
+        kinetic = friction_level(j, abs(middle), direction, effect_level, model, work)
+        end = start + response * (drive - direction * kinetic)
+    if start != 0.0 and end * direction > 0.0:
+        return -direction * kinetic  # slides throughout
+    if abs(drive) <= friction_level(j, 0.0, onward, effect_level, model, work):
+        return -start / response - drive  # comes to rest within the step, or stays at rest
+    if start == 0.0:
+        return -onward * kinetic  # breaks away
+    share = start / (response * (direction * kinetic - drive))  # of the step until it turns
+    return -direction * kinetic * share - onward * kinetic * (1.0 - share)
+
+
+@compiled
+def rub(effect_level, model, work):
+    """Correct a step's end for friction, in place; work.friction holds what the step assumed and then what it was."""
+    n = len(work.position)
+    for j in range(n):
+        work.friction_change[j] = 0.0
+    for _ in range(SWEEPS):
+        largest = 0.0
+        for j in range(n):
+            if rubs(j, model, work):
+                response = work.speed_response[j, j]
+                start = work.start_speed[j]
+                if abs(start) < STUCK_SPEED:
+                    start = 0.0
+                drive = (work.speed[j] - start) / response - work.friction[j]
+                change = mean_friction(j, start, drive, response, effect_level, model, work) - work.friction[j]
+                work.friction[j] += change
+                work.friction_change[j] += change
+                for i in range(n):
+                    work.speed[i] += work.speed_response[j, i] * change
+                largest = max(largest, abs(change * response))
+        if largest < STUCK_SPEED:
+            break
+    for j in range(n):
+        change = work.friction_change[j]
+        if change != 0.0:
+            for i in range(n):
+                work.position[i] += work.position_response[j, i] * change
+                work.acceleration[i] += work.inverse[j, i] * change
+                work.start_acceleration[i] += work.inverse[j, i] * change

@@ -1,0 +1,92 @@
+"""The source of a plant's generated module."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from virtual_bus.effects import registry
+from virtual_bus.effects.effect import FRICTION
+from virtual_bus.plant.emit import Emitter
+from virtual_bus.plant.equations import PlantEquations
+from virtual_bus.plant.parameters import plant_parameters
+from virtual_bus.settings import PlantSettings
+
+HEADER = '''"""Generated from a tree of rigid bodies; do not edit."""
+
+from math import cos, sin
+
+from virtual_bus.plant import integrator, readings
+from virtual_bus.plant.jit import compiled, compiled_and_cached
+'''
+
+ENTRY_POINTS = """
+@compiled_and_cached
+def advance(state, effort, brakes, model, work):
+    integrator.advance(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, imu, state, effort, brakes, model[0], work[0])
+
+
+@compiled_and_cached
+def joint_acceleration(state, effort, brakes, model, work):
+    readings.joint_acceleration(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, state, effort, brakes, model[0], work[0])
+
+
+@compiled_and_cached
+def imu_reading(state, effort, brakes, model, work, reading):
+    readings.imu_reading(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, imu, state, effort, brakes, model[0], work[0], reading)
+
+
+@compiled_and_cached
+def evaluate_equations(model, work):
+    mass_and_bias(model[0], work[0])
+
+
+@compiled_and_cached
+def evaluate_imu(model, work):
+    imu(model[0], work[0])
+
+
+@compiled_and_cached
+def evaluate_poses(model, work):
+    poses(model[0], work[0])
+"""
+
+QUERY = "c = model.constants; q = work.query_position; v = work.query_speed; a = work.query_acceleration"
+
+
+@dataclass(frozen=True)
+class PlantText:
+    """Source of a plant's module, and how many derived constants its equations read."""
+
+    text: str
+    constant_count: int
+
+
+def plant_text(settings: PlantSettings) -> PlantText:
+    """Write out the equations of a plant.
+
+    The module's `mass_and_bias(model, work)`, `imu(model, work)` and `poses(model, work)` evaluate them at work.query_position,
+    query_speed and query_acceleration into work.mass (lower half) and bias, reading, and poses; `derive(p, c)` computes model.constants
+    from the parameters; the rest is the calling convention of `compiled.py`.
+    """
+    equations = PlantEquations(settings, tuple(parameter.name for parameter in plant_parameters(settings)))
+    emitter = Emitter()
+    count = len(settings.tree.joints)
+    inertia = equations.inertia()
+    masses = [(f"work.mass[{i}, {j}]", inertia.get((i, j), equations.graph.zero)) for i in range(count) for j in range(i + 1)]
+    biases = [(f"work.bias[{i}]", node) for i, node in enumerate(equations.bias())]
+    channels = [node for imu in settings.imus for node in equations.imu(imu)]
+    readings = [(f"work.reading[{k}]", node) for k, node in enumerate(channels)]
+    poses = [
+        (f"work.poses[{i}, {k}]", node) for i, body in enumerate(settings.watched_bodies) for k, node in enumerate(equations.pose(body))
+    ]
+    axis_joints = tuple(settings.tree.joint_index(drive.joint) for drive in settings.drives)
+    parts = [
+        HEADER,
+        f"AXIS_JOINTS = {axis_joints!r}\nIMUS = {len(settings.imus)}\n",
+        emitter.function_text("mass_and_bias", masses + biases, QUERY),
+        emitter.function_text("imu", readings, QUERY),
+        emitter.function_text("poses", poses, QUERY),
+        emitter.derive_text(),
+        registry.dispatcher_text(FRICTION, "friction_level"),
+    ]
+    return PlantText("\n\n".join(parts) + "\n" + ENTRY_POINTS, emitter.constant_count)
