@@ -70,8 +70,13 @@ class _Block:
 
     @property
     def text(self) -> str:
-        """The line of text; read it when nobody writes."""
-        return self._text.tobytes().rstrip(b"\0").decode(errors="replace")
+        """The line of text."""
+        for _ in range(READ_ATTEMPTS):
+            before = self.sequence
+            encoded = self._text.tobytes()
+            if before == self.sequence and before % 2 == 0:
+                return encoded.rstrip(b"\0").decode(errors="replace")
+        return ""
 
     def release(self) -> None:
         """Let go of the memory, so that it can be closed."""
@@ -104,7 +109,7 @@ class IoProcess:
         self._closed = False
         self._memory = SharedMemory(create=True, size=_Block.bytes(len(self._values)) + _Block.bytes(len(axes) + 1))
         self._published, self._command = _blocks(self._memory, len(axes))
-        # A fresh interpreter: a forked one would inherit the loop's real-time priority and locked memory.
+        # A fresh interpreter: a forked one would inherit the loop's memory, locked and all, and what its threads hold.
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(
             target=_poll_until_told, args=(io_map, axes, self._memory.name, os.getpid()), name="isocenter-io", daemon=True
@@ -193,6 +198,7 @@ def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, par
     """The polling process: until it is told to end, asked to by a signal, or left alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the loop decides what it means
     signal.signal(signal.SIGTERM, lambda *_: _raise_exit())
+    _leave_real_time()
     memory = SharedMemory(name=memory_name)
     published, command = _blocks(memory, len(axes))
     driver = IoDriver(io_map, ClientTransport(io_map.url), axes)
@@ -211,6 +217,13 @@ def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, par
 
 def _raise_exit() -> None:
     raise SystemExit
+
+
+def _leave_real_time() -> None:
+    """A child inherits the loop's scheduler, and must not compete with it."""
+    if hasattr(os, "sched_setscheduler"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 class _Poller:
