@@ -1,22 +1,35 @@
 """Identification of frequency responses from recordings: Chapters 3 and 4. Pure functions from arrays or recordings to result objects."""
 
+from hil.identification.arbitrary import ArbitraryRecords, arbitrary_local
 from hil.identification.bla import fast_bla, robust_bla
 from hil.identification.errors import IdentificationError
 from hil.identification.frf_file import read_frf, write_frf
-from hil.identification.identify import METHODS, identify
+from hil.identification.identify import METHODS, POSE_METHODS, identify, identify_poses
+from hil.identification.local_fast import PoseModel, fast_local, nd_local
+from hil.identification.local_model import LocalModel
+from hil.identification.local_robust import robust_local
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.identification.result import Distortion, FrequencyResponse
 
 __all__ = [
     "METHODS",
+    "POSE_METHODS",
+    "ArbitraryRecords",
     "Distortion",
     "FrequencyResponse",
     "IdentificationError",
+    "LocalModel",
     "PeriodicRecords",
+    "PoseModel",
+    "arbitrary_local",
     "fast_bla",
+    "fast_local",
     "identify",
+    "identify_poses",
+    "nd_local",
     "periodic_records",
     "read_frf",
     "robust_bla",
+    "robust_local",
     "write_frf",
 ]

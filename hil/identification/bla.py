@@ -6,6 +6,8 @@ realisations and is multiplied by M for one; (3.23) is Y Y^H without the modulus
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hil.identification.covariance import kronecker, nonlinear_covariance, plant_covariance
@@ -35,37 +37,61 @@ def robust_bla(records: PeriodicRecords) -> FrequencyResponse:
     IdentificationError
         Experiments that do not make up a full set, an excitation that is not orthogonal, a record without one complete period.
     """
-    _check_full_set(records)
     z, w, weights = averaged_spectra(records)
-    lines = records.lines
-    mean_z, W = _as_matrices(z.mean_over_periods[..., lines, :]), _as_matrices(w[:, :, lines])
+    noise_dof = float(np.sum(weights.sum(axis=2) - 1))
+    response = average_realisations(
+        records,
+        z.mean_over_periods[..., records.lines, :],
+        w[:, :, records.lines],
+        _noise_covariance(z, records.lines, weights) if noise_dof > 0 else None,
+        np.full(len(records.lines), noise_dof),
+        method="robust_bla",
+        settings={"periods": int(weights.sum(axis=2).min())},
+        notes=(*records.notes, *z.notes, *(() if noise_dof > 0 else ("one period: no noise covariance",))),
+    )
+    return replace(response, even_odd=distortion(records, z.mean_over_periods, response.G, z.variance_of_mean))
+
+
+def average_realisations(
+    records: PeriodicRecords,
+    mean_z: np.ndarray,
+    w: np.ndarray,
+    noise_of_record: np.ndarray | None,
+    noise_dof: np.ndarray,
+    *,
+    method: str,
+    settings: dict[str, float | int | str],
+    notes: tuple[str, ...],
+) -> FrequencyResponse:
+    """Average over realisations and map to the plant, (3.12) to (3.20): what the robust methods have in common.
+
+    Parameters
+    ----------
+    mean_z : (M, E, L, n_z) steady-state spectrum of each record. w : (M, E, L, n_u) excitation.
+    noise_of_record : (L, n_z, n_z) noise covariance of one record's `mean_z`, averaged over the records, or None.
+    noise_dof : (L,) complex degrees of freedom behind it.
+    """
+    _check_full_set(records)
+    columns, W = _as_matrices(mean_z), _as_matrices(w)
     amplitude, T = amplitude_and_phase(W)
-    corrected = mean_z @ np.conj(np.swapaxes(T, -1, -2))  # (3.14)
+    corrected = columns @ np.conj(np.swapaxes(T, -1, -2))  # (3.14)
     averaged = corrected.mean(axis=0)  # (3.15)
     G_wz, G, U = _closed_loop_and_plant(averaged, amplitude, records)
-    notes = list(records.notes) + z.notes
-
-    M, E = weights.shape[:2]
-    noise_z = noise = None
-    noise_dof = float(np.sum(weights.sum(axis=2) - 1))
-    if noise_dof > 0:
-        noise_z = _noise_covariance(z, lines, weights) / (E * M**2)  # (3.16)
+    M, E = mean_z.shape[:2]
+    noise_z = noise = total_z = total = nonlinear = None
+    if noise_of_record is not None:
+        noise_z = noise_of_record / M  # (3.16)
         noise = plant_covariance(G, U, noise_z)
-    else:
-        notes.append("one period: no noise covariance")
-
-    total_z = total = nonlinear = None
     if M > 1:
-        deviation = (corrected - averaged).transpose(1, 2, 0, 3).reshape(len(lines), corrected.shape[2], M * E)
+        deviation = (corrected - averaged).transpose(1, 2, 0, 3).reshape(len(G), corrected.shape[2], M * E)
         total_z = deviation @ np.conj(np.swapaxes(deviation, 1, 2)) / (E * M * (M - 1))  # (3.19)
         total = plant_covariance(G, U, total_z)
         if noise is not None:
             nonlinear = nonlinear_covariance(total, noise, M)
     else:
-        notes.append("one realisation: no total covariance; the fast method uses detection lines instead")
-
+        notes = (*notes, "one realisation: no total covariance; the fast methods need but one")
     return FrequencyResponse(
-        lines=lines,
+        lines=records.lines,
         frequencies_Hz=records.frequencies_Hz,
         G=G,
         G_wz=G_wz,
@@ -74,12 +100,11 @@ def robust_bla(records: PeriodicRecords) -> FrequencyResponse:
         nonlinear_covariance=nonlinear,
         noise_covariance_z=noise_z,
         total_covariance_z=total_z,
-        noise_dof=np.full(len(lines), noise_dof),
-        total_dof=np.full(len(lines), float(E * (M - 1))),
-        even_odd=distortion(records, z.mean_over_periods, G, z.variance_of_mean),
-        method="robust_bla",
-        settings={"realisations": M, "experiments": E, "periods": int(weights.sum(axis=2).min())},
-        notes=tuple(notes),
+        noise_dof=noise_dof,
+        total_dof=np.full(len(G), float(E * (M - 1))),
+        method=method,
+        settings={"realisations": M, "experiments": E, **settings},
+        notes=notes,
         **labels(records),
     )
 
@@ -111,7 +136,7 @@ def fast_bla(records: PeriodicRecords) -> FrequencyResponse:
     noise_dof = float(np.sum(weights.sum(axis=2) - 1))
     noise_z = noise = None
     if noise_dof > 0:
-        noise_z = _noise_covariance(z, lines, weights) / E
+        noise_z = _noise_covariance(z, lines, weights)
         noise = plant_covariance(G, U, noise_z)
     else:
         notes.append("one period: no noise covariance")
@@ -262,12 +287,10 @@ def _closed_loop_and_plant(
 
 
 def _noise_covariance(z: AveragedOutputs, lines: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Sum over all records of (3.11): (L, n_z, n_z)."""
+    """(3.11) averaged over all records: (L, n_z, n_z)."""
     P = weights.sum(axis=2)
-    scale = weights / np.sqrt(P * np.maximum(P - 1, 1))[:, :, None]
+    scale = weights / np.sqrt(P * np.maximum(P - 1, 1) * np.count_nonzero(P > 1))[:, :, None]
     deviation = (z.spectra[..., lines, :] - z.mean_over_periods[:, :, None][..., lines, :]) * scale[..., None, None]
-    if (P < 2).any():
-        deviation *= (len(P.ravel()) / np.count_nonzero(P > 1)) ** 0.5  # records of one period tell no noise; the others stand for them
     n_z = deviation.shape[-1]
     stacked = np.moveaxis(deviation, -2, 0).reshape(len(lines), -1, n_z)
     return np.swapaxes(stacked, 1, 2) @ np.conj(stacked)

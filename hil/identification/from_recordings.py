@@ -10,7 +10,7 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.identification.errors import IdentificationError
 from hil.identification.records import PeriodicRecords, periodic_records
-from hil.recording.model import Recording
+from hil.recording import Recording
 
 PlantInput = Literal["command", "measured"]
 ACCELERATIONS = ("imu_x", "imu_y", "imu_z")

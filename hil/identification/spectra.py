@@ -24,9 +24,27 @@ def period_spectra(samples: np.ndarray, period_samples: int) -> np.ndarray:
     """
     *leading, total, channels = samples.shape
     split = samples.reshape(*leading, total // period_samples, period_samples, channels)
-    return scipy.fft.rfft(split, axis=-2) / period_samples
+    return scipy.fft.rfft(split, axis=-2, norm="forward")
 
 
-def record_spectra(samples: np.ndarray) -> np.ndarray:
-    """Spectrum of whole records, (4.4): (..., T, n) real to (..., T, n) complex, negative frequencies in the upper half of the bins."""
-    return scipy.fft.fft(samples, axis=-2) / samples.shape[-2]
+def record_spectra(samples: np.ndarray, beyond: int = 0) -> np.ndarray:
+    """Spectrum of whole records, (4.4), from bin -beyond to bin T // 2 + beyond.
+
+    The DFT of real samples is periodic and conjugate symmetric, so that a local window is whole at 0 and at f_s / 2 too.
+
+    Parameters
+    ----------
+    samples : (..., T, n)
+    beyond : bins added at both ends.
+
+    Returns
+    -------
+    (..., T // 2 + 1 + 2 beyond, n) complex; bin k is at index k + beyond.
+    """
+    T = samples.shape[-2]
+    spectrum = scipy.fft.rfft(samples, axis=-2, norm="forward")
+    if beyond == 0:
+        return spectrum
+    below = np.conj(spectrum[..., beyond:0:-1, :])
+    above = np.conj(spectrum[..., T - np.arange(T // 2 + 1, T // 2 + 1 + beyond), :])
+    return np.concatenate((below, spectrum, above), axis=-2)

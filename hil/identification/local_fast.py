@@ -1,0 +1,214 @@
+"""Fast local polynomial and rational method for periodic excitations, one pose or many.
+
+Equations (3.37) to (3.48), (4.14) to (4.36), (4.39) to (4.47).
+
+Transients are estimated pose by pose; the response is a local function of frequency and, over several poses, of the scheduling parameters.
+With one pose the nD method is the LPM or LRM, order by order. Corrections used: (4.29) Sigma inverted; (4.34) with the conjugate of S^H S,
+as (3.45); (4.36) with the inverse transpose of G_wu, as (3.46); (4.53) with all pure powers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hil.identification.bla import labels, plant_from_closed_loop
+from hil.identification.covariance import kronecker, nonlinear_covariance, output_covariance
+from hil.identification.distortion import detection_lines
+from hil.identification.errors import IdentificationError
+from hil.identification.local_fit import LocalFits
+from hil.identification.local_model import LocalModel, half_width
+from hil.identification.local_regression import local_regression
+from hil.identification.local_robust import even_odd
+from hil.identification.poses import PoseBorder, multi_indices, pose_windows, varying_directions
+from hil.identification.records import PeriodicRecords
+from hil.identification.result import FrequencyResponse
+from hil.identification.spectra import period_spectra
+from hil.identification.transient import SteadyState, steady_state
+
+
+@dataclass(frozen=True)
+class PoseModel:
+    """Orders and windows over the scheduling parameters, one entry per parameter that varies over the poses.
+
+    Attributes
+    ----------
+    numerator : Q_z, orders of the response's numerator. denominator : those of the denominator, used where the model's N_d is above 0.
+    windows : p_i, levels to either side.
+    border : what happens at the edges of the range, see `hil.identification.poses.pose_windows`.
+    """
+
+    numerator: tuple[int, ...] = (1,)
+    denominator: tuple[int, ...] = (1,)
+    windows: tuple[int, ...] = (2,)
+    border: PoseBorder = "adaptive"
+
+
+ONE_POSE = PoseModel((), (), ())
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """What the fit needs of one pose: (R, L, n) spectra of its R records."""
+
+    records: PeriodicRecords
+    steady: SteadyState
+    z: np.ndarray = field(repr=False)
+    w: np.ndarray = field(repr=False)
+
+
+def fast_local(records: PeriodicRecords, model: LocalModel | None = None) -> FrequencyResponse:
+    """Fast LRM (or LPM where `model.denominator` is 0): one experiment of one realisation suffices, further ones are used as they come.
+
+    Raises
+    ------
+    IdentificationError
+        One period; windows that leave no degree of freedom, with those that would do.
+    """
+    return nd_local([records], model, ONE_POSE)[0]
+
+
+def nd_local(
+    records_of_poses: Sequence[PeriodicRecords], model: LocalModel | None = None, over_poses: PoseModel | None = None
+) -> tuple[FrequencyResponse, ...]:
+    """nD-LRM (or nD-LPM) over frozen poses: one response per pose, in the order given.
+
+    Parameters
+    ----------
+    records_of_poses : records of each pose, with the same lines, inputs, outputs and number of records.
+    model : orders and windows over frequency. over_poses : those over the scheduling parameters.
+
+    Raises
+    ------
+    IdentificationError
+        As `fast_local`; poses that do not belong together or are not known.
+    """
+    model = model or LocalModel()
+    coordinates = _scheduling(records_of_poses)
+    over_poses = over_poses or PoseModel(*((value,) * coordinates.shape[1] for value in (1, 1, 2)))
+    windows = pose_windows(coordinates, over_poses.windows, over_poses.border)
+    poses = [_prepare(records, model) for records in records_of_poses]
+    z, w = np.stack([pose.z for pose in poses]), np.stack([pose.w for pose in poses])  # (poses, R, L, n)
+    responses = []
+    for centre, window in enumerate(windows):
+        numerator = (model.numerator, *shrunk(over_poses.numerator, window.reach))
+        denominator = (model.denominator, *shrunk(over_poses.denominator if model.denominator else (0,) * len(window.reach), window.reach))
+        fits = _fit(z[window.poses], w[window.poses], window.offsets, poses[0].records, model, numerator, denominator)
+        responses.append(_response(poses[centre], fits, model, numerator, denominator, len(window.poses)))
+    return tuple(responses)
+
+
+def _fit(
+    z: np.ndarray,
+    w: np.ndarray,
+    pose_offsets: np.ndarray,
+    records: PeriodicRecords,
+    model: LocalModel,
+    numerator: tuple[int, ...],
+    denominator: tuple[int, ...],
+) -> LocalFits:
+    """Local fits at every line of one pose from its neighbours' spectra z (k, R, L, n_z), w (k, R, L, n_u)."""
+    k, R, L, n_z = z.shape
+    n_u = w.shape[3]
+    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_z
+    n = half_width(model, unknowns, k * R, n_z, L)
+    lines, z, w, first = _with_images(records, z, w, n) if model.border == "periodic" else (records.lines, z, w, 0)
+    here = first + np.arange(L)
+    start = np.clip(here - n, 0, len(lines) - 2 * n - 1)
+    window = start[:, None] + np.arange(2 * n + 1)  # (L, 2 n + 1)
+    psi = (lines[window] - lines[here][:, None]).astype(float)
+    psi /= np.abs(psi).max(axis=1, keepdims=True)
+    block = np.arange(k * R) * len(lines)
+    rows = (block[None, :, None] + window[:, None, :]).reshape(L, -1)
+    coordinates = np.empty((L, k, R, 2 * n + 1, 1 + pose_offsets.shape[1]))
+    coordinates[..., 0] = psi[:, None, None, :]
+    coordinates[..., 1:] = pose_offsets[None, :, None, None, :]
+    coordinates = coordinates.reshape(L, rows.shape[1], -1)
+    return local_regression(rows, coordinates, numerator, denominator, w.reshape(-1, n_u), z.reshape(-1, n_z))
+
+
+def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """The n lines' mirror images below 0 and above f_s / 2: conjugate spectra of a real, sampled signal."""
+    lines, N = records.lines, records.period_samples
+    below, above = slice(n - 1, None, -1) if n else slice(0, 0), slice(None, -n - 1, -1)
+    extended = np.concatenate((-lines[below][-n:], lines, N - lines[above]))
+    images = [np.concatenate((np.conj(s[:, :, below][:, :, -n:]), s, np.conj(s[:, :, above])), axis=2) for s in (z, w)]
+    return extended, images[0], images[1], n
+
+
+def _response(
+    pose: _Pose, fits: LocalFits, model: LocalModel, numerator: tuple[int, ...], denominator: tuple[int, ...], neighbours: int
+) -> FrequencyResponse:
+    records, steady = pose.records, pose.steady
+    L, n_y, n_u = len(records.lines), records.n_outputs, records.n_inputs
+    G = plant_from_closed_loop(fits.response, n_y)
+    to_plant = np.broadcast_to(np.eye(n_u), (L, n_u, n_u))
+    if records.inputs is not None:
+        to_plant = np.swapaxes(np.linalg.inv(fits.response[:, n_y:]), 1, 2)  # G_wu^-T of (3.46)
+    weight = to_plant @ fits.inverse_gram @ np.conj(np.swapaxes(to_plant, 1, 2))
+    noise_z = steady.noise[:, :, :L].mean(axis=(0, 1))
+    total_z = fits.residual_products / fits.dof[:, None, None]  # (3.48), (4.31)
+    noise = kronecker(weight, output_covariance(G, noise_z))  # (3.45)
+    total = kronecker(weight, output_covariance(G, total_z))
+    M, E = records.realisations, records.experiments
+    poses = "x".join(str(order) for order in numerator[1:])
+    response = FrequencyResponse(
+        lines=records.lines,
+        frequencies_Hz=records.frequencies_Hz,
+        G=G,
+        G_wz=fits.response,
+        noise_covariance=noise,
+        total_covariance=total,
+        nonlinear_covariance=nonlinear_covariance(total, noise, 1),
+        noise_covariance_z=noise_z,
+        total_covariance_z=total_z,
+        noise_dof=steady.dof[:L] * M * E,
+        total_dof=fits.dof.astype(float),
+        method=f"fast_{model.name}" if len(numerator) == 1 else f"nd_{model.name}",
+        settings={
+            "realisations": M,
+            "experiments": E,
+            "periods": steady.periods,
+            **model.settings,
+            **({"Q_z": poses, "poses": neighbours} if len(numerator) > 1 else {}),
+        },
+        notes=(*records.notes, *steady.notes),
+        **labels(records),
+    )
+    return replace(response, even_odd=even_odd(records, steady, G))
+
+
+def _prepare(records: PeriodicRecords, model: LocalModel) -> _Pose:
+    steady = steady_state(records, model, np.concatenate((records.lines, detection_lines(records))))
+    L = len(records.lines)
+    w = period_spectra(records.excitation[:, :, : records.period_samples], records.period_samples)[:, :, 0, records.lines]
+    return _Pose(records, steady, steady.z[:, :, :L].reshape(-1, L, steady.z.shape[3]), w.reshape(-1, L, w.shape[3]))
+
+
+def _scheduling(records_of_poses: Sequence[PeriodicRecords]) -> np.ndarray:
+    """(n, m) scheduling parameters that vary; (1, 0) for one pose."""
+    if not records_of_poses:
+        raise IdentificationError("no records given")
+    first = records_of_poses[0]
+    for index, other in enumerate(records_of_poses):
+        for name in ("output_names", "input_names", "period_samples", "realisations", "experiments"):
+            if getattr(other, name) != getattr(first, name):
+                raise IdentificationError(f"poses 1 and {index + 1} differ in {name}: {getattr(first, name)}, {getattr(other, name)}")
+        if not np.array_equal(other.lines, first.lines):
+            raise IdentificationError(f"poses 1 and {index + 1} are excited at different lines")
+        if len(other.pose) != len(first.pose):
+            raise IdentificationError(f"poses 1 and {index + 1} have {len(first.pose)} and {len(other.pose)} scheduling parameters")
+    poses = np.array([records.pose for records in records_of_poses], float).reshape(len(records_of_poses), -1)
+    if len(poses) == 1:
+        return np.zeros((1, 0))
+    poses = poses[:, varying_directions(poses)]
+    if len(np.unique(poses, axis=0)) < len(poses):
+        raise IdentificationError("two sets of records are of the same pose, or the poses are not known")
+    return poses
+
+
+def shrunk(orders: Sequence[int], reach: Sequence[int]) -> tuple[int, ...]:
+    """Orders a window of that reach can carry: a direction it does not extend in has none."""
+    return tuple(min(order, 2 * p) for order, p in zip(orders, reach, strict=True))
