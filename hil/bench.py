@@ -54,6 +54,8 @@ class BenchOptions:
         Every CAN frame, as candump writes them.
     truth : Path, optional
         In lockstep, what only the emulator knows.
+    emulated : Machine, optional
+        In lockstep, the machine that is really there, where it differs from its file.
     """
 
     bus_url: str
@@ -63,6 +65,7 @@ class BenchOptions:
     noise: bool = True
     frame_log: Path | None = None
     truth: Path | None = None
+    emulated: Machine | None = None
 
 
 @dataclass

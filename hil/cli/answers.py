@@ -19,18 +19,24 @@ OptionalMachine = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(
+        short_help="Simulate a recording, noise off.",
         help="Simulate a recording, noise off: its reference and excitation and the machine file go in, everything else comes out."
-        "\n\nExample:  isocenter simulate carm run.mf4 -o sim.mf4"
+        "\n\nExample:  isocenter simulate carm run.mf4 -o sim.mf4",
     )(simulate)
     app.command(
+        short_help="A recording against its simulation.",
         help="What differs between a recording and its simulation, per channel, in units and as NRMSE."
-        "\n\nExample:  isocenter compare run.mf4 sim.mf4"
+        "\n\nExample:  isocenter compare run.mf4 sim.mf4",
     )(compare)
     app.command(
+        short_help="Frequency responses from recordings.",
         help="Identify the frequency response matrix, with covariances, from recordings of one pose."
-        "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png"
+        "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png",
     )(identify)
-    app.command(help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv")(convert)
+    app.command(
+        short_help="Convert between recording formats.",
+        help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv",
+    )(convert)
 
 
 def simulate(
@@ -67,7 +73,7 @@ def compare(
     machine = None if machine_name is None else load(machine_name)
     comparison = compare_recordings(read_recording(recording, machine), read_recording(simulation, machine))
     answer = Answer(json_to)
-    answer.table(comparison.table())
+    answer.say(comparison.table())
     answer.write(comparison.document())
 
 

@@ -1,12 +1,19 @@
-"""Entry point: every expected error becomes one line and an exit status, never a traceback."""
+"""Entry point: every error becomes one line and an exit status, never a traceback."""
 
 from __future__ import annotations
 
 import os
 import sys
+import traceback
+from typing import Any
 
-import click
 import typer
+
+TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
+
+# Typer brings its own copy of Click: its exception classes are reached through Typer's names.
+_UsageError: type[Any] = typer.BadParameter.__bases__[0]
+_ClickException: type[Any] = _UsageError.__bases__[0]
 
 app = typer.Typer(
     name="isocenter",
@@ -19,15 +26,6 @@ app = typer.Typer(
 )
 
 
-def _known_errors() -> tuple[type[Exception], ...]:
-    from controllers.errors import ControlError
-    from drivers.errors import DriverError
-    from hil.errors import BenchError
-    from virtual_bus.errors import EmulatorError
-
-    return (BenchError, DriverError, EmulatorError, ControlError)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and leave with its exit status: 0 done, 1 a bad answer, 2 unusable input."""
     from hil.cli import register
@@ -35,28 +33,42 @@ def main(arguments: list[str] | None = None) -> None:
     register.commands(app)
     try:
         status = app(args=arguments, standalone_mode=False) or 0
-    except click.exceptions.Exit as leave:
+    except typer.Exit as leave:
         status = leave.exit_code
-    except click.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         status = _say("interrupted", 1)
-    except click.ClickException as error:
-        where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else "isocenter"
-        status = _say(f"{where}: {error.format_message()} (see {where} --help)", 2)
-    except KeyboardInterrupt:
-        status = _say("interrupted", 1)
+    except _ClickException as error:
+        status = _say_usage(error)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
-    except _known_errors() as error:
-        status = _say(str(error), getattr(error, "exit_status", 1))
-    except OSError as error:
-        status = _say(_os_error_line(error), 2)
-    sys.exit(status)
+    except Exception as error:
+        status = _say_error(error)
+    sys.exit(status if isinstance(status, int) else 0)
 
 
-def _os_error_line(error: OSError) -> str:
-    place = f"{error.filename}: " if error.filename else ""
-    return f"{place}{error.strerror or error}"
+def _say_usage(error: Any) -> int:
+    context = getattr(error, "ctx", None)
+    where = context.command_path if context is not None else "isocenter"
+    if not error.format_message():  # a group without a command has shown its help instead
+        return 2
+    return _say(f"{where}: {error.format_message()} (see {where} --help)", 2)
+
+
+def _say_error(error: Exception) -> int:
+    from controllers.errors import ControlError
+    from drivers.errors import DriverError
+    from hil.errors import BenchError
+    from virtual_bus.errors import EmulatorError
+
+    if os.environ.get(TRACEBACK_VARIABLE):
+        traceback.print_exception(error)
+    if isinstance(error, (BenchError, DriverError, EmulatorError, ControlError)):
+        return _say(str(error), error.exit_status)
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename else ""
+        return _say(f"{place}{error.strerror or error}", 2)
+    return _say(f"a fault of isocenter itself: {error!r}; {TRACEBACK_VARIABLE}=1 shows where", 1)
 
 
 def _say(line: str, status: int) -> int:

@@ -11,11 +11,14 @@ from hil.cli.output import Answer, JsonOption
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(
-        "scan-bus", help="Which nodes are on the bus, what they are, in which state.\n\nExample:  isocenter scan-bus --bus socketcan:vcan0"
+        "scan-bus",
+        short_help="Which nodes are on the bus.",
+        help="Which nodes are on the bus, what they are, in which state.\n\nExample:  isocenter scan-bus --bus socketcan:vcan0",
     )(scan_bus)
     app.command(
+        short_help="The first careful motion.",
         help="Brakes, first-move direction check, homing, encoder agreement; leaves the machine braked."
-        "\n\nExample:  isocenter home --machine carm --bus socketcan:vcan0"
+        "\n\nExample:  isocenter home --machine carm --bus socketcan:vcan0",
     )(home)
 
 

@@ -32,10 +32,6 @@ class Answer:
         """Print for a person."""
         self.console.print(text, markup=False)
 
-    def table(self, table: object) -> None:
-        """Print a rich table."""
-        self.console.print(table)
-
     def write(self, document: Any) -> None:
         """Write the JSON document, where one was asked for."""
         if self._json_to is None:
@@ -74,6 +70,6 @@ def progress(console: Console) -> Iterator[Progress]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
-        transient=False,
+        disable=not console.is_terminal,
     ) as bars:
         yield bars

@@ -14,13 +14,15 @@ from hil.cli.output import Answer
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(
+        short_help="The catalogue of physics.",
         help="The catalogue of physics: names, equations, parameters with units and bounds, where each may act."
-        "\n\nExample:  isocenter effects --json effects.json"
+        "\n\nExample:  isocenter effects --json effects.json",
     )(effects)
     app.command(
+        short_help="The emulated machine on a bus.",
         help="The emulated machine on a bus, wall clock; or one bare CANopen device of any EDS."
         "\n\nExample:  isocenter emulate carm --bus socketcan:vcan0"
-        "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0"
+        "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0",
     )(emulate)
 
 

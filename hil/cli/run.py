@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import click
 import typer
 from typer.core import TyperGroup
 
@@ -45,7 +44,7 @@ NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockst
 class ExperimentGroup(TyperGroup):
     """A group in which an experiment file stands where a command's name would."""
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """`run FILE.toml ...` is `run file FILE.toml ...`."""
         if args and (args[0].endswith(".toml") or "/" in args[0]):
             args = ["file", *args]
@@ -55,14 +54,16 @@ class ExperimentGroup(TyperGroup):
 app = typer.Typer(
     cls=ExperimentGroup,
     no_args_is_help=True,
+    short_help="Run an experiment in closed loop and record it.",
     help="Run an experiment in closed loop and record it: multisine, scan, jog, static, or an experiment file (.toml)."
     "\n\nExample:  isocenter run multisine --machine carm --bus lockstep: --pose roll=30 -o run.mf4",
 )
 
 
 @app.command(
+    short_help="Random-phase multisine under jog.",
     help="Random-phase multisine under jog: what frequency responses are identified from."
-    "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4"
+    "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4",
 )
 def multisine(
     machine_name: MachineOption,
@@ -119,8 +120,9 @@ def multisine(
 
 
 @app.command(
+    short_help="A sweep of one axis at constant speed.",
     help="A jerk-limited sweep of one axis at constant speed, as an acquisition makes it."
-    "\n\nExample:  isocenter run scan -m carm -b lockstep: --axis roll --from -90 --to 90 --speed 30 -o scan.mf4"
+    "\n\nExample:  isocenter run scan -m carm -b lockstep: --axis roll --from -90 --to 90 --speed 30 -o scan.mf4",
 )
 def scan(
     machine_name: MachineOption,
@@ -275,12 +277,12 @@ def _names(text: str) -> tuple[str, ...]:
 
 def _known_axis(axis: str, machine: Machine) -> None:
     if axis not in machine.axes:
-        raise click.UsageError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
+        raise typer.BadParameter(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
 
 
 def _one_of(value: str, allowed: tuple[str, ...], option: str) -> Any:
     if value not in allowed:
-        raise click.UsageError(f"{option} {value}: must be {' or '.join(allowed)}")
+        raise typer.BadParameter(f"{option} {value}: must be {' or '.join(allowed)}")
     return value
 
 
@@ -292,5 +294,5 @@ def _lines(band: str, lines: str, every_line: bool) -> Any:
             return tuple(int(line) for line in lines.split(","))
         low, high = (float(part) for part in band.split(":"))
     except ValueError:
-        raise click.UsageError(f"--lines {lines}: must be whole numbers" if lines else f"--band {band}: must be LOW:HIGH in Hz") from None
+        raise typer.BadParameter(f"--lines {lines}: must be whole numbers" if lines else f"--band {band}: must be LOW:HIGH in Hz") from None
     return Band(low, high, odd=not every_line)

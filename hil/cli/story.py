@@ -13,8 +13,10 @@ from hil.cli.output import Answer, JsonOption
 def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command(
-        help="The whole story on the emulator, under a minute: a closed-loop multisine with jog over the CANopen stack, recorded, identified, "
-        "and held against simulations with and without a friction that the emulated machine secretly has.\n\nExample:  isocenter demo --out demo"
+        short_help="The whole story on the emulator, under a minute.",
+        help="The whole story on the emulator, under a minute: a closed-loop multisine with jog over the CANopen stack, recorded, "
+        "identified, and held against simulations with and without a friction that the emulated machine secretly has."
+        "\n\nExample:  isocenter demo --out demo",
     )(demo)
 
 

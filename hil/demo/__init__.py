@@ -1,0 +1,5 @@
+"""The whole story on the emulator: run, record, identify, simulate, compare, show."""
+
+from hil.demo.story import run_demo
+
+__all__ = ["run_demo"]
