@@ -36,6 +36,7 @@ _CANONICAL_SECTIONS = {
     "devicecommissioning": "DeviceComissioning",
 }
 _ACCESS_TYPES = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
+_LAST_BASIC_TYPE = datatypes.UNSIGNED64
 _FIXED_BITS = {
     datatypes.BOOLEAN: 8,  # a byte over SDO
     **dict(zip((2, 3, 0x10, 4, 0x12, 0x13, 0x14, 0x15), (8, 16, 24, 32, 40, 48, 56, 64), strict=True)),
@@ -82,6 +83,7 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
             node_id = _own_node_id(sections)
         clean = _clean(sections, node_id)
         dictionary = canopen.objectdictionary.eds.import_eds(io.StringIO(clean), node_id)
+        dictionary.node_id = node_id
     except ProtocolError as error:
         raise ProtocolError(f"{name}: {error}") from None
     except Exception as error:  # whatever the library trips over in a broken file is one thing to the user: a broken file
@@ -128,8 +130,8 @@ def _own_node_id(sections: Sections) -> int | None:
 def _clean(sections: Sections, node_id: int | None) -> str:
     """The text the library can read: parents before children, numbers plain, what it does not need left out."""
     out = io.StringIO()
-    if "DeviceInfo" in sections:
-        _emit(out, "DeviceInfo", _plain_numbers(sections["DeviceInfo"], "DeviceInfo"))
+    _resolve_own_types(sections)
+    _emit(out, "DeviceInfo", _plain_numbers(sections.get("DeviceInfo", {}), "DeviceInfo"))
     _emit_dummies(out, sections.get("DUMMYUSAGE", {}))
     objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
     present = {index for index, subindex, _ in objects if subindex < 0}
@@ -141,6 +143,18 @@ def _clean(sections: Sections, node_id: int | None) -> str:
         if subindex < 0 and sections[head].get("CompactSubObj"):
             _emit_compact_array(out, index, sections, node_id)
     return out.getvalue()
+
+
+def _resolve_own_types(sections: Sections) -> None:
+    """Types beyond the basic ones: one that the file defines itself ([A0sub1], as CANFestival does) is its basic type, others are bytes."""
+    for head, keys in sections.items():
+        text = keys.get("DataType", "")
+        if not text or not _OBJECT.match(head):
+            continue
+        data_type = _integer(text, None, f"[{head}] DataType")
+        if data_type > _LAST_BASIC_TYPE:
+            definition = sections.get(f"{data_type:X}SUB1", {}).get("DefaultValue", "")
+            keys["DataType"] = definition or str(datatypes.DOMAIN)
 
 
 def _emit(out: io.StringIO, head: str, keys: dict[str, str]) -> None:

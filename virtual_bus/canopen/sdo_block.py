@@ -19,12 +19,14 @@ def crc16(data: bytes) -> int:
 
 
 class BlockUpload:
-    """The device's value leaves in blocks of up to 127 segments; the client acknowledges each block and may ask for a part again."""
+    """The device's value leaves in blocks of up to 127 segments; the client acknowledges each block and may ask for a part again.
+
+    The checksum is always told; a client that did not offer to check it has no use for it.
+    """
 
     def __init__(self, index: int, subindex: int, frame: bytes, data: bytes) -> None:
         self.index, self.subindex = index, subindex
         self._data, self._position = data, 0
-        self._with_crc = bool(frame[0] & 4)
         self._block_size = self._checked_size(frame[4])
         self._in_flight: list[int] = []  # start of each segment of the present block
         self._ending = False
@@ -60,8 +62,7 @@ class BlockUpload:
             return self._block(), False
         self._ending = True
         unused = -len(self._data) % 7 if self._data else 7
-        crc = crc16(self._data) if self._with_crc else 0
-        return [struct.pack("<BH", 0xC1 | unused << 2, crc) + bytes(5)], False
+        return [struct.pack("<BH", 0xC1 | unused << 2, crc16(self._data)) + bytes(5)], False
 
     def _block(self) -> list[bytes]:
         frames: list[bytes] = []
