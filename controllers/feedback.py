@@ -11,63 +11,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from controllers.errors import DesignError
-from controllers.sections import preload_state, sections_step, standstill_states
+from controllers.sections import feedback_step, preload_state, standstill_states
 from controllers.settings import AxisController
-
-
-@njit(cache=True)
-def feedback_step(
-    sections: np.ndarray,
-    state: np.ndarray,
-    rows: np.ndarray,
-    limit: np.ndarray,
-    held: np.ndarray,
-    reference: np.ndarray,
-    position: np.ndarray,
-    excitation: np.ndarray,
-    feedforward: np.ndarray,
-    out: np.ndarray,
-) -> int:
-    """One sample of every axis; see `Feedback.step`. Callable from other compiled functions.
-
-    Parameters
-    ----------
-    sections, state : (n_sections, 6) and (n_sections, 2) arrays
-        All axes' cascades one below the other; `state` is advanced in place.
-    rows : (n_axes, 3) int array
-        First row of C_r, first row of C_y, end of C_y. C_r of no rows means one filter on r - y.
-    limit : (n_axes,) array
-    held : (n_axes, 2) array
-        Last output of the filters and last command, kept for missing values.
-    reference, position, excitation, feedforward, out : (n_axes,) arrays
-
-    Returns
-    -------
-    int
-        Bit i set: axis i had a missing value.
-    """
-    missing = 0
-    for axis in range(limit.shape[0]):
-        r, y = reference[axis], position[axis]
-        if np.isfinite(r) and np.isfinite(y):
-            first, middle, end = rows[axis, 0], rows[axis, 1], rows[axis, 2]
-            if first == middle:
-                held[axis, 0] = sections_step(sections[middle:end], state[middle:end], r - y)
-            else:
-                from_reference = sections_step(sections[first:middle], state[first:middle], r)
-                held[axis, 0] = from_reference - sections_step(sections[middle:end], state[middle:end], y)
-        else:
-            missing |= 1 << axis
-        u = held[axis, 0] + excitation[axis] + feedforward[axis]
-        if np.isfinite(u):
-            held[axis, 1] = min(max(u, -limit[axis]), limit[axis])
-        else:
-            missing |= 1 << axis
-        out[axis] = held[axis, 1]
-    return missing
 
 
 class Feedback:
@@ -116,7 +63,7 @@ class Feedback:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """`sections`, `state`, `rows`, `limit` and `held` as `feedback_step` takes them; a kernel that runs on them advances this object."""
+        """`sections`, `state`, `rows`, `limit`, `held` as `feedback_step` takes them; a kernel that runs on them advances this object."""
         return self._sections, self._state, self._rows, self._limit, self._held
 
     def reset(self) -> None:

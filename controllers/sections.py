@@ -1,4 +1,4 @@
-"""Second-order sections: one sample through a cascade, its frequency response, and its state at standstill.
+"""Second-order sections: one sample through a cascade or through all axes' controllers, frequency response, and state at standstill.
 
 Rows are (b0, b1, b2, 1, a1, a2) as in `scipy.signal.sosfilt`; a state is that function's `zi`, direct form II transposed.
 """
@@ -17,8 +17,11 @@ INTEGRATOR_TOLERANCE = 1e-9
 STEADY_TOLERANCE = 1e-9
 """Relative residual up to which a standstill state counts as solved."""
 
+# Left unsaid, fast math would be inherited from the first compiled caller, and numba's cache would hand its roundings to everybody.
+exactly_compiled = njit(cache=True, fastmath=False)
 
-@njit(cache=True)
+
+@exactly_compiled
 def sections_step(sections: np.ndarray, state: np.ndarray, x: float) -> float:
     """One sample through a cascade, bit for bit what `scipy.signal.sosfilt` returns; callable from other compiled functions.
 
@@ -41,6 +44,60 @@ def sections_step(sections: np.ndarray, state: np.ndarray, x: float) -> float:
         state[i, 1] = sections[i, 2] * x - sections[i, 5] * y
         x = y
     return x
+
+
+@exactly_compiled
+def feedback_step(
+    sections: np.ndarray,
+    state: np.ndarray,
+    rows: np.ndarray,
+    limit: np.ndarray,
+    held: np.ndarray,
+    reference: np.ndarray,
+    position: np.ndarray,
+    excitation: np.ndarray,
+    feedforward: np.ndarray,
+    out: np.ndarray,
+) -> int:
+    """One sample of every axis, u = C_r r - C_y y + w + feedforward; callable from other compiled functions. See `controllers.feedback`.
+
+    It stands beside `sections_step` because numba's cache does not see a change in another file.
+
+    Parameters
+    ----------
+    sections, state : (n_sections, 6) and (n_sections, 2) arrays
+        All axes' cascades one below the other; `state` is advanced in place.
+    rows : (n_axes, 3) int array
+        First row of C_r, first row of C_y, end of C_y. C_r of no rows means one filter on r - y.
+    limit : (n_axes,) array
+    held : (n_axes, 2) array
+        Last output of the filters and last command, kept for missing values.
+    reference, position, excitation, feedforward, out : (n_axes,) arrays
+
+    Returns
+    -------
+    int
+        Bit i set: axis i had a missing value.
+    """
+    missing = 0
+    for axis in range(limit.shape[0]):
+        r, y = reference[axis], position[axis]
+        if np.isfinite(r) and np.isfinite(y):
+            first, middle, end = rows[axis, 0], rows[axis, 1], rows[axis, 2]
+            if first == middle:
+                held[axis, 0] = sections_step(sections[middle:end], state[middle:end], r - y)
+            else:
+                from_reference = sections_step(sections[first:middle], state[first:middle], r)
+                held[axis, 0] = from_reference - sections_step(sections[middle:end], state[middle:end], y)
+        else:
+            missing |= 1 << axis
+        u = held[axis, 0] + excitation[axis] + feedforward[axis]
+        if np.isfinite(u):
+            held[axis, 1] = min(max(u, -limit[axis]), limit[axis])
+        else:
+            missing |= 1 << axis
+        out[axis] = held[axis, 1]
+    return missing
 
 
 def response(sections: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> np.ndarray:

@@ -113,10 +113,8 @@ class Safety:
         feedforward = gravity_feedforward(self._machine, self._physics, reference)
         inputs = Inputs(reference, still, still if feedforward is None else feedforward, None, self._pose)
         simulated = Simulator(self._machine).run(inputs)
-        channels = [encoder.channel for encoder in self._machine.plant.encoders]
-        position = simulated.encoders[:, [channels.index(f"position_{axis}") for axis in self._machine.axes]]
         # no speed: whole encoder counts per sample say little of it, and the reference's is checked
-        motion = Response(simulated.command - self._holding, position - self._pose, still)
+        motion = Response(simulated.command - self._holding, simulated.position - self._pose, still)
         bounds = self._bounds(reference - self._pose, motion, Response(still, still, still))
         for bound in bounds:
             if bound.largest_share < 1.0:

@@ -1,5 +1,9 @@
 """Second-order sections step as SciPy filters, and their designs are what they say in continuous time."""
 
+import os
+import subprocess
+import sys
+
 import control
 import numpy as np
 import pytest
@@ -34,6 +38,26 @@ def test_a_step_is_bit_for_bit_sosfilt(order):
     state = zi.copy()
     assert np.array_equal(run(sections, state, inputs), expected)
     assert np.array_equal(state, expected_state)
+
+
+FAST_CALLER = """
+import numba, numpy as np, scipy.signal
+from controllers.sections import sections_step
+fast = numba.njit(fastmath=True)(lambda sections, state, x: sections_step(sections, state, x))
+sections = scipy.signal.butter(5, 20.0, fs=256.0, output="sos")
+inputs = np.random.default_rng(5).normal(size=400)
+for step in (fast, sections_step):
+    state = np.zeros((len(sections), 2))
+    outputs = [step(sections, state, x) for x in inputs]
+assert np.array_equal(outputs, scipy.signal.sosfilt(sections, inputs))
+"""
+
+
+def test_a_fast_math_caller_leaves_the_step_exact(tmp_path):
+    # numba would hand the caller's fast math down and keep it in the cache for everybody
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", FAST_CALLER], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_response_is_scipys():
