@@ -87,6 +87,7 @@ class Rpdo:
         self.alive = self.synchronous = False
         self._pending: bytes | None = None
         self._timeout_s = 0.0
+        self._length_error = 0  # EMCY code of the last frame's length, 0: it was right
         self.deadline_s = math.inf
         self._layout = Layout([])
         self._effects: list[Callable[[Value], None] | None] = []
@@ -107,8 +108,8 @@ class Rpdo:
     def receive(self, data: bytes) -> None:
         """A frame with this PDO's identifier."""
         layout, node = self._layout, self._node
-        if len(data) != layout.length:
-            node.emergency.raise_error(_SIZE_ERROR if len(data) < layout.length else _EXCESS_ERROR)
+        if len(data) != layout.length or self._length_error:
+            self._judge_length(len(data))
             if len(data) < layout.length:
                 return
         if self._timeout_s:
@@ -120,6 +121,16 @@ class Rpdo:
         else:
             self._apply(data)
             node.process_data_arrived()
+
+    def _judge_length(self, length: int) -> None:
+        """Tell of a frame of the wrong length, and of the first good one after it."""
+        wanted = self._layout.length
+        error = _SIZE_ERROR if length < wanted else _EXCESS_ERROR if length > wanted else 0
+        if self._length_error and self._length_error != error:
+            self._node.emergency.clear_error(self._length_error)
+        if error:
+            self._node.emergency.raise_error(error)
+        self._length_error = error
 
     def on_sync(self) -> None:
         """Apply what came since the last SYNC."""

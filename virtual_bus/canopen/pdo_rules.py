@@ -55,12 +55,11 @@ def install(objects: Objects, communication: int, mapping: int, *, receive: bool
 
 def check_mapping(objects: Objects, mapping: int, count: int, *, receive: bool) -> None:
     """SdoAbort unless the first `count` entries make a PDO."""
+    if count and objects.get(mapping, count) is None:
+        raise SdoAbort(abort.PDO_LENGTH)
     bits = 0
     for subindex in range(1, count + 1):
-        slot = objects.get(mapping, subindex)
-        if slot is None:
-            raise SdoAbort(abort.PDO_LENGTH)
-        bits += mappable_entry(objects, int(slot.value), receive=receive).bits
+        bits += mappable_entry(objects, objects.number(mapping, subindex), receive=receive).bits
     if bits > MAX_PDO_BITS:
         raise SdoAbort(abort.PDO_LENGTH)
 
