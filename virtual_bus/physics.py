@@ -182,4 +182,5 @@ def _new_latched(settings: PlantSettings) -> Latched:
     def counts() -> np.ndarray:
         return np.zeros(axes, dtype=np.int64)
 
-    return Latched(counts(), counts(), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(max(6 * len(settings.imus), 6)), np.zeros(axes))
+    imu = np.zeros(max(6 * len(settings.imus), 6))
+    return Latched(counts(), counts(), np.zeros(axes), np.zeros(axes), np.zeros(axes), imu, np.zeros(axes))

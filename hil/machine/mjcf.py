@@ -16,9 +16,9 @@ JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 def to_mjcf(settings: PlantSettings, name: str) -> str:
     """MJCF of a plant.
 
-    Bodies, joints and actuators (named as the axis) bear the machine file's names, sensors the names of their recording channels. Actuators take
-    effort in the drive's unit. Gears, rotor inertia, springs, dampers and viscous friction are in it; noise, quantisation, sensor bandwidth,
-    brakes and effects are not. There are no geometries, so nothing collides.
+    Bodies, joints and actuators (named as the axis) bear the machine file's names, sensors the names of their recording channels.
+    Actuators take effort in the drive's unit. Gears, rotor inertia, springs, dampers and viscous friction are in it; noise, quantisation,
+    sensor bandwidth, brakes and effects are not. There are no geometries, so nothing collides.
     """
     root = Element("mujoco", model=name)
     SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="false")
@@ -69,7 +69,8 @@ def _quaternion(rotation: np.ndarray) -> str:
 def _add_bodies(world: Element, settings: PlantSettings) -> None:
     elements = {"world": world}
     for body in settings.tree.bodies:
-        element = SubElement(elements[body.parent], "body", name=body.name, pos=_numbers(body.position_m), quat=_quaternion(body.orientation))
+        orientation = _quaternion(body.orientation)
+        element = SubElement(elements[body.parent], "body", name=body.name, pos=_numbers(body.position_m), quat=orientation)
         elements[body.name] = element
         _add_inertia(element, body)
         if body.joint is not None:

@@ -29,25 +29,25 @@ def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSetting
     Raises
     ------
     EffectError
-        An effect that does not exist, acts where it may not, is given twice at one place, or lacks a parameter or has one too many, or out of
-        bounds.
+        An effect that does not exist, acts where it may not, is given twice at one place, or whose parameters are not the catalogue's.
     """
     bound: list[EffectSetting] = []
     for number, entry in enumerate(entries, start=1):
         setting = _bind(entry, settings, f"{where}: effect {number}")
         if any((setting.name, setting.at) == (other.name, other.at) for other in bound):
-            raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; one entry holds all its parameters")
+            raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; once is enough")
         bound.append(setting)
     return tuple(bound)
 
 
 def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[dict[str, object]]:
     """Bound effects as an effects file writes them: the inverse of `bind_effects`."""
-    entries = []
+    entries: list[dict[str, object]] = []
     for setting in bound:
         prismatic = _is_prismatic(setting.at, settings)
         keys = {parameter.name: parameter.key(prismatic) for parameter in effects()[setting.name].parameters}
-        entries.append({"name": setting.name, "at": setting.at} | {keys[name]: value for name, value in setting.parameters.items()})
+        numbers = {keys[name]: value for name, value in setting.parameters.items()}
+        entries.append({"name": setting.name, "at": setting.at, **numbers})
     return entries
 
 
@@ -56,7 +56,8 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
     known = effects()
     if not isinstance(name, str) or name not in known:
         hint = difflib.get_close_matches(str(name), known, n=1) if name is not None else []
-        raise EffectError(f"{where}: name = {name!r}: no such effect; " + (f"did you mean {hint[0]}?" if hint else _listed("there is", known)))
+        advice = f"did you mean {hint[0]}?" if hint else _listed("there is", known)
+        raise EffectError(f"{where}: name = {name!r}: no such effect; {advice}")
     effect = known[name]
     at = entry.get("at")
     places = _places(effect, settings)
@@ -79,8 +80,8 @@ def _parameters(effect: Effect, entry: Mapping[str, object], prismatic: bool, wh
         value = entry[key]
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not is_number or not parameter.low <= float(value) <= parameter.high:  # type: ignore[arg-type]
-            unit = parameter.unit_at(prismatic)
-            raise EffectError(f"{where}: {key} = {value!r}: must be a number from {parameter.low:g} to {parameter.high:g}{' ' + unit if unit else ''}")
+            bounds = f"{parameter.low:g} to {parameter.high:g} {parameter.unit_at(prismatic)}".rstrip()
+            raise EffectError(f"{where}: {key} = {value!r}: must be a number from {bounds}")
         values[parameter.name] = float(value)  # type: ignore[arg-type]
     return values
 
@@ -93,8 +94,8 @@ def _places(effect: Effect, settings: PlantSettings) -> list[str]:
     if "body" in effect.kind.allowed_at:
         places += [body.name for body in settings.tree.bodies]
     if "sensor" in effect.kind.allowed_at:
-        places += [sensor.channel for sensor in (*settings.encoders, *settings.currents, *settings.thermometers)]
-        places += [imu.name for imu in settings.imus]
+        places += [encoder.channel for encoder in settings.encoders] + [current.channel for current in settings.currents]
+        places += [imu.name for imu in settings.imus] + [thermometer.channel for thermometer in settings.thermometers]
     return places
 
 

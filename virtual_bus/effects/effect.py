@@ -31,7 +31,10 @@ FRICTION = EffectKind(
     name="friction",
     function="level",
     allowed_at=("axis",),
-    description="level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; at rest, the most it holds",
+    description=(
+        "level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; "
+        "at rest, the most it holds"
+    ),
 )
 
 

@@ -9,9 +9,7 @@ from functools import cache
 from types import ModuleType
 
 import virtual_bus.effects
-from virtual_bus.effects.effect import FRICTION, MAX_PARAMETERS, Effect, EffectKind
-
-KINDS = (FRICTION,)
+from virtual_bus.effects.effect import MAX_PARAMETERS, Effect, EffectKind
 
 
 @cache
@@ -49,10 +47,10 @@ def effect_sources() -> str:
 def dispatcher_text(kind: EffectKind, function: str) -> str:
     """Source of a compiled function `function(number, state, row)` that calls the effect of that number with its row's parameters."""
     chosen = [(number, effect) for number, effect in enumerate(effects().values()) if effect.kind is kind]
-    lines = [
-        f"from {_modules()[effect.name].__name__} import {kind.function} as _{effect.name}_text\n_{effect.name} = compiled(_{effect.name}_text)"
-        for _, effect in chosen
-    ]
+    lines = []
+    for _, effect in chosen:
+        module = _modules()[effect.name].__name__
+        lines += [f"import {module}", f"_{effect.name} = compiled({module}.{kind.function})"]
     lines += ["", "", "@compiled", f"def {function}(number, state, row):"]
     for number, effect in chosen:
         arguments = ", ".join(f"row[{1 + k}]" for k in range(len(effect.parameters)))

@@ -8,7 +8,10 @@ import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, MAX_PARAMETERS
 from virtual_bus.effects.registry import effect_number, effects
+from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
+
+MAX_ROWS = 32  # friction effects of one machine: a compiled plant's table has a fixed size
 
 
 def friction_table(settings: Sequence[EffectSetting], joint_of_axis: dict[str, int], joints: int) -> tuple[np.ndarray, np.ndarray]:
@@ -20,8 +23,15 @@ def friction_table(settings: Sequence[EffectSetting], joint_of_axis: dict[str, i
         Rows of joint j are first[j] to first[j + 1].
     rows : (effects, 1 + MAX_PARAMETERS)
         Effect number, then the effect's parameters in its own order.
+
+    Raises
+    ------
+    EffectError
+        More effects than the table holds.
     """
     chosen = [setting for setting in settings if effects()[setting.name].kind is FRICTION]
+    if len(chosen) > MAX_ROWS:
+        raise EffectError(f"{len(chosen)} friction effects: a machine takes at most {MAX_ROWS}")
     chosen.sort(key=lambda setting: joint_of_axis[setting.at])
     rows = np.zeros((len(chosen), 1 + MAX_PARAMETERS))
     counts = np.zeros(joints, dtype=np.int64)

@@ -59,7 +59,7 @@ def _check_tree(tree: Tree) -> None:
             raise PlantError(f"joint {name!r}: the name is used twice")
     for joint, mass, inertia in _carried(tree):
         if joint.armature <= 0.0 and (inertia if joint.kind == "revolute" else mass) <= 0.0:
-            raise PlantError(f"joint {joint.name!r}: nothing behind it has inertia; give a body mass_kg, inertia_kg_m2 or the drive a rotor")
+            raise PlantError(f"joint {joint.name!r}: nothing behind it has inertia; a body needs mass_kg and inertia_kg_m2")
 
 
 def _check_body(body: Body) -> None:

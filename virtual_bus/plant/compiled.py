@@ -2,8 +2,8 @@
 
 Calling convention
 ------------------
-`plant = compile_plant(settings)` writes (or finds) the generated module. Its compiled functions may be called from other numba functions and
-take arrays only: float64 and C-contiguous, n joints in body order, axes in the order of the drives.
+`plant = compile_plant(settings)` writes (or finds) the generated module. Its compiled functions may be called from other numba functions
+and take arrays only: float64 and C-contiguous, n joints in body order, axes in the order of the drives.
 
     model = plant.model(values, effects)          # (1,) record of records.model_dtype; new numbers need no compilation
     work = plant.new_work()                       # (1,) record of records.work_dtype: scratch memory, one per thread
@@ -182,7 +182,7 @@ class CompiledPlant:
             try:
                 np.linalg.cholesky(mass)
             except np.linalg.LinAlgError:
-                raise PlantError("the plant's joint-space inertia is not positive definite: a moving body without mass or inertia") from None
+                raise PlantError("the joint-space inertia is not positive definite: a moving body without mass or inertia") from None
             inverse = np.linalg.inv(mass)
             first_order = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * damping]])
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(first_order)).max()))

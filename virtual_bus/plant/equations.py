@@ -1,8 +1,9 @@
 """The rigid-body equations of a tree, as expressions: joint-space inertia and bias, motion of points, poses of bodies.
 
-Recursive Newton-Euler and composite-rigid-body algorithms (Featherstone 2008, Secs. 5.3 and 6.2), written with three-dimensional vectors in the
-bodies' own frames. Notation: R rotation body to parent, r origin of the body in its parent's frame, s joint axis, ω and α angular velocity and
-acceleration, a linear acceleration of the body's origin less gravity, m mass, h first moment of mass and J inertia about the body's origin.
+Recursive Newton-Euler and composite-rigid-body algorithms (Featherstone 2008, Secs. 5.3 and 6.2), written with three-dimensional vectors in
+the bodies' own frames. Notation: R rotation body to parent, r origin of the body in its parent's frame, s joint axis, ω and α angular
+velocity and acceleration, a linear acceleration of the body's origin less gravity, m mass, h first moment of mass and J inertia about the
+body's origin.
 """
 
 from __future__ import annotations
@@ -83,9 +84,8 @@ class PlantEquations:
 
     def _parameter_vector(self, owner: str, quantity: str, unit: str, values: np.ndarray) -> Vector:
         prefix = f"{owner}.{quantity}_" if quantity else f"{owner}."
-        x, y, z = (
-            self.parameter(f"{prefix}{letter}_{unit}") if value != 0.0 else self.graph.zero for letter, value in zip(AXES, values, strict=True)
-        )
+        names = [f"{prefix}{letter}_{unit}" for letter in AXES]
+        x, y, z = (self.parameter(name) if value != 0.0 else self.graph.zero for name, value in zip(names, values, strict=True))
         return x, y, z
 
     def _at_rest(self) -> tuple[Matrix, Vector]:

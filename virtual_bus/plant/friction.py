@@ -29,8 +29,8 @@ def friction_level(j, speed, direction, effect_level, model, work):
 def mean_friction(j, start, drive, response, effect_level, model, work):
     """Constant friction effort that does over a step what the friction law does, of a joint alone.
 
-    Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per unit of
-    effort. The joint slides throughout, or comes to rest and stays, or turns within the step; which one follows from the law.
+    Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per
+    unit of effort. The joint slides throughout, or comes to rest and stays, or turns within the step; which one follows from the law.
     """
     onward = 1.0 if drive > 0.0 else -1.0
     direction = onward

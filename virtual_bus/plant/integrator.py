@@ -1,7 +1,7 @@
 """One plant step: slow equations at the midpoint, stiff linear part by a Taylor flow, friction implicitly. See docs/plant.md.
 
-The functions are compiled for one plant: `model` and `work` are its records (records.py), the plant's own equations are handed in as compiled
-functions. Over a step, a joint whose position is q and whose speed is v feels
+The functions are compiled for one plant: `model` and `work` are its records (records.py), the plant's own equations are handed in as
+compiled functions. Positions q and speeds v obey
 
     M(q) v' = effort - bias(q, v) - K (q - rest) - D v + friction.
 """

@@ -7,8 +7,8 @@ import numba
 # Contraction to fused multiply-add and reassociation of sums; NaN and infinities keep their meaning, so that a fault stays visible.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
-# For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot cache
-# unless the call disappears, and the compiler then sees one body with known sizes.
+# For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
+# cache unless the call disappears, and the compiler then sees one body with known sizes.
 compiled = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True)
 
 # For the functions of a generated module: machine code of their own, kept on disk.

@@ -33,8 +33,8 @@ def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.n
 def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> control.StateSpace:
     """Small motions about rest at these axis positions (axes,), actuated joints free, without friction effects and brakes.
 
-    Inputs are `command_<axis>` in the drives' units. Outputs bear the recording channels' names: every encoder, then imu_x, imu_y, imu_z, gyro_x,
-    gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low passes.
+    Inputs are `command_<axis>` in the drives' units. Outputs bear the recording channels' names: every encoder, then imu_x, imu_y, imu_z,
+    gyro_x, gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low passes.
     """
     settings, n = plant.settings, plant.joints
     q = equilibrium(plant, model, axis_positions)

@@ -72,9 +72,8 @@ def _imu_parameters(imu: Imu) -> Iterator[PlantParameter]:
 def plant_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
     """Every run-time number of a plant, in the order of its parameter vector."""
     tree = settings.tree
-    found = [
-        PlantParameter("gravity", letter, "m/s2", float(value)) for letter, value in zip(AXES, tree.gravity_m_s2, strict=True) if value != 0.0
-    ]
+    gravity = dict(zip(AXES, tree.gravity_m_s2.tolist(), strict=True))
+    found = [PlantParameter("gravity", letter, "m/s2", value) for letter, value in gravity.items() if value != 0.0]
     for body in tree.bodies:
         found.extend(_body_parameters(body))
     for joint in tree.joints:

@@ -1,7 +1,7 @@
 """The memory a compiled plant works in: NumPy records, whose fields have sizes the compiler knows.
 
-Both kinds are arrays of one record, `model[0]` and `work[0]` within compiled code, `model["stiffness"][0]` in Python. A record is one pointer
-to numba, where a tuple of arrays would be hundreds of words to hand over at every call.
+Both kinds are arrays of one record; its fields are attributes of `model[0]` and `work[0]`, in Python and in compiled code. A record is one
+pointer to numba, where a tuple of arrays would be hundreds of words to hand over at every call.
 """
 
 from __future__ import annotations
@@ -9,14 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import MAX_PARAMETERS
-
-MAX_FRICTION_ROWS = 32  # friction effects of one machine
+from virtual_bus.effects.table import MAX_ROWS
 
 
 def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
     """Everything about a plant that stays the same while it runs."""
     n = joints
-    return np.dtype(
+    return _record(
         [
             ("step_s", "f8"),  # length of one plant step
             ("steps", "i8"),  # plant steps per sample
@@ -30,9 +29,8 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ("filter_weights", "f8", (max(6 * imus, 1), 3)),  # low pass over one plant step: old output, input at start, input at end
             ("is_filtered", "u1", (max(6 * imus, 1),)),  # 0: the channel has no low pass and reads the instant
             ("friction_first", "i8", (n + 1,)),  # friction rows of joint j are friction_first[j] to friction_first[j + 1]
-            ("friction_rows", "f8", (MAX_FRICTION_ROWS, 1 + MAX_PARAMETERS)),  # effect number, then its parameters
-        ],
-        align=True,
+            ("friction_rows", "f8", (MAX_ROWS, 1 + MAX_PARAMETERS)),  # effect number, then its parameters
+        ]
     )
 
 
@@ -51,10 +49,13 @@ def work_dtype(joints: int, imus: int, bodies: int) -> np.dtype:
     ]  # fmt: skip
     squares = ["mass", "inverse", "position_response", "speed_response"]
     readings = ["filtered", "reading", "start_reading"]
-    return np.dtype(
+    return _record(
         [(name, "f8", (n,)) for name in vectors]
         + [(name, "f8", (n, n)) for name in squares]
         + [(name, "f8", (max(6 * imus, 1),)) for name in readings]
-        + [("poses", "f8", (max(bodies, 1), 12))],
-        align=True,
+        + [("poses", "f8", (max(bodies, 1), 12))]
     )
+
+
+def _record(fields: list[tuple]) -> np.dtype:
+    return np.dtype((np.record, np.dtype(fields, align=True)))

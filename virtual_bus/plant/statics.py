@@ -57,7 +57,8 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
         if largest < TOLERANCE:
             return q
     names = ", ".join(plant.settings.tree.joints[j].name for j in free)
-    raise PlantError(f"no elastic equilibrium at axis positions {np.round(axis_positions, 6).tolist()}: is one of {names} without stiffness?")
+    pose = np.round(axis_positions, 6).tolist()
+    raise PlantError(f"no elastic equilibrium at axis positions {pose}: is one of {names} without stiffness?")
 
 
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:

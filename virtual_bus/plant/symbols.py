@@ -1,6 +1,7 @@
 """Scalar expressions that remember how they were computed, so that the equations of a plant can be written out once and compiled.
 
-Equal expressions are one node (hash-consing), and 0 and 1 fold away, so what comes out has no common subexpressions and no work on structural zeros.
+Equal expressions are one node (hash-consing), and 0 and 1 fold away, so what comes out has no common subexpressions and no work on
+structural zeros.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 
 Number = float | int
-Operand = "Node | float | int"
 
 
 @dataclass(eq=False)
