@@ -10,10 +10,11 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from hil.realtime import Scheduling, real_time
 from hil.recording import JournalSink, RecorderProcess, recording_metadata
 from hil.wiring import Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
+
+T = TypeVar("T")
 
 SETTLE_S = 4.0
 """Standstill before row 0, in which what the way there has set swinging dies out."""
@@ -70,7 +73,7 @@ class BenchOptions:
 
 @dataclass
 class Bench:
-    """A commissioned machine under control; made by `open_bench`."""
+    """A commissioned machine; made by `open_bench`."""
 
     machine: Machine
     model: Physics  # of the machine file: what holds it where
@@ -79,65 +82,111 @@ class Bench:
     loop: SampleLoop
     layout: RowLayout
     scheduling: Scheduling
-    commissioning: list[str] = field(default_factory=list)
-    pose: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    commissioning: list[str]
+    pose: np.ndarray  # (n_axes,) where the machine stands
+
+    def __post_init__(self) -> None:
+        self._still = np.zeros(len(self.machine.axes))
 
     def run(self, plan: Plan, path: Path, progress: Callable[[int], None] | None = None) -> LoopTiming:
-        """Go to the plan's start pose, settle, run it and record every row into `path`.
+        """Take hold, go to the plan's start pose, settle, run it and record every row into `path`, and park again.
 
         Raises
         ------
         LoopAborted, DriverError
             The motors were stopped; the rows up to then are in `path`.
         """
-        self._go_to(plan.start_pose)
-        metadata = recording_metadata(
-            self.machine,
-            plan.metadata,
-            {"controller_states": self.loop.feedback.states, "brakes": self._brakes(), "seed": self.options.seed},
-            bench={"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": self.commissioning},
-        )
-        lockstep = self.wiring.lockstep
-        sink = (JournalSink if lockstep else RecorderProcess)(path, self.layout.channels, metadata)
-        self.wiring.start_truth()
+        way, sink = self._while_ticking(lambda: (self._way_to(plan.start_pose), self._sink(plan, path)))
         ended: dict[str, Any] = {}
         try:
+            self._take_hold()
+            for leg in way:
+                self.loop.run(leg)
+            self.pose = plan.start_pose.copy()
+            ended["initial"] = self._initial() | {"controller_states": self.loop.feedback.states}
+            self.wiring.start_truth()
             timing = self.loop.run(plan, sink, progress)
-            ended = {"timing": timing.summary()}
+            self.wiring.pause_truth()
+            self.pose = plan.reference[-1].copy()
+            self.wiring.link.close_brakes(self._holding())
+            ended["timing"] = timing.summary()
             return timing
         except BaseException as error:
-            ended = {"ended": {"error": str(error) or type(error).__name__}}
+            ended["ended"] = {"error": str(error) or type(error).__name__}
             raise
         finally:
-            sink.close(ended)
             self.wiring.pause_truth()
-
-    def _go_to(self, pose: np.ndarray) -> None:
-        """Move there within the limits, then stand still."""
-        axes = self.machine.axes
-        start = dict(zip(axes, map(float, self.pose), strict=True))
-        goal = dict(zip(axes, map(float, pose), strict=True))
-        tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
-        if (np.abs(pose - self.pose) > tolerance).any():
-            for plan in Move(start, goal).plans(self.machine):
-                self.loop.run(plan)
-        self.pose = pose.copy()
-        for plan in Static(SETTLE_S, goal).plans(self.machine):
-            self.loop.run(plan)
+            self._finish(sink, ended)
 
     def feedforward(self) -> np.ndarray:
         """What gravity feedforward brings at the present pose (n_axes,), zero where no axis asks for it."""
         brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
         return np.zeros(len(self.pose)) if brought is None else brought[0]
 
-    def _brakes(self) -> dict[str, str]:
+    def _way_to(self, pose: np.ndarray) -> list[Plan]:
+        """From where the machine is parked to standstill at `pose`, within the limits."""
+        axes = self.machine.axes
+        start = dict(zip(axes, map(float, self.pose), strict=True))
+        goal = dict(zip(axes, map(float, pose), strict=True))
+        tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
+        legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
+        return legs + Static(SETTLE_S, goal).plans(self.machine)
+
+    def _take_hold(self) -> None:
+        """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
         link = self.wiring.link
-        return {axis: "open" if link.has_brake(index) else "none" for index, axis in enumerate(self.machine.axes)}
+        link.enable()
+        self.pose = _measured_pose(link.exchange(self._still))
+        effort = self.model.holding_effort(self.pose)
+        self.loop.feedback.preload(effort, self.pose, self.feedforward())
+        self.loop.command[:] = effort
+        link.release_brakes(self._holding())
+
+    def _holding(self) -> Callable[[Sample], np.ndarray]:
+        """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
+        loop, pose, feedforward = self.loop, self.pose.copy(), self.feedforward()
+        position = pose.copy()
+
+        def hold(sample: Sample) -> np.ndarray:
+            known = np.isfinite(sample.position)
+            position[known] = sample.position[known]
+            loop.feedback.step(pose, position, self._still, feedforward, loop.command)
+            return loop.command
+
+        return hold
+
+    def _while_ticking(self, work: Callable[[], T]) -> T:
+        """Do some work while the machine is parked: ticks and heartbeats go on, jitter does no harm. Lockstep time stands still."""
+        if self.wiring.lockstep:
+            return work()
+        with ThreadPoolExecutor(1) as worker:
+            result = worker.submit(work)
+            while not result.done():
+                self.wiring.link.exchange(self._still)
+            return result.result()
+
+    def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
+        """Where the plan's rows go, ready to take them."""
+        bench = {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": self.commissioning}
+        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=bench)
+        return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.layout.channels, metadata)
+
+    def _finish(self, sink: JournalSink | RecorderProcess, tables: dict[str, Any]) -> None:
+        """Turn the rows into the recording; after a good run the machine is parked meanwhile, after a bad one it has been stopped."""
+        if "ended" in tables:
+            sink.close(tables)
+        else:
+            self._while_ticking(lambda: sink.close(tables))
+
+    def _initial(self) -> dict[str, Any]:
+        link = self.wiring.link
+        brakes = {axis: "open" if link.has_brake(index) else "none" for index, axis in enumerate(self.machine.axes)}
+        return {"brakes": brakes, "seed": self.options.seed}
 
 
 @contextlib.contextmanager
-def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, *, run: bool = True) -> Iterator[Bench]:
-    """A commissioned machine, drives enabled, brakes open, held by its feedback; stopped and braked on the way out, whatever happens.
+def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None) -> Iterator[Bench]:
+    """A commissioned machine, parked: drives disabled, brakes closed. It is stopped on the way out, whatever happens.
 
     Parameters
     ----------
@@ -145,8 +194,6 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
     options : BenchOptions
     start_pose : (n_axes,) array, optional
         In lockstep, where the emulated machine stands when it is switched on.
-    run : bool
-        False: commission only; the brakes stay closed.
 
     Raises
     ------
@@ -159,31 +206,34 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
         raise UnusableInput(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
     if not machine.controllers:
         raise UnusableInput(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
+    model = Physics(machine.plant, noise=False)
+    feedback = _warm(Feedback(machine.controllers))
+    still = np.zeros(len(machine.axes))
+    lockstep = options.bus_url.startswith("lockstep:")
     stop_request = StopRequest()
     with contextlib.ExitStack() as stack:
         stack.enter_context(_stopping_on_signals(stop_request))
-        lockstep = options.bus_url.startswith("lockstep:")
         wiring = stack.enter_context(lockstep_wiring(machine, options, start_pose) if lockstep else wall_wiring(machine, options))
-        link = wiring.link
-        stack.callback(link.close)
-        model = Physics(machine.plant, noise=False)
-        link.start()
-        holding = model.holding_effort(_measured_pose(link.exchange(np.zeros(len(machine.axes)))))
-        commissioning = list(link.home(holding))
         scheduling = stack.enter_context(real_time(wanted=not lockstep))
         if lockstep:
             scheduling = Scheduling("lockstep, virtual time", False)
-        feedback = Feedback(machine.controllers)
-        layout = row_layout(machine)
+        link = wiring.link
+        stack.callback(link.close)
+        link.start()
+        commissioning = list(link.home(model.holding_effort(_measured_pose(link.exchange(still)))))
         guarded = machine.bus.io is not None
         stale_s = machine.bus.io.stale_after_s if machine.bus.io is not None else np.inf
+        layout = row_layout(machine)
         loop = SampleLoop(link, wiring.clock, feedback, machine.limits, layout, guarded, stale_s, stop_request)
-        bench = Bench(machine, model, options, wiring, loop, layout, scheduling, commissioning)
-        if run:
-            _take_hold(bench)
-        yield bench
-        if run:
-            link.close_brakes(_holding(bench))
+        yield Bench(machine, model, options, wiring, loop, layout, scheduling, commissioning, _measured_pose(link.exchange(still)))
+
+
+def _warm(feedback: Feedback) -> Feedback:
+    """The feedback compiled: the first step of a machine must not wait for that."""
+    nothing = np.zeros(len(feedback.controllers))
+    feedback.step(nothing, nothing, nothing, nothing, nothing.copy())
+    feedback.reset()
+    return feedback
 
 
 def row_layout(machine: Machine) -> RowLayout:
@@ -205,32 +255,6 @@ def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
     return [
         out.with_name(f"{out.stem}_r{plan.metadata['realisation'] + 1}_e{plan.metadata['experiment'] + 1}{out.suffix}") for plan in plans
     ]
-
-
-def _take_hold(bench: Bench) -> None:
-    """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
-    link, feedback = bench.wiring.link, bench.loop.feedback
-    link.enable()
-    bench.pose = _measured_pose(link.exchange(np.zeros(len(bench.machine.axes))))
-    effort = bench.model.holding_effort(bench.pose)
-    feedback.preload(effort, bench.pose, bench.feedforward())
-    bench.loop.command[:] = effort
-    link.release_brakes(_holding(bench))
-
-
-def _holding(bench: Bench) -> Callable[[Sample], np.ndarray]:
-    """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
-    axes = len(bench.machine.axes)
-    nothing, position, feedforward = np.zeros(axes), bench.pose.copy(), bench.feedforward()
-    loop = bench.loop
-
-    def hold(sample: Sample) -> np.ndarray:
-        known = np.isfinite(sample.position)
-        position[known] = sample.position[known]
-        loop.feedback.step(bench.pose, position, nothing, feedforward, loop.command)
-        return loop.command
-
-    return hold
 
 
 def _measured_pose(sample: Sample) -> np.ndarray:

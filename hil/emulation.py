@@ -16,6 +16,7 @@ import numpy as np
 from drivers.bus_url import open_bus
 from hil.errors import UnusableInput
 from hil.machine import Machine
+from hil.realtime import real_time
 from hil.rendezvous import EmulatorCard, published
 from hil.truth import TruthLog
 from virtual_bus.canopen.bare import BareMachine
@@ -46,6 +47,7 @@ def build_emulated(
     if machine.bus is None:
         raise UnusableInput(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
     physics = Physics(machine.plant, seed, noise)
+    physics.advance()  # compiles what has to be compiled before somebody waits for an answer; `place` undoes the step
     io_map = machine.bus.io
     io = None
     if io_map is not None:
@@ -147,7 +149,8 @@ def emulate_machine(
             stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_device, ports.io_url)))
             _say({"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url})
 
-        run_emulator(bus, emulated, ready)
+        with real_time():  # its answers are as punctual as hardware's, where the system grants it
+            run_emulator(bus, emulated, ready)
 
 
 def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:

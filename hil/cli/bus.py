@@ -44,7 +44,7 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    with open_bench(machine, BenchOptions(bus, imu, io), run=False) as bench:
+    with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
         report = list(bench.commissioning)
     for line in report:
         answer.say(line)

@@ -1,0 +1,5 @@
+"""`python -m hil` is `isocenter`."""
+
+from hil.cli import main
+
+main()
