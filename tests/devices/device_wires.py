@@ -1,4 +1,4 @@
-"""A device on the bench of the tests: the canopen library as independent client on one side, an emulated node on the other, no thread between."""
+"""A device on the tests' bench: the canopen library as independent client on one side, an emulated node on the other, no thread."""
 
 from __future__ import annotations
 

@@ -1,14 +1,13 @@
 """The CANopen conformance test as it was run against somebody else's device (CANopenNode), replayed against ours.
 
-The trace is candump's: T is the tester, R the device. The device was CANopenNode's demo of CiA 401; its EDS is the CANopenNode profile with the
-objects added below, taken from what it answers in the trace itself.
+The trace is candump's: T is the tester, R the device. The device was CANopenNode's demo of CiA 401; its EDS is the CANopenNode profile with
+the objects added below, taken from what it answers in the trace itself.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 from device_wires import VENDOR_FILES, needs_vendor_files
@@ -43,7 +42,8 @@ def demo_device_eds() -> str:
     for sub, data_type, access in ((1, I64, "rw"), (2, U64, "rw"), (3, REAL32, "rw"), (4, REAL64, "rw"), (5, DOMAIN, "ro"), (6, U16, "rw")):
         text += entry(f"2120sub{sub}", data_type, access, 0 if data_type != DOMAIN else "EE242C4158245143")
     text += "[2121]\nParameterName=r\nObjectType=9\n" + entry("2121sub0", U8, "ro", 3) + entry("2121sub1", TEXT, "ro", "str")
-    text += entry("2121sub2", TEXT, "rw", "x" * 110) + entry("2121sub3", OCTETS, "rw", "C83DBB00000000000000") + entry("2122", DOMAIN, "rw", bytes(i % 256 for i in range(1024)).hex())
+    text += entry("2121sub2", TEXT, "rw", "x" * 110) + entry("2121sub3", OCTETS, "rw", "C83DBB00000000000000")
+    text += entry("2122", DOMAIN, "rw", bytes(i % 256 for i in range(1024)).hex())
     text += array(0x6000, 8, U8, "ro", 1) + array(0x6200, 8, U8, "rw", 1) + array(0x6401, 16, I16, "ro", 1) + array(0x6411, 8, I16, "rw", 1)
     for index, mapped, count, bits in ((0x1600, 0x6200, 2, 8), (0x1601, 0x6411, 4, 16), (0x1A00, 0x6000, 2, 8), (0x1A01, 0x6401, 4, 16)):
         slots = 8 if bits == 8 else 4

@@ -123,7 +123,8 @@ def test_every_controlword_does_in_every_state_what_the_table_says(state: str) -
 
 @pytest.mark.parametrize("option", [5, 6, 7])
 def test_quick_stop_active_is_kept_and_left_as_the_option_code_says(option: int) -> None:
-    for word, after in ((0x02, "quick stop active"), (0x0F, "operation enabled"), (0x00, "switch on disabled"), (0x06, "quick stop active")):
+    ways = {0x02: "quick stop active", 0x0F: "operation enabled", 0x00: "switch on disabled", 0x06: "quick stop active"}
+    for word, after in ways.items():
         bench = Bench()
         bench.remote.sdo[0x605A].raw = option
         bench.go_to("operation enabled")

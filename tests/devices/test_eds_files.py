@@ -113,7 +113,8 @@ def test_a_type_of_the_files_own_is_its_basic_type(own: str, basic: int) -> None
 
 
 def test_a_compact_array_has_all_its_elements() -> None:
-    text = f"{SMALLEST}[2100]\nParameterName=a\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\nCompactSubObj=3\n[2100Value]\n2=9\n"
+    array = "[2100]\nParameterName=a\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\nCompactSubObj=3\n[2100Value]\n2=9\n"
+    text = SMALLEST + array
     dictionary = parse_object_dictionary(text, 5)
     assert [variable(dictionary, 0x2100, sub).default for sub in range(4)] == [3, 7, 7, 7]
     assert variable(dictionary, 0x2100, 2).value == 9

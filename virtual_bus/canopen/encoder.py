@@ -19,7 +19,7 @@ _SUPPORTED_PARAMETERS = DESCENDING | SCALING
 class Cia406Encoder(Node):
     """One link encoder. Its raw count at joint position zero is where it was mounted: `settings.zero_counts`."""
 
-    volatile = frozenset({0x6004})
+    kept = frozenset({0x6509})  # the preset's offset
 
     def __init__(self, settings: EmulatedEncoder, emit: Emit, memory: Path | None = None) -> None:
         super().__init__(load_object_dictionary(settings.eds, settings.node_id), settings.node_id, emit, memory)

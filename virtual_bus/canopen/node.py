@@ -56,6 +56,7 @@ class Node:
     """
 
     volatile: frozenset[int] = frozenset()  # indices of process data, never stored
+    kept: frozenset[int] = frozenset()  # indices that are stored although the bus cannot write them
 
     def __init__(self, dictionary: canopen.ObjectDictionary, node_id: int, emit: Emit, memory: Path | None = None) -> None:
         self.node_id = node_id
@@ -66,7 +67,7 @@ class Node:
         self.deadline_s = math.inf  # nothing is due before
         self.routes: dict[int, Handler] = {}
         self.on_routes: Callable[[], None] = lambda: None  # told when `routes` has been rebuilt
-        self._memory = Storage(self.objects, self.volatile, memory)
+        self._memory = Storage(self.objects, self.volatile, self.kept, memory)
         self.emergency = Emergency(self)
         self._producer = HeartbeatProducer(self)
         self._consumer = HeartbeatConsumer(self)

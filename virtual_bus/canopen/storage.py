@@ -30,12 +30,14 @@ class Storage:
     ----------
     objects : Objects
     volatile : set of indices whose values are process data and are never kept
+    kept : set of indices that are kept although the bus cannot write them
     path : file of the memory; None keeps it as long as the device lives
     """
 
-    def __init__(self, objects: Objects, volatile: frozenset[int], path: Path | None) -> None:
+    def __init__(self, objects: Objects, volatile: frozenset[int], kept: frozenset[int], path: Path | None) -> None:
         self._objects = objects
         self._volatile = volatile | _NEVER_STORED
+        self._kept_read_only = kept
         self._path = path
         self._restore_requested: list[range] = []
         self._kept: dict[int, bytes] = self._read_file()
@@ -67,7 +69,8 @@ class Storage:
 
     def _save(self, group: range) -> None:
         for entry in self._objects:
-            if entry.index in group and entry.writable and entry.index not in self._volatile:
+            parameter = (entry.writable and entry.index not in self._volatile) or entry.index in self._kept_read_only
+            if parameter and entry.index in group:
                 self._kept[entry.key] = entry.encode(entry.value)
         self._write_file()
 
