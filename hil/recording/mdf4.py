@@ -3,9 +3,11 @@
 A missing sample has its invalidation bit set (and is NaN or 0 below it, for tools that ignore the bit). Counters and bit fields are
 integers.
 
-MDF has no checksum, and asammdf answers a damaged file with anything from a wrong number to an attempt to allocate a petabyte. So a file of ours ends
-with 16 bytes that no block refers to and other readers pass over: `isocrc32`, the CRC-32 of everything before as u32, and the number of
-those bytes as u32 modulo 2^32, little endian. Whoever edits the file drops them, and then nothing is checked.
+MDF has no checksum, and asammdf answers a damaged file with anything from a wrong number to an attempt to allocate a petabyte. So a file of
+ours ends with 16 bytes that no block refers to and other readers pass over: `isocrc32`, the CRC-32 of everything before as u32, and the
+number of those bytes as u32 modulo 2^32, little endian. Whoever edits the file drops them, and then nothing is checked.
+
+The same recording is the same file, byte for byte: times of day come from metadata `started` only.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import sys
 import warnings
 import zlib
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +42,12 @@ ATTACHMENT = "recording.toml"
 MDF_VERSION = "4.10"
 """The oldest version with invalidation bits and compression: most tools open it."""
 
+_HISTORY = """<FHcomment>
+<TX>recorded</TX>
+<tool_id>isocenter</tool_id>
+<tool_vendor>isocenter</tool_vendor>
+<tool_version>1</tool_version>
+</FHcomment>"""
 _SEAL = struct.Struct("<8sII")
 _SEAL_MARK = b"isocrc32"
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
@@ -52,9 +61,10 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     with MDF(version=MDF_VERSION) as mdf:
         mdf.header.comment = f"isocenter recording; machine, experiment and initial states are in the attachment {ATTACHMENT}"
         mdf.append(signals, comment="one row per SYNC", common_timebase=True)
-        mdf.attach(metadata_text(recording.metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording", mime="application/toml")
+        mdf.attach(metadata_text(recording.metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording")
+        _date(mdf, _started(recording, path))
         content = io.BytesIO()
-        mdf.save(content, compression=CompressionAlgorithm.DEFLATE)
+        mdf.save(content, compression=CompressionAlgorithm.DEFLATE, add_history_block=False)
     write_atomically(path, _sealed(content.getvalue()))
 
 
@@ -103,6 +113,29 @@ def _signal(name: str, channel: Channel, time: np.ndarray) -> Signal:
     if is_whole(name) and np.all(present == np.rint(present)) and np.all(np.abs(present) < 2.0**53):
         values = np.where(missing, 0.0, values).astype(np.int64)
     return Signal(values, time, unit=channel.unit, name=name, invalidation_bits=missing if missing.any() else None)
+
+
+def _started(recording: Recording, path: Path) -> datetime:
+    """When the recording began; the epoch where it does not say, as in virtual time."""
+    text = recording.metadata.get("started")
+    if text is None:
+        return datetime.fromtimestamp(0, UTC)
+    try:
+        started = datetime.fromisoformat(text)
+    except (TypeError, ValueError):
+        started = None
+    if started is None or started.tzinfo is None:
+        raise RecordingError(f"{path}: metadata started = {text!r}: a time with its zone would be right, such as 2025-06-30T12:00:00+00:00")
+    return started
+
+
+def _date(mdf: Any, started: datetime) -> None:
+    """Give header and history that time; asammdf would take the time of writing."""
+    mdf.header.start_time = started
+    for entry in mdf.file_history:
+        entry.abs_time, entry.time_flags = mdf.header.abs_time, mdf.header.time_flags
+        entry.tz_offset, entry.daylight_save_time = mdf.header.tz_offset, mdf.header.daylight_save_time
+        entry.comment = _HISTORY
 
 
 def _metadata(mdf: Any, path: Path, machine: MachineFile | None) -> dict[str, Any]:

@@ -100,7 +100,7 @@ class RecorderProcess:
             self._produced = produced = produced + 1
             self._counters[PRODUCED] = produced
         if produced % WATCH_ROWS == 0:
-            self._watch()
+            self.watch()
 
     def close(self, metadata: Mapping[str, Any] | None = None) -> int:
         """Write the recording, with further metadata tables, and end the recorder.
@@ -154,8 +154,8 @@ class RecorderProcess:
             part_path(self.path).unlink(missing_ok=True)
             raise RecordingError(answer.removeprefix("error ") or f"{self.path}: the recorder process did not start")
 
-    def _watch(self) -> None:
-        """Start another recorder if this one was killed. One that gave up of its own accord would do so again."""
+    def watch(self) -> None:
+        """Start another recorder if this one was killed (one that gave up would do so again). `put` calls this every `WATCH_ROWS` rows."""
         heartbeat = self._counters[HEARTBEAT]
         if heartbeat != self._heartbeat:
             self._heartbeat = heartbeat

@@ -75,8 +75,8 @@ def example(rows=6):
         "statusword_roll": Channel("", status),
         "imu_x": Channel("m/s^2", np.full(rows, 9.81)),
     }
-    metadata = {"machine": {"name": "carm", "hash": "0f", "axes": ["roll"], "text": 'name = "carm"\n# Prüfstand\n' * 9}, "experiment": {"seed": 3}}
-    return Recording(channels, metadata)
+    machine = {"name": "carm", "hash": "0f", "axes": ["roll"], "text": 'name = "carm"\n# Prüfstand\n' * 9}
+    return Recording(channels, {"machine": machine, "experiment": {"seed": 3}})
 
 
 def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path):
@@ -90,6 +90,21 @@ def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path):
         assert status.samples.dtype.kind == "i"
         np.testing.assert_array_equal(status.samples, [0x1237] * 5)
         assert [attachment.file_name for attachment in mdf.attachments] == ["recording.toml"]
+
+
+@pytest.mark.parametrize("suffix", [".mf4", ".csv"])
+def test_the_same_recording_is_the_same_file(tmp_path, suffix):
+    write_recording(example(), tmp_path / f"a{suffix}")
+    write_recording(example(), tmp_path / f"b{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_the_start_of_a_recording_is_the_start_in_asammdf(tmp_path):
+    write_recording(example().with_metadata(started="2025-06-30T12:00:00+02:00"), tmp_path / "run.mf4")
+    with MDF(tmp_path / "run.mf4") as mdf:
+        assert mdf.header.start_time.isoformat() == "2025-06-30T12:00:00+02:00"
+    with pytest.raises(RecordingError, match="a time with its zone would be right"):
+        write_recording(example().with_metadata(started="yesterday"), tmp_path / "run.mf4")
 
 
 def test_numpy_alone_reads_the_csv(tmp_path):
