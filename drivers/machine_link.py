@@ -7,8 +7,7 @@ Life of a machine: `start` (boot, identity, configuration, operational), `home`,
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import can
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from drivers.canopen import cia402, motion
 from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.cia406 import check_alarms
+from drivers.canopen.commissioning import commission_axis
 from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange, drives
 from drivers.canopen.eds import load_object_dictionary
@@ -24,37 +24,18 @@ from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, bring_to_rest
 from drivers.canopen.supervision import Supervision
-from drivers.errors import BusTimeout, DeviceFault, MotionRefused
+from drivers.errors import BusTimeout, DeviceFault, DriverError, MotionRefused
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
+
+if TYPE_CHECKING:
+    from drivers.modbus.io import Io
+    from drivers.serial.imu import ImuDriver
 
 FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
 IMU_RETRY_S = 2e-4  # a packet at 921600 baud takes three times as long
 PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
 OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
-
-
-class Imu(Protocol):
-    """What the link asks of an IMU driver."""
-
-    def configure(self, wait: Callable[[float], None]) -> object:
-        """Set the device up and start it."""
-
-    def before_sync(self) -> None:
-        """Drop what answers an earlier SYNC."""
-
-    def poll(self, sample: Sample) -> bool:
-        """Take the newest packet without waiting; False when there is none."""
-
-
-class Io(Protocol):
-    """What the link asks of an I/O driver."""
-
-    def update(self, sample: Sample) -> None:
-        """Newest state into the sample, without waiting."""
-
-    def command_brakes(self, open_: dict[str, bool]) -> None:
-        """Ask for brakes to open (True) or close, without waiting."""
 
 
 class CanMachine:
@@ -67,7 +48,7 @@ class CanMachine:
         Open bus; it stays the caller's.
     clock : Clock
         Wall time, or virtual time in lockstep.
-    imu : Imu, optional
+    imu : ImuDriver, optional
         Driver of the detector's IMU; configured by `start`.
     io : Io, optional
         Driver of brakes, hold-to-run, door and temperatures. Without one the machine has no brakes the bench could command.
@@ -78,7 +59,7 @@ class CanMachine:
         The settings' nodes and PDOs do not make a machine the loop can run.
     """
 
-    def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: Imu | None = None, io: Io | None = None) -> None:
+    def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None = None, io: Io | None = None) -> None:
         self.settings = settings
         self.clock = clock
         self.network = PolledNetwork(bus, clock)
@@ -96,6 +77,7 @@ class CanMachine:
         self._nodes: dict[int, SdoNode] = {}
         self._armed = [False] * len(self.axes)
         self._ticking = False
+        self._io_lost = ""
         self._zeros = np.zeros(len(self.axes))
 
     def start(self) -> None:
@@ -123,7 +105,7 @@ class CanMachine:
             self.resume_ticks()
             self._await_first_answers()
 
-    def home(self, holding_effort: np.ndarray | None = None, *, check_first_move: bool = True) -> None:
+    def home(self, holding_effort: np.ndarray | None = None, *, check_first_move: bool = True) -> tuple[str, ...]:
         """Per axis: first-move check, homing, encoder agreement. All drives are disabled and all brakes closed before and after.
 
         Parameters
@@ -133,6 +115,11 @@ class CanMachine:
         check_first_move : bool
             Whether each axis is pushed a little to see that it moves the right way.
 
+        Returns
+        -------
+        tuple of str
+            What was checked and found, a line each.
+
         Raises
         ------
         MotionRefused
@@ -140,20 +127,23 @@ class CanMachine:
         DeviceFault, HeartbeatLost, BusError
         """
         holding = self._zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
+        found: list[str] = []
         with self._stopping_on_error():
             self._check_permission()
             for axis, homing in enumerate(self.settings.homings):
-                motion.reset_fault(self, axis)
                 alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
-                if check_first_move:
-                    self._push(axis, alone)
-                motion.home_drive(self, axis, homing, alone)
-                motion.check_agreement(self, axis, homing, alone)
+                found += commission_axis(self, axis, homing, alone, push=check_first_move)
+        return tuple(found)
 
-    def enable(self) -> None:
-        """Bring every drive to operation enabled in cyclic synchronous torque mode, brakes closed, command zero.
+    def enable(self, hold: motion.Hold | None = None) -> None:
+        """Bring every drive to operation enabled in cyclic synchronous torque mode, brakes closed.
 
         A drive in fault is reset first, and the reset is checked.
+
+        Parameters
+        ----------
+        hold : callable, optional
+            As in `release_brakes`, for drives that work their own brake and open it when they are enabled; zero otherwise.
 
         Raises
         ------
@@ -167,7 +157,7 @@ class CanMachine:
             for axis in axes:
                 motion.reset_fault(self, axis)
                 motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-            motion.reach(self, State.OPERATION_ENABLED, axes, self._zeros)
+            motion.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self._zeros))
 
     def release_brakes(self, hold: motion.Hold) -> None:
         """Hold the enabled axes, open all brakes, wait for their feedback.
@@ -191,7 +181,7 @@ class CanMachine:
         with self._stopping_on_error():
             axes = range(len(self.axes))
             motion.close_brakes(self, axes, hold)
-            motion.reach(self, State.SWITCH_ON_DISABLED, axes, self._zeros)
+            motion.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Send `command` (n_axes,), wait for the next tick, return what was latched at its SYNC. See `drivers.interface.MachineLink`.
@@ -228,6 +218,7 @@ class CanMachine:
         """
         self.supervision.stand_down()
         self._armed = [False] * len(self.axes)
+        self._io_lost = ""
         attempts = Attempts()
         if self._ticking:
             cyclic = self._cyclic
@@ -239,7 +230,7 @@ class CanMachine:
         self._ticking = False
         for node in self.settings.nodes:
             attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
-        self.stop_trouble = attempts.trouble
+        self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
     def close(self) -> None:
         """Stop, and let every node forget the bench: a reset of communication ends their watch over its heartbeat. Never raises."""
@@ -310,15 +301,6 @@ class CanMachine:
         if not sample.door_closed:
             raise MotionRefused("the door is open; close it")
 
-    def _push(self, axis: int, alone: np.ndarray) -> None:
-        """First-move check of one axis, all others braked and without voltage."""
-        motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-        motion.reach(self, State.OPERATION_ENABLED, [axis], self._zeros)
-        motion.open_brakes(self, [axis], lambda _: alone)
-        motion.check_first_move(self, axis, self.settings.homings[axis], alone)
-        motion.close_brakes(self, [axis], lambda _: alone)
-        motion.reach(self, State.SWITCH_ON_DISABLED, [axis], self._zeros)
-
     def _before_sync(self) -> None:
         if self._imu is not None:
             self._imu.before_sync()
@@ -330,6 +312,7 @@ class CanMachine:
                 self.clock.wait(IMU_RETRY_S)
                 arrived = self._imu.poll(sample)
         if self._io is not None:
+            self._io.poll_due(self.clock.now())
             self._io.update(sample)
 
     def _explain_fault(self, axis: int) -> None:
@@ -348,9 +331,15 @@ class CanMachine:
         return _StopOnError(self)
 
     def _tick_at_rest(self) -> None:
+        """A tick on the way to a stop: the I/O may be lost, the drives are stopped all the same."""
         self._cyclic.run(self._zeros.tolist(), self.sample, self._before_sync)
-        if self._io is not None:
+        if self._io is None or self._io_lost:
+            return
+        try:
+            self._io.poll_due(self.clock.now())
             self._io.update(self.sample)
+        except DriverError as error:
+            self._io_lost = str(error)
 
     def _close_all_brakes(self) -> None:
         self.command_brakes({axis: False for axis in self.axes})

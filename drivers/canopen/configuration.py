@@ -17,7 +17,7 @@ NO_RTR = 1 << 30  # TPDOs: no remote requests; a node without RTR refuses a COB-
 RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING = 0x1400, 0x1600, 0x1800, 0x1A00
 PDO_COUNT = 0x200
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
-MAX_TORQUE, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6075, 0x6076
+MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
 
 OPTION_CODES = (
     (0x6007, 1),  # abort connection (heartbeat of the bench lost, bus off): fault, so the motor stops and somebody has to acknowledge it
@@ -133,7 +133,7 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
 
 
 def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple[int, int]]) -> None:
-    """Rated values the per mille refer to, and the drive's own torque limit."""
+    """Rated values the per mille refer to, and the drive's own limits, which are per mille of them."""
     for index, value, what in (
         (RATED_CURRENT, scaling.rated_current_mA, "rated current in mA"),
         (RATED_TORQUE, scaling.rated_torque_mNm, "rated torque in mNm"),
@@ -150,5 +150,6 @@ def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple
                 f"{sdo.who}: {what} ({index:04X}h) is {have}, the machine file says {value}; "
                 f"every effort would be off by {have / value - 1:+.1%} ({error})"
             ) from error
-    if sdo.may_write(MAX_TORQUE) and (MAX_TORQUE, 0) not in own_writes:
-        sdo.write_checked(MAX_TORQUE, 0, round(scaling.limit / scaling.rated * 1000))
+    for index in (MAX_TORQUE, MAX_CURRENT):
+        if sdo.may_write(index) and (index, 0) not in own_writes:
+            sdo.write_checked(index, 0, round(scaling.limit / scaling.rated * 1000))

@@ -1,4 +1,4 @@
-"""What happens to drives between "powered" and "in the loop", tick by tick: states, fault reset, brakes, first move, homing.
+"""What happens to drives between "powered" and "in the loop", tick by tick: states, fault reset, modes, brakes.
 
 Every procedure runs on the same ticks as the sample loop, so SYNC, heartbeats and supervision never pause; each has a time-out and each
 refuses in words. The bench's methods in `drivers.machine_link` string them together and stop the motors when one refuses.
@@ -12,27 +12,23 @@ from typing import Protocol
 import numpy as np
 
 from drivers.canopen import cia402
-from drivers.canopen.cia402 import Homing, Mode, State
+from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.cyclic import AxisInput
 from drivers.canopen.emcy import describe_code
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import Supervision
 from drivers.errors import BusTimeout, DeviceFault, MotionRefused
 from drivers.interface import Clock, Sample
-from drivers.settings import AxisScaling, HomingSettings, Node
+from drivers.settings import AxisScaling, Node
 
 TRANSITION_TIMEOUT_S = 2.0  # drives that charge a DC link or wait for a contactor take most of a second
 FAULT_RESET_TIMEOUT_S = 1.0
 MODE_TIMEOUT_S = 1.0
 BRAKE_TIMEOUT_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
 HOLD_BEFORE_RELEASE_S = 0.05  # current controllers settle within milliseconds; the brake must not open before
-DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
-RAMP_SHARE = 0.5  # of the direction check's time-out in which the effort rises
 SETTLED_TICKS = 2  # after a controlword goes out its effect is in the statusword of the next SYNC; one more to be sure
 
-HOMING_AT_PRESENT_POSITION = frozenset({35, 37})
 MODES_OF_OPERATION, MODES_DISPLAY, ERROR_CODE = 0x6060, 0x6061, 0x603F
-HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 Hold = Callable[[Sample], np.ndarray]
 """Which command holds the axes, given the newest sample: a constant effort, or the loop's feedback."""
@@ -71,8 +67,8 @@ class Machine(Protocol):
         """Ticks start anew after something else took time."""
 
 
-def reach(machine: Machine, goal: State, axes: Sequence[int], command: np.ndarray) -> None:
-    """Lead drives to a state of CiA 402, one transition per answer.
+def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> None:
+    """Lead drives to a state of CiA 402, one transition per answer; `hold` acts as soon as a drive is enabled.
 
     Raises
     ------
@@ -103,7 +99,7 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], command: np.ndarra
             raise BusTimeout(
                 f"not {goal.value} within {TRANSITION_TIMEOUT_S:.1f} s: {words}; is its power stage supplied, is safe torque off released?"
             )
-        machine.exchange(command)
+        machine.exchange(hold(machine.sample))
     if goal is State.OPERATION_ENABLED:
         for axis in axes:
             machine.arm(axis, True)
@@ -187,104 +183,6 @@ def close_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
     _move_brakes(machine, axes, hold, wanted=False)
 
 
-def check_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> None:
-    """Push an enabled axis, brake open, gently in the positive direction: it must move that way, and its link with it.
-
-    The effort rises from the holding effort to `direction_check_effort` above it and is taken back once `direction_check_travel` is seen.
-
-    Raises
-    ------
-    MotionRefused
-        It moves under holding effort alone, the wrong way, or not at all; or the link encoder counts the other way.
-    """
-    name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
-    start, link_start = _positions(machine, axis, holding)
-    run_for(machine, DRIFT_WATCH_S, lambda _: holding)
-    drift = _positions(machine, axis, holding)[0] - start
-    if abs(drift) >= travel:
-        raise MotionRefused(
-            f"{name}: moves by {drift:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; the holding effort is wrong"
-        )
-    begin = machine.clock.now()
-    command = holding.copy()
-    while True:
-        elapsed = machine.clock.now() - begin
-        command[axis] = holding[axis] + settings.direction_check_effort * min(
-            1.0, elapsed / (RAMP_SHARE * settings.direction_check_timeout_s)
-        )
-        sample = machine.exchange(command)
-        moved = sample.position[axis] - start
-        if moved >= travel:
-            break
-        if moved <= -travel:
-            raise MotionRefused(
-                f"{name}: moved {moved:+.2e} {unit} on a positive effort; "
-                "motor wiring, encoder direction or the machine file's sign is reversed"
-            )
-        if elapsed > settings.direction_check_timeout_s:
-            raise MotionRefused(
-                f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {settings.direction_check_timeout_s:.1f} s at "
-                f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction or a disconnected motor"
-            )
-    link_moved = _positions(machine, axis, holding)[1] - link_start
-    if link_moved <= -0.5 * travel:
-        raise MotionRefused(
-            f"{name}: the motor moved {moved:+.2e} {unit}, its link encoder {link_moved:+.2e}; the link encoder counts the wrong way"
-        )
-
-
-def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> None:
-    """Run the drive's own homing and take its counter's zero, or the absolute link encoder's, as the joint's.
-
-    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link encoder says
-    where the joint is. Methods that move open the brake for as long as they last; their home offset (607Ch) is the machine file's affair.
-
-    Raises
-    ------
-    MotionRefused
-        Homing error or time-out.
-    """
-    moves = settings.method not in HOMING_AT_PRESENT_POSITION
-    set_mode(machine, axis, Mode.HOMING)
-    _write_homing(machine, axis, settings, moves)
-    machine.resume_ticks()
-    reach(machine, State.OPERATION_ENABLED, [axis], holding)
-    if moves:
-        open_brakes(machine, [axis], lambda _: holding)
-    try:
-        _run_homing(machine, axis, settings, holding)
-    finally:
-        if moves:
-            machine.command_brakes({machine.axes[axis]: False})
-    if moves:
-        close_brakes(machine, [axis], lambda _: holding)
-    reach(machine, State.SWITCH_ON_DISABLED, [axis], holding)
-    set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-    source = machine.inputs[axis]
-    source.counter_was_set()
-    source.offset = 0.0
-    position, link = _positions(machine, axis, holding)
-    if not moves and np.isfinite(link):
-        source.offset = link - position
-
-
-def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
-    """Motor side and link encoder must tell the same position.
-
-    Raises
-    ------
-    MotionRefused
-        They differ by more than `agreement_tolerance`.
-    """
-    position, link = _positions(machine, axis, command)
-    if np.isfinite(link) and abs(position - link) > settings.agreement_tolerance:
-        unit = machine.scalings[axis].position_unit
-        raise MotionRefused(
-            f"{machine.axes[axis]}: motor side {position:+.5f} {unit}, link encoder {link:+.5f} {unit}: "
-            f"they differ by {abs(position - link):.2e}, {settings.agreement_tolerance:.2e} is allowed; home anew, or check ratio, resolution and zero_counts"
-        )
-
-
 def run_for(machine: Machine, seconds: float, hold: Hold) -> None:
     """Tick for that long under a holding command."""
     end = machine.clock.now() + seconds
@@ -312,47 +210,3 @@ def _move_brakes(machine: Machine, axes: Sequence[int], hold: Hold, *, wanted: b
             raise MotionRefused(
                 f"brake of {', '.join(waiting)}: not {word} within {BRAKE_TIMEOUT_S:.1f} s by its feedback; check brake, relay and input"
             )
-
-
-def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
-    """Motor-side and link position of one complete sample; the link's is NaN when the axis has no link encoder."""
-    has_link = machine.scalings[axis].link_resolution != 0.0
-    deadline = machine.clock.now() + MODE_TIMEOUT_S
-    while True:
-        sample = machine.exchange(command)
-        position, link = float(sample.position[axis]), float(sample.link_position[axis])
-        if np.isfinite(position) and (np.isfinite(link) or not has_link):
-            return position, link
-        if machine.clock.now() > deadline:
-            silent = "position" if not np.isfinite(position) else "link encoder"
-            raise BusTimeout(f"{machine.axes[axis]}: no {silent} for {MODE_TIMEOUT_S:.1f} s")
-
-
-def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: bool) -> None:
-    """Method, and for those that move speeds and acceleration, in counts per second as the standard's default units have it."""
-    sdo = machine.sdo(axis)
-    sdo.write_checked(HOMING_METHOD, 0, settings.method)
-    if not moves:
-        return
-    per_count = machine.scalings[axis].position_resolution
-    for subindex in (1, 2):
-        sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count)))
-    if sdo.may_write(HOMING_ACCELERATION):
-        sdo.write_checked(HOMING_ACCELERATION, 0, max(1, round(settings.acceleration / per_count)))
-
-
-def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
-    machine.set_controlword(axis, cia402.ENABLE_OPERATION)
-    for _ in range(SETTLED_TICKS):  # the start bit must be seen low before it rises
-        machine.exchange(command)
-    machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)
-    for _ in range(SETTLED_TICKS):
-        machine.exchange(command)
-    deadline = machine.clock.now() + settings.timeout_s
-    while (progress := cia402.decode_homing(machine.inputs[axis].statusword)) is not Homing.DONE:
-        failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
-        if failed or machine.clock.now() > deadline:
-            reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
-            raise MotionRefused(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
-        machine.exchange(command)
-    machine.set_controlword(axis, cia402.ENABLE_OPERATION)

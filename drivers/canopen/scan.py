@@ -32,6 +32,11 @@ class FoundNode:
     nmt_state: str
     name: str  # object 1008h, '' when it has none
 
+    def __str__(self) -> str:
+        fields = (("vendor", self.identity.vendor_id), ("product", self.identity.product_code), ("revision", self.identity.revision_number))
+        identity = "".join(f", {name} {value:08X}h" for name, value in fields if value is not None)
+        return f"node {self.node_id}: {self.name or 'unnamed'}, {self.description}, {self.nmt_state}{identity}"
+
 
 def scan_bus(bus: can.BusABC, clock: Clock, listen_s: float = LISTEN_S) -> list[FoundNode]:
     """Listen for heartbeats, ask ids 1 to 127 for their device type, then read identity and name of those that are there.

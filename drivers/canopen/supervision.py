@@ -145,18 +145,18 @@ class Supervision:
             watched.boots = 0
         for node in nodes:
             self._network.command_nmt(NMT_RESET_COMMUNICATION, node.node_id)
-        start = clock.now()
-        pending = {node.node_id: node for node in nodes}
-        while pending:
-            now = clock.now()
-            for node_id, node in list(pending.items()):
-                if self._nodes[node_id].boots:
-                    del pending[node_id]
-                elif now - start >= node.boot_timeout_s:
+        start, elapsed_s = clock.now(), 0.0
+        pending = list(nodes)
+        while True:
+            for node in pending:
+                if not self._nodes[node.node_id].boots and elapsed_s >= node.boot_timeout_s:
                     self._ask_directly(node)
-                    del pending[node_id]
-            if pending:
-                self._network.pump(max(0.0, min(node.boot_timeout_s for node in pending.values()) - (now - start)))
+            pending = [node for node in pending if not self._nodes[node.node_id].boots and elapsed_s < node.boot_timeout_s]
+            if not pending:
+                break
+            next_timeout_s = min(node.boot_timeout_s for node in pending)
+            heard = self._network.pump(next_timeout_s - elapsed_s)
+            elapsed_s = max(clock.now() - start, 0.0 if heard else next_timeout_s)
         self._network.pump_for(BOOT_SETTLE_S)
         for watched in self._nodes.values():
             if watched.boots > 1:

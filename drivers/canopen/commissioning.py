@@ -1,0 +1,215 @@
+"""A machine's first careful motion, axis by axis: a gentle push that must move it the right way, homing, encoder agreement."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.canopen import cia402, motion
+from drivers.canopen.cia402 import Homing, Mode, State
+from drivers.canopen.motion import SETTLED_TICKS, Machine
+from drivers.errors import BusTimeout, MotionRefused
+from drivers.settings import HomingSettings
+
+DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
+RAMP_SHARE = 0.5  # of the direction check's time-out in which the effort rises
+SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
+
+HOMING_AT_PRESENT_POSITION = frozenset({35, 37})
+HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
+
+
+def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, *, push: bool) -> list[str]:
+    """First-move check (if `push`), homing, encoder agreement of one axis, all others braked and without voltage.
+
+    Parameters
+    ----------
+    machine : Machine
+    axis : int
+    settings : HomingSettings
+        Of this axis.
+    holding : (n_axes,) array
+        Effort that holds this axis where it is; zero for the others.
+    push : bool
+        Whether the axis is moved a little first.
+
+    Returns
+    -------
+    list of str
+        What was checked and seen, a line each.
+
+    Raises
+    ------
+    MotionRefused, DeviceFault, BusTimeout
+    """
+    found = []
+    motion.reset_fault(machine, axis)
+    if push:
+        motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
+        motion.open_brakes(machine, [axis], lambda _: holding)
+        found.append(check_first_move(machine, axis, settings, holding))
+        motion.close_brakes(machine, [axis], lambda _: holding)
+        motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+    home_drive(machine, axis, settings, holding)
+    found.append(check_agreement(machine, axis, settings, holding))
+    return found
+
+
+def check_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> str:
+    """Push an enabled axis, brake open, gently in the positive direction: it must move that way, and its link with it.
+
+    The effort rises from the holding effort to `direction_check_effort` above it and is taken back once `direction_check_travel` is seen.
+
+    Returns
+    -------
+    str
+        What was seen, for an operator.
+
+    Raises
+    ------
+    MotionRefused
+        It moves under holding effort alone, the wrong way, or not at all; or the link encoder does not follow.
+    """
+    name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
+    start, link_start = _positions(machine, axis, holding)
+    motion.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
+    drift = _positions(machine, axis, holding)[0] - start
+    if abs(drift) >= travel:
+        raise MotionRefused(
+            f"{name}: moves by {drift:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; the holding effort is wrong"
+        )
+    push = _push_until_moved(machine, axis, settings, holding, start)
+    position, link = _positions(machine, axis, holding)
+    moved, link_moved = position - start, link - link_start
+    if link_moved <= -0.5 * travel or abs(moved - link_moved) > settings.agreement_tolerance:
+        raise MotionRefused(
+            f"{name}: the motor side moved {moved:+.2e} {unit}, its link encoder {link_moved:+.2e}; "
+            "the link encoder counts the wrong way, or is not on this axis"
+        )
+    return f"{name}: moved {moved:+.2e} {unit} when pushed by {push:+.3g}, the right way"
+
+
+def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, start: float) -> float:
+    """Raise the effort until the axis has moved; return the effort above holding that it took."""
+    name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
+    ramp_s = RAMP_SHARE * settings.direction_check_timeout_s
+    begin = machine.clock.now()
+    command = holding.copy()
+    while True:
+        elapsed = machine.clock.now() - begin
+        push = settings.direction_check_effort * min(1.0, elapsed / ramp_s)
+        command[axis] = holding[axis] + push
+        moved = machine.exchange(command).position[axis] - start
+        if moved >= travel:
+            return push
+        if moved <= -travel:
+            raise MotionRefused(
+                f"{name}: moved {moved:+.2e} {unit} on a positive effort; "
+                "motor wiring, encoder direction or the machine file's sign is reversed"
+            )
+        if elapsed > settings.direction_check_timeout_s:
+            raise MotionRefused(
+                f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {settings.direction_check_timeout_s:.1f} s at "
+                f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction or a disconnected motor"
+            )
+
+
+def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> None:
+    """Run the drive's own homing and take its counter's zero, or the absolute link encoder's, as the joint's.
+
+    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link encoder says
+    where the joint is. Methods that move open the brake for as long as they last; their home offset (607Ch) is the machine file's affair.
+
+    Raises
+    ------
+    MotionRefused
+        Homing error or time-out.
+    """
+    moves = settings.method not in HOMING_AT_PRESENT_POSITION
+    motion.set_mode(machine, axis, Mode.HOMING)
+    _write_homing(machine, axis, settings, moves)
+    machine.resume_ticks()
+    motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
+    if moves:
+        motion.open_brakes(machine, [axis], lambda _: holding)
+    _run_homing(machine, axis, settings, holding)
+    if moves:
+        motion.close_brakes(machine, [axis], lambda _: holding)
+    motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+    motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    source = machine.inputs[axis]
+    source.counter_was_set()
+    source.offset = 0.0
+    position, link = _positions(machine, axis, holding)
+    if not moves and np.isfinite(link):
+        source.offset = link - position
+
+
+def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> str:
+    """Motor side and link encoder must tell the same position.
+
+    Returns
+    -------
+    str
+        What was seen, for an operator.
+
+    Raises
+    ------
+    MotionRefused
+        They differ by more than `agreement_tolerance`.
+    """
+    name, unit = machine.axes[axis], machine.scalings[axis].position_unit
+    position, link = _positions(machine, axis, command)
+    if np.isfinite(link) and abs(position - link) > settings.agreement_tolerance:
+        raise MotionRefused(
+            f"{name}: motor side {position:+.5f} {unit}, link encoder {link:+.5f} {unit}: "
+            f"they differ by {abs(position - link):.2e}, {settings.agreement_tolerance:.2e} is allowed; "
+            "home anew, or check ratio, resolution and zero_counts"
+        )
+    if not np.isfinite(link):
+        return f"{name}: homed at {position:+.5f} {unit}; it has no link encoder to agree with"
+    return f"{name}: homed at {position:+.5f} {unit}; motor side and link encoder differ by {abs(position - link):.1e} {unit}"
+
+
+def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
+    """Motor-side and link position of one complete sample; the link's is NaN when the axis has no link encoder."""
+    has_link = machine.scalings[axis].link_resolution != 0.0
+    deadline = machine.clock.now() + SAMPLE_TIMEOUT_S
+    while True:
+        sample = machine.exchange(command)
+        position, link = float(sample.position[axis]), float(sample.link_position[axis])
+        if np.isfinite(position) and (np.isfinite(link) or not has_link):
+            return position, link
+        if machine.clock.now() > deadline:
+            silent = "position" if not np.isfinite(position) else "link encoder"
+            raise BusTimeout(f"{machine.axes[axis]}: no {silent} for {SAMPLE_TIMEOUT_S:.1f} s")
+
+
+def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: bool) -> None:
+    """Method, and for those that move speeds and acceleration, in counts per second as the standard's default units have it."""
+    sdo = machine.sdo(axis)
+    sdo.write_checked(HOMING_METHOD, 0, settings.method)
+    if not moves:
+        return
+    per_count = machine.scalings[axis].position_resolution
+    for subindex in (1, 2):
+        sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count)))
+    if sdo.may_write(HOMING_ACCELERATION):
+        sdo.write_checked(HOMING_ACCELERATION, 0, max(1, round(settings.acceleration / per_count)))
+
+
+def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
+    machine.set_controlword(axis, cia402.ENABLE_OPERATION)
+    for _ in range(SETTLED_TICKS):  # the start bit must be seen low before it rises
+        machine.exchange(command)
+    machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)
+    for _ in range(SETTLED_TICKS):
+        machine.exchange(command)
+    deadline = machine.clock.now() + settings.timeout_s
+    while (progress := cia402.decode_homing(machine.inputs[axis].statusword)) is not Homing.DONE:
+        failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
+        if failed or machine.clock.now() > deadline:
+            reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
+            raise MotionRefused(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
+        machine.exchange(command)
+    machine.set_controlword(axis, cia402.ENABLE_OPERATION)

@@ -1,0 +1,133 @@
+"""Bus URLs: what opens, and what an unusable one is told."""
+
+import socket
+import sys
+import uuid
+
+import can
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from drivers.bus_url import open_bus, parse_bus_url
+from drivers.errors import BusUnavailable
+
+
+def refusal(url: str, bitrate: int = 1_000_000) -> str:
+    with pytest.raises(BusUnavailable) as caught:
+        open_bus(url, bitrate).shutdown()
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_status == 2
+    return str(caught.value)
+
+
+def test_virtual_buses_of_one_name_hear_each_other():
+    name = uuid.uuid4().hex
+    with open_bus(f"virtual:{name}", 1_000_000) as left, open_bus(f"virtual:{name}", 1_000_000) as right:
+        left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
+        heard = right.recv(1.0)
+    assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
+
+
+def test_udp_buses_of_one_group_hear_each_other():
+    pytest.importorskip("msgpack")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    try:
+        left, right = open_bus(f"udp:239.74.163.2@{port}", 1), open_bus(f"udp:@{port}", 1)
+    except BusUnavailable as error:
+        pytest.skip(f"this host joins no multicast group: {error}")
+    with left, right:
+        try:
+            left.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        except can.CanError as error:
+            pytest.skip(f"this host routes no multicast: {error}")
+        heard = right.recv(2.0)
+    assert heard is not None and heard.arbitration_id == 0x80
+
+
+@pytest.mark.parametrize(
+    ("url", "interface", "channel", "options"),
+    [
+        ("lockstep:", "lockstep", "", {}),
+        ("virtual:", "virtual", "isocenter", {}),
+        ("SocketCAN:vcan0", "socketcan", "vcan0", {}),
+        ("slcan:/dev/ttyACM0@1000000", "slcan", "/dev/ttyACM0", {"tty_baudrate": 1_000_000}),
+        ("slcan:COM8", "slcan", "COM8", {}),
+        ("udp:", "udp_multicast", "239.74.163.2", {"fd": False}),
+        ("udp:ff15::1@5000", "udp_multicast", "ff15::1", {"fd": False, "port": 5000}),
+        ("pcan:PCAN_USBBUS1", "pcan", "PCAN_USBBUS1", {}),
+        ("kvaser:0", "kvaser", 0, {}),
+    ],
+)
+def test_urls_are_taken_apart_as_documented(url, interface, channel, options):
+    parsed = parse_bus_url(url)
+    assert (parsed.interface, parsed.channel, parsed.options) == (interface, channel, options)
+
+
+def test_lockstep_is_left_to_the_bench():
+    assert "the bench builds it" in refusal("lockstep:")
+
+
+def test_an_unknown_interface_names_the_closest_ones():
+    assert "socketcan" in refusal("socketcam:vcan0")
+    assert "kvaser" in refusal("kvasser:0")
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("vcan0", "INTERFACE:CHANNEL"),
+        (":vcan0", "INTERFACE:CHANNEL"),
+        ("socketcan:", "socketcan:vcan0"),
+        ("lockstep:7", "no channel"),
+        ("udp:10.0.0.1", "multicast"),
+        ("udp:nonsense", "multicast"),
+        ("udp:@99999", "65535"),
+        ("slcan:@115200", "serial device"),
+        ("slcan:/dev/ttyACM0@fast", "whole number"),
+    ],
+)
+def test_a_malformed_url_is_told_what_would_be_right(url, words):
+    assert words in refusal(url)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is Linux")
+def test_a_missing_can_interface_is_told_how_to_make_one():
+    message = refusal("socketcan:vcan77")
+    kernel_has_can = True
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        kernel_has_can = False
+    assert ("ip link add dev vcan77 type vcan" if kernel_has_can else "this kernel has no CAN") in message
+
+
+@pytest.mark.parametrize("platform", ["win32", "darwin"])
+def test_other_systems_are_told_that_socketcan_is_linux(monkeypatch, platform):
+    monkeypatch.setattr(sys, "platform", platform)
+    assert "Linux only" in refusal("socketcan:can0")
+
+
+def test_a_missing_serial_adapter_and_a_rate_it_cannot_do_are_named(monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    assert "/dev/isocenter-no-such-port" in refusal("slcan:/dev/isocenter-no-such-port@115200")
+    assert "slcan has no code for 123456" in refusal("slcan:/dev/ttyACM0", 123_456)
+
+
+def test_a_back_end_without_its_vendor_library_is_one_line():
+    assert refusal("nixnet:CAN1").startswith("nixnet:CAN1: ")
+
+
+@given(st.text(max_size=40))
+@example("udp:224.0.0.1@")
+@example("slcan:@")
+@example("kvaser:99999999999999999999")
+def test_any_text_is_a_bus_url_or_one_clear_error(text):
+    try:
+        parsed = parse_bus_url(text)
+    except BusUnavailable as error:
+        assert str(error)
+    else:
+        assert parsed.interface == "lockstep" or parsed.interface in can.interfaces.VALID_INTERFACES
