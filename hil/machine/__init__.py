@@ -1,6 +1,7 @@
 """Machine files: what a machine is, read once and checked at the door."""
 
+from hil.machine.check import Finding, check_machine
 from hil.machine.load import list_shipped, load_machine, machine_from_text
 from hil.machine.model import AxisUnits, Geometry, Machine
 
-__all__ = ["AxisUnits", "Geometry", "Machine", "list_shipped", "load_machine", "machine_from_text"]
+__all__ = ["AxisUnits", "Finding", "Geometry", "Machine", "check_machine", "list_shipped", "load_machine", "machine_from_text"]

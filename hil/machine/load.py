@@ -34,14 +34,8 @@ def load_machine(name_or_path: str | Path) -> Machine:
     path = SHIPPED / f"{name_or_path}.toml"
     if not (isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()):
         path = Path(name_or_path)
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise MachineFileError(f"{path}: byte {error.start} is no UTF-8; TOML files are UTF-8 text") from None
-    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
-        shipped = ", ".join(sorted(entry.stem for entry in SHIPPED.glob("*.toml")))
-        reason = getattr(error, "strerror", None) or "cannot be read"
-        raise MachineFileError(f"{name_or_path}: {reason}; give a machine file's path or a shipped name: {shipped}") from None
+    shipped = ", ".join(sorted(entry.stem for entry in SHIPPED.glob("*.toml")))
+    text = read_text(path, f"give a machine file's path or a shipped name: {shipped}")
     return machine_from_text(text, path)
 
 
@@ -86,6 +80,17 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
         raise MachineFileError(one_line(file, raw, from_validation(error))) from None
     except Complaint as complaint:
         raise MachineFileError(one_line(file, raw, complaint)) from None
+
+
+def read_text(path: Path, right: str) -> str:
+    """Text of a file; `right` is what to do where there is none."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MachineFileError(f"{path}: byte {error.start} is no UTF-8; TOML files are UTF-8 text") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        reason = getattr(error, "strerror", None) or "cannot be read"
+        raise MachineFileError(" ".join(f"{path}: {reason}; {right}".split())) from None
 
 
 def parse_toml(text: str, file: str) -> dict:

@@ -1,86 +1,108 @@
-"""A machine in words, and as a JSON document in SI."""
+"""What a machine file says, for a person and for a program."""
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
+import math
 from typing import Any
-
-import numpy as np
 
 from hil.machine.model import Machine
 
 
-def machine_lines(machine: Machine) -> list[str]:
-    """What a person wants to know of a machine, a line each."""
+def machine_document(machine: Machine) -> dict[str, Any]:
+    """The machine in SI and the drives' units, as plain values."""
     plant = machine.plant
+    return {
+        "name": machine.name,
+        "description": machine.description,
+        "hash": machine.hash,
+        "axes": [
+            {
+                "name": units.axis,
+                "position_unit": units.position,
+                "effort_unit": units.effort,
+                "joint": drive.joint,
+                "effort_per_unit": drive.constant * drive.ratio,
+                "effort_limit": drive.limit,
+                "target_resolution": drive.resolution,
+                "range": [limit.lower, limit.upper],
+                "speed": limit.speed,
+                "acceleration": limit.acceleration,
+                "jerk": limit.jerk,
+                "tracking_error": limit.tracking_error,
+            }
+            for units, drive, limit in zip(machine.units, plant.drives, machine.limits, strict=True)
+        ],
+        "sample_rate_Hz": machine.sample_rate_Hz,
+        "substeps": plant.substeps,
+        "bodies": [
+            {
+                "name": body.name,
+                "parent": body.parent,
+                "mass_kg": body.mass_kg,
+                "joint": None
+                if (joint := body.joint) is None
+                else {
+                    "name": joint.name,
+                    "type": joint.kind,
+                    "stiffness": joint.stiffness,
+                    "damping": joint.damping,
+                    "armature": joint.armature,
+                    "brake_effort": joint.brake_effort,
+                },
+            }
+            for body in plant.tree.bodies
+        ],
+        "sensors": [
+            *(encoder.channel for encoder in plant.encoders),
+            *(sensor.channel for sensor in plant.currents),
+            *(imu.name for imu in plant.imus),
+            *(thermometer.channel for thermometer in plant.thermometers),
+        ],
+        "controllers": [
+            {
+                "axis": controller.axis,
+                "position_sections": controller.position_sections.tolist(),
+                "reference_sections": None if (sections := controller.reference_sections) is None else sections.tolist(),
+                "gravity_feedforward": controller.gravity_feedforward,
+            }
+            for controller in machine.controllers
+        ],
+        "nodes": []
+        if machine.bus is None
+        else [{"name": node.name, "role": node.role, "axis": node.axis, "node_id": node.node_id} for node in machine.bus.nodes],
+    }
+
+
+def machine_lines(machine: Machine) -> list[str]:
+    """A page for a person: angles in degrees, everything else in SI."""
+    plant = machine.plant
+    joints = plant.tree.joints
+    driven = {drive.joint for drive in plant.drives}
     lines = [
         f"{machine.name}: {machine.description}",
-        f"file {machine.path or 'shipped'}, hash {machine.hash[:12]}",
-        f"{machine.sample_rate_Hz:g} Hz, {plant.substeps} plant steps a sample",
+        f"{len(joints)} degrees of freedom, {machine.sample_rate_Hz:g} Hz, {plant.substeps} plant steps a sample, hash {machine.hash[:12]}",
         "",
-        "bodies, and how each hangs on its parent:",
+        "axes",
     ]
+    for units, drive, limit in zip(machine.units, plant.drives, machine.limits, strict=True):
+        scale, unit = (180.0 / math.pi, "deg") if units.position == "rad" else (1.0, "m")
+        effort = "Nm" if units.position == "rad" else "N"
+        line = f"  {units.axis:14s} {drive.constant * drive.ratio:g} {effort}/{drive.unit}, limit {drive.limit:g} {drive.unit}"
+        if math.isfinite(limit.lower):
+            line += f", {scale * limit.lower:g} to {scale * limit.upper:g} {unit}, {scale * limit.speed:g} {unit}/s"
+        lines.append(line)
+    lines += ["", "bodies"]
     for body in plant.tree.bodies:
         joint = body.joint
-        held = "welded" if joint is None else _joint_words(joint.name, joint.kind, joint.stiffness, joint.damping, joint.armature)
-        lines.append(f"  {body.name:18s} on {body.parent:18s} {body.mass_kg:8.2f} kg  {held}")
-    lines += ["", "axes:"]
-    for units, drive, limit in zip(machine.units, plant.drives, machine.limits, strict=True):
-        effort = f"{drive.constant * drive.ratio:.4g} {'Nm' if units.position == 'rad' else 'N'}/{drive.unit} at the joint"
-        travel = f"{limit.lower:.4g} to {limit.upper:.4g} {units.position}, <= {limit.speed:.4g} {units.position}/s"
-        lines.append(f"  {units.axis}: joint {drive.joint}, {effort}, |command| <= {drive.limit:g} {drive.unit}, {travel}")
-    channels = [encoder.channel for encoder in plant.encoders] + [current.channel for current in plant.currents]
-    channels += [imu.name for imu in plant.imus] + [thermometer.channel for thermometer in plant.thermometers]
-    lines += ["", "sensors: " + ", ".join(channels)]
-    lines.append("controller: " + (_controller_words(machine) if machine.controllers else "none (open loop)"))
-    if machine.bus is None:
-        lines.append("bus: none: this machine can be simulated, compared and diagnosed, not run")
-    else:
-        nodes = ", ".join(f"{node.name} ({node.node_id})" for node in machine.bus.nodes)
-        lines.append(f"bus: {machine.bus.bitrate_bit_s / 1000:g} kbit/s, nodes {nodes}")
-        lines.append(f"serial IMU: {'yes' if machine.bus.imu else 'no'}, Modbus I/O: {'yes' if machine.bus.io else 'no'}")
-    for effect in plant.effects:
-        parameters = ", ".join(f"{name} = {value:g}" for name, value in effect.parameters.items())
-        lines.append(f"added physics: {effect.name} at {effect.at}: {parameters}")
+        if joint is None:
+            held = "fixed"
+        else:
+            held = f"{joint.kind} {joint.name}" + (" (driven)" if joint.name in driven else "")
+            if joint.stiffness:
+                held += f", {joint.stiffness:g} {'Nm/rad' if joint.kind == 'revolute' else 'N/m'}"
+        lines.append(f"  {body.name:16s} {body.mass_kg:7.1f} kg on {body.parent}: {held}")
+    lines += ["", "sensors", "  " + ", ".join(machine_document(machine)["sensors"])]
+    if machine.bus is not None:
+        lines += ["", f"bus, {machine.bus.bitrate_bit_s // 1000} kbit/s"]
+        lines += [f"  {node.node_id:3d} {node.name} ({node.role} of {node.axis}, {node.eds.name})" for node in machine.bus.nodes]
     return lines
-
-
-def machine_document(machine: Machine) -> dict[str, Any]:
-    """Every setting in SI, as the floors get them."""
-    document = _plain(machine)
-    document.pop("text")
-    return document
-
-
-def _joint_words(name: str, kind: str, stiffness: float, damping: float, armature: float) -> str:
-    turning = kind == "revolute"
-    words = f"{kind} {name}"
-    if stiffness:
-        words += f", {stiffness:.4g} {'Nm/rad' if turning else 'N/m'}"
-    if damping:
-        words += f", {damping:.4g} {'Nm s/rad' if turning else 'N s/m'}"
-    if armature:
-        words += f", rotor {armature:.4g} {'kg m^2' if turning else 'kg'}"
-    return words
-
-
-def _controller_words(machine: Machine) -> str:
-    return "; ".join(
-        f"{controller.axis} {len(controller.position_sections)} sections"
-        + (f" and {len(controller.reference_sections)} on the reference" if controller.reference_sections is not None else "")
-        + (", gravity feedforward" if controller.gravity_feedforward else "")
-        for controller in machine.controllers
-    )
-
-
-def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return str(value) if isinstance(value, Path) else value

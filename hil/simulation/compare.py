@@ -46,7 +46,7 @@ class Comparison:
                 return channel
         raise KeyError(name)
 
-    def as_dict(self) -> dict[str, Any]:
+    def document(self) -> dict[str, Any]:
         """Plain values for JSON; a NRMSE that does not exist is None."""
         channels: dict[str, Mapping[str, Any]] = {}
         for channel in self.channels:

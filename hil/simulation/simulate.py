@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.machine import Machine
+from hil.machine import AxisUnits, Machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation.simulator import Inputs, Outputs, Simulator
 from virtual_bus.settings import EffectSetting
@@ -21,9 +21,9 @@ IMU_UNITS = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "ra
 def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSetting] = ()) -> Recording:
     """Simulate what a machine would have recorded.
 
-    A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command. Row 0 is
-    standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with the
-    controller states of the recording's metadata, else with integrators at the holding effort.
+    A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
+    Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with
+    the controller states of the recording's metadata, else with integrators at the holding effort.
 
     Parameters
     ----------
@@ -68,25 +68,33 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     """Outputs as channels beside the recording's time and inputs."""
     channels: dict[str, Channel] = {"time": recording.channel("time")}
 
-    def add(group: str, values: np.ndarray, of_position: bool) -> None:
+    def add(group: str, values: np.ndarray, unit_of: Callable[[AxisUnits], str]) -> None:
         for i, units in enumerate(machine.units):
-            name = f"{'current' if group == 'effort' and units.effort == 'A' else group}_{units.axis}"
-            channels[name] = Channel(units.position if of_position else units.effort, values[:, i])
+            if not np.isnan(values[:, i]).all():  # no such sensor
+                name = "current" if group == "effort" and units.effort == "A" else group
+                channels[f"{name}_{units.axis}"] = Channel(unit_of(units), values[:, i])
 
     if inputs.reference is not None:
-        add("reference", inputs.reference, True)
-        add("excitation", inputs.excitation, False)
-        add("feedforward", inputs.feedforward, False)
-    add("command", outputs.command, False)
-    add("effort", outputs.effort, False)
-    for e, encoder in enumerate(machine.plant.encoders):
-        axis = encoder.channel.removeprefix("link_").removeprefix("position_")
-        unit = machine.units[machine.axis_index(axis)].position
-        channels[encoder.channel] = Channel(unit, outputs.encoders[:, e])
+        add("reference", inputs.reference, _position_unit)
+        add("excitation", inputs.excitation, _effort_unit)
+        add("feedforward", inputs.feedforward, _effort_unit)
+    add("command", outputs.command, _effort_unit)
+    add("effort", outputs.effort, _effort_unit)
+    add("position", outputs.position, _position_unit)
+    add("link_position", outputs.link_position, _position_unit)
+    add("temperature", outputs.temperature_degC, lambda units: "degC")
     for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
         channels[name] = Channel(IMU_UNITS[name], values)
     metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation={"noise": False})
     return Recording(channels, metadata)
+
+
+def _position_unit(units: AxisUnits) -> str:
+    return units.position
+
+
+def _effort_unit(units: AxisUnits) -> str:
+    return units.effort
 
 
 def _complete(machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None) -> np.ndarray:

@@ -1,0 +1,203 @@
+"""Is a machine file fit to be run: margins and natural frequencies over its poses, holding efforts, bus load, device files."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.machine.bus_load import bus_load
+from hil.machine.closed_loop import LinearLoop, Margins
+from hil.machine.model import Machine
+
+if TYPE_CHECKING:
+    import control
+
+    from virtual_bus.physics import Physics
+
+PHASE_MARGIN_deg = 40.0
+GAIN_MARGIN_dB = 6.0
+HOLDING_SHARE = 0.75
+"""Share of the drive's limit that standing still may take: the rest is for acceleration, friction and excitation."""
+
+BUS_LOAD = 0.6
+"""Share of the bit rate that the cyclic frames may take: SDO, heartbeats and retries want the rest."""
+
+POSES = 81
+MOST_PER_AXIS = 9
+LIGHTLY_DAMPED = 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check's answer. `values` holds its numbers in SI, for programs."""
+
+    name: str
+    ok: bool
+    text: str
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PoseResult:
+    """The machine at one pose."""
+
+    pose: tuple[float, ...]  # rad or m
+    holding: np.ndarray  # (axes,) in the drives' units
+    modes: tuple[tuple[float, float], ...]  # frequency [Hz], damping ratio, rising
+    pole_radius: float  # NaN without controllers
+    margins: tuple[Margins, ...]
+
+
+def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
+    """Every check, the failed ones marked.
+
+    Parameters
+    ----------
+    machine : Machine
+    poses : int
+        At most so many poses of a grid over the axes' ranges are looked at.
+    """
+    results = examine(machine, poses)
+    findings = [*_modes(machine, results), *_holding(machine, results)]
+    if machine.controllers:
+        findings += [_stability(machine, results), *_margins(machine, results)]
+    if machine.bus is not None:
+        findings += [_bus_load(machine), *_device_files(machine)]
+    return findings
+
+
+def examine(machine: Machine, poses: int = POSES) -> list[PoseResult]:
+    """Linearise the machine at every pose of a grid over its ranges."""
+    from virtual_bus.physics import Physics  # here because it compiles the plant
+
+    physics = Physics(machine.plant, noise=False)
+    return [_examine_pose(machine, physics, pose) for pose in pose_grid(machine, poses)]
+
+
+def pose_grid(machine: Machine, poses: int) -> list[tuple[float, ...]]:
+    """At most `poses` poses over the axes' ranges, ends included; zero for an axis without a range."""
+    ranged = sum(math.isfinite(limit.lower) and math.isfinite(limit.upper) for limit in machine.limits)
+    each = min(MOST_PER_AXIS, max(3, int(poses ** (1.0 / max(ranged, 1)) + 1e-9)))
+    each -= 1 - each % 2  # odd, so that the middle is looked at
+    ways = [
+        np.linspace(limit.lower, limit.upper, each) if math.isfinite(limit.lower) and math.isfinite(limit.upper) else np.zeros(1)
+        for limit in machine.limits
+    ]
+    return [tuple(float(position) for position in pose) for pose in itertools.product(*ways)]
+
+
+def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -> PoseResult:
+    linear = physics.linearise(np.array(pose))
+    joints = len(machine.plant.tree.joints)
+    a, b, c = _from_command_to_position(machine, linear, joints)
+    radius: float = math.nan
+    margins: tuple[Margins, ...] = ()
+    if machine.controllers:
+        loop = LinearLoop(a, b, c, machine.controllers, machine.sample_rate_Hz)
+        radius, margins = loop.pole_radius(), loop.margins()
+    poles = np.linalg.eigvals(a)
+    poles = poles[(poles.imag > 0.0) & (np.abs(poles.real) < LIGHTLY_DAMPED * np.abs(poles))]
+    modes = sorted((float(abs(pole)) / (2.0 * math.pi), float(-pole.real / abs(pole))) for pole in poles)
+    return PoseResult(pose, physics.holding_effort(np.array(pose)), tuple(modes), radius, margins)
+
+
+def _from_command_to_position(machine: Machine, linear: control.StateSpace, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mechanical part alone: the IMU's low passes listen and do nothing."""
+    rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes]
+    part = slice(0, 2 * joints)
+    return np.asarray(linear.A)[part, part], np.asarray(linear.B)[part], np.asarray(linear.C)[rows, part]
+
+
+def _shown(machine: Machine, pose: tuple[float, ...]) -> str:
+    parts = []
+    for units, position in zip(machine.units, pose, strict=True):
+        number = f"{math.degrees(position):.4g} deg" if units.position == "rad" else f"{position:.4g} m"
+        parts.append(f"{units.axis} {number}")
+    return ", ".join(parts)
+
+
+def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
+    """Range of every natural frequency, paired in rising order where all poses have as many."""
+    # a pendulum's slow swing is there in one pose and gone in another: count from the top
+    fewest = min(len(result.modes) for result in results)
+    findings = []
+    for number in range(fewest):
+        at = [result.modes[len(result.modes) - fewest + number] for result in results]
+        low, high = min(at), max(at)
+        dampings = [damping for _, damping in at]
+        low_at, high_at = results[at.index(low)].pose, results[at.index(high)].pose
+        text = f"mode {number + 1}: {low[0]:.2f} to {high[0]:.2f} Hz over the poses, damping {min(dampings):.1%} to {max(dampings):.1%}"
+        if high[0] - low[0] > 1e-3 * high[0]:
+            text += f"; lowest at {_shown(machine, low_at)}, highest at {_shown(machine, high_at)}"
+        stable = min(dampings) > -1e-9
+        findings.append(Finding("mode", stable, text, {"frequency_Hz": [low[0], high[0]], "damping": [min(dampings), max(dampings)]}))
+    return findings
+
+
+def _holding(machine: Machine, results: list[PoseResult]) -> list[Finding]:
+    findings = []
+    for axis, drive in enumerate(machine.plant.drives):
+        worst = max(results, key=lambda result: abs(result.holding[axis]))
+        effort = float(worst.holding[axis])
+        allowed = HOLDING_SHARE * drive.limit
+        text = (
+            f"{drive.axis}: holding takes at most {abs(effort):.3g} {drive.unit} (at {_shown(machine, worst.pose)}), "
+            f"{abs(effort) / drive.limit:.0%} of its {drive.limit:g} {drive.unit} limit; up to {HOLDING_SHARE:.0%} is right"
+        )
+        findings.append(Finding("holding", abs(effort) <= allowed, text, {"axis": drive.axis, "effort": effort, "limit": drive.limit}))
+    return findings
+
+
+def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
+    worst = max(results, key=lambda result: result.pole_radius)
+    ok = worst.pole_radius < 1.0
+    text = f"closed loop {'stable' if ok else 'not stable'} in {len(results)} poses, largest pole radius {worst.pole_radius:.6f}"
+    if not ok:
+        unstable = sum(result.pole_radius >= 1.0 for result in results)
+        text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {_shown(machine, worst.pose)}; lower the gain"
+    return Finding("stability", ok, text, {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)})
+
+
+def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
+    findings = []
+    for axis, name in enumerate(machine.axes):
+        for what, unit, least, value, at in (
+            ("phase", "deg", PHASE_MARGIN_deg, "phase_deg", "phase_at_Hz"),
+            ("gain", "dB", GAIN_MARGIN_dB, "gain_dB", "gain_at_Hz"),
+        ):
+            worst = min(results, key=lambda result: getattr(result.margins[axis], value))
+            margin, frequency = getattr(worst.margins[axis], value), getattr(worst.margins[axis], at)
+            text = f"{name}: {what} margin at least {margin:.1f} {unit}"
+            if math.isfinite(margin):
+                text += f" (at {frequency:.2f} Hz, {_shown(machine, worst.pose)})"
+            text += f"; at least {least:g} {unit} is right"
+            numbers = {"axis": name, value: margin, at: frequency, "pose": worst.pose}
+            findings.append(Finding(f"{what}_margin", margin >= least, text, numbers))
+        crossovers = [result.margins[axis].crossover_Hz for result in results]
+        low, high = min(crossovers), max(crossovers)
+        text = f"{name}: loop gain falls through 1 at {low:.2f} to {high:.2f} Hz"
+        findings.append(Finding("crossover", True, text, {"axis": name, "crossover_Hz": [low, high]}))
+    return findings
+
+
+def _bus_load(machine: Machine) -> Finding:
+    assert machine.bus is not None
+    load = bus_load(machine.bus)
+    text = (
+        f"bus load {load:.0%} of {machine.bus.bitrate_bit_s / 1000:g} kbit/s at {machine.sample_rate_Hz:g} Hz, worst stuffing; "
+        f"up to {BUS_LOAD:.0%} is right"
+    )
+    return Finding("bus_load", load <= BUS_LOAD, text, {"share": load})
+
+
+def _device_files(machine: Machine) -> list[Finding]:
+    assert machine.bus is not None
+    return [
+        Finding("eds", False, f"{node.name}: {node.eds}: no such EDS file; put it beside the machine file", {"node": node.name})
+        for node in machine.bus.nodes
+        if not node.eds.is_file()
+    ]
