@@ -1,0 +1,61 @@
+"""Point-to-point shapers of the field: ZV, ZVD, EI, two-hump EI, and several modes by convolution. All have DC gain 1 and positive taps.
+
+Sources: thesis (7.2), (7.3); Singer and Seering 1990 (ZVD); Singhose, Seering and Singer 1994 (EI); Singhose, Crain and Seering 1997
+(two-hump EI), with the damped taps as Klipper has them: the undamped ones times K^k, K the decay over half a damped period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.shapers.delays import DelayFilter
+
+TOLERATED_VIBRATION = 0.05
+"""Share of the unshaped vibration that EI shapers allow at the modelled frequency, as the literature and Klipper have it."""
+
+
+def zv(frequency_rad_s: float, damping: float) -> DelayFilter:
+    """Zero vibration, thesis (7.2), (7.3): two taps half a damped period apart."""
+    return _half_periods(frequency_rad_s, damping, [1.0, 1.0], "ZV")
+
+
+def zvd(frequency_rad_s: float, damping: float) -> DelayFilter:
+    """Zero vibration and zero derivative of it with frequency: three taps."""
+    return _half_periods(frequency_rad_s, damping, [1.0, 2.0, 1.0], "ZVD")
+
+
+def ei(frequency_rad_s: float, damping: float, vibration: float = TOLERATED_VIBRATION) -> DelayFilter:
+    """Extra insensitive: `vibration` is left at the modelled frequency, none at two frequencies beside it."""
+    return _half_periods(frequency_rad_s, damping, [0.25 * (1.0 + vibration), 0.5 * (1.0 - vibration), 0.25 * (1.0 + vibration)], "EI")
+
+
+def two_hump_ei(frequency_rad_s: float, damping: float, vibration: float = TOLERATED_VIBRATION) -> DelayFilter:
+    """Extra insensitive with two humps: four taps, half again as wide as EI."""
+    v2 = vibration**2
+    x = np.cbrt(v2 * (np.sqrt(1.0 - v2) + 1.0))
+    first = (3.0 * x**2 + 2.0 * x + 3.0 * v2) / (16.0 * x)
+    return _half_periods(frequency_rad_s, damping, [first, 0.5 - first, 0.5 - first, first], "2HEI")
+
+
+def multi_mode(shaper: Callable[[float, float], DelayFilter], modes: Sequence[tuple[float, float]]) -> DelayFilter:
+    """One shaper per mode (frequency [rad/s], damping ratio), one after the other."""
+    if not modes:
+        raise DesignError("a shaper needs at least one mode")
+    joined = shaper(*modes[0])
+    for mode in modes[1:]:
+        joined = joined.then(shaper(*mode))
+    return joined
+
+
+def _half_periods(frequency_rad_s: float, damping: float, undamped: Sequence[float], name: str) -> DelayFilter:
+    if not (frequency_rad_s > 0.0 and 0.0 <= damping < 1.0):
+        raise DesignError(
+            f"{name}: a mode at {frequency_rad_s:.4g} rad/s with damping {damping:.4g}: takes a positive frequency, damping 0 to below 1"
+        )
+    root = np.sqrt(1.0 - damping**2)
+    decay = np.exp(-damping * np.pi / root)  # 1/A of (7.3)
+    gains = np.asarray(undamped) * decay ** np.arange(len(undamped))
+    return DelayFilter(np.arange(len(undamped)) * np.pi / (frequency_rad_s * root), gains / gains.sum(), None, name)
