@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from virtual_bus.canopen.encoder import Cia406Encoder
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.modbus.io_device import EmulatedIo
-from virtual_bus.physics import Physics
 from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus
+
+if TYPE_CHECKING:
+    from virtual_bus.physics import Latched, Physics
 
 QUIET_S = 0.002
 """A pause between frames shorter than this is the master computing, not waiting."""
@@ -28,19 +30,7 @@ SILENCE_S = 0.05
 """So much waiting since the last SYNC, and the machine's time begins to follow the clock."""
 TEMPERATURE_EVERY = 16  # samples between updates of the temperature registers: windings are slow
 
-_PIN = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}  # a drive's own brake output is on
-
-
-class PhysicsLike(Protocol):
-    """What the machine needs of `virtual_bus.physics.Physics`."""
-
-    axes: tuple[str, ...]
-
-    def place(self, axis_positions: np.ndarray) -> None: ...
-    def set_brakes(self, closed: np.ndarray) -> None: ...
-    def apply(self, effort: np.ndarray) -> None: ...
-    def latch(self) -> object: ...
-    def advance(self) -> None: ...
+_BRAKE_OUTPUT_ON = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}
 
 
 class EmulatedMachine:
@@ -197,7 +187,7 @@ class EmulatedMachine:
         if self._witness is not None:
             self._witness(self.time_s)
 
-    def _latch(self):  # type: ignore[no-untyped-def]
+    def _latch(self) -> Latched:
         latched = self.physics.latch()
         counts, currents, temperatures = latched.position_counts.tolist(), latched.effort.tolist(), latched.temperature_degC.tolist()
         for index, drive in self._drives:
@@ -222,7 +212,7 @@ class EmulatedMachine:
         """Without an I/O device each drive opens its own axis's brake while its power stage is on."""
         closed = list(self._brakes_closed)
         for index, drive in self._drives:
-            closed[index] = drive.power_state not in _PIN
+            closed[index] = drive.power_state not in _BRAKE_OUTPUT_ON
         if closed != self._brakes_closed:
             self._brakes_closed = closed
             self.physics.set_brakes(np.array(closed))

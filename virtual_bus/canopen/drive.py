@@ -156,9 +156,6 @@ class Cia402Drive(Node):
         self._stop(self.objects.number(0x605E) if moving else 0, PowerState.FAULT)
 
     # ---- the automaton --------------------------------------------------------------------------------
-    def process_data_arrived(self) -> None:
-        """An event-driven RPDO: its controlword has been obeyed already, its target acts from the next sample on."""
-
     def _obey(self) -> None:
         """Follow the controlword as far as it leads."""
         word = int(self._controlword.value)

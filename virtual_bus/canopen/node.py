@@ -277,9 +277,6 @@ class Node:
     def application_reset(self) -> None:
         """All parameters have got their stored or default values."""
 
-    def process_data_arrived(self) -> None:
-        """An event-driven RPDO has been applied."""
-
     def connection_lost(self, reason: str) -> None:
         """The master is gone ("heartbeat", "bus_off") or has put the node to rest ("stopped", "reset")."""
 

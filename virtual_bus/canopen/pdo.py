@@ -120,7 +120,6 @@ class Rpdo:
             self._pending = data
         else:
             self._apply(data)
-            node.process_data_arrived()
 
     def _judge_length(self, length: int) -> None:
         """Tell of a frame of the wrong length, and of the first good one after it."""
