@@ -14,7 +14,7 @@ import numpy as np
 from hil.identification.bla import plant_from_closed_loop
 from hil.identification.covariance import kronecker, output_covariance
 from hil.identification.errors import IdentificationError
-from hil.identification.local_fast import ONE_POSE, PoseModel, shrunk
+from hil.identification.local_fast import ONE_POSE, PoseModel, local_orders
 from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
 from hil.identification.local_regression import local_regression
@@ -92,9 +92,8 @@ def arbitrary_local(
     z, w = np.stack(z_parts), np.stack(w_parts)  # (poses, R, T // 2 + 1, n)
     responses = []
     for records, window in zip(records_of_poses, windows, strict=True):
-        numerator = (model.numerator, *shrunk(over_poses.numerator, window.reach))
-        denominator = (model.denominator, *shrunk(over_poses.denominator if model.denominator else (0,) * len(window.reach), window.reach))
-        fits = _fit(z[window.poses], w[window.poses], window.offsets, bins, model, numerator, denominator)
+        orders = local_orders(model, over_poses, window)
+        fits = _fit(z[window.poses], w[window.poses], window.offsets, bins, model, *orders)
         responses.append(_response(records, bins, T, fits, model))
     return tuple(responses)
 

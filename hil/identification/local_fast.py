@@ -22,7 +22,7 @@ from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
 from hil.identification.local_regression import local_regression
 from hil.identification.local_robust import even_odd
-from hil.identification.poses import PoseBorder, multi_indices, pose_windows, varying_directions
+from hil.identification.poses import PoseBorder, PoseWindow, multi_indices, pose_windows, varying_directions
 from hil.identification.records import PeriodicRecords
 from hil.identification.result import FrequencyResponse
 from hil.identification.spectra import period_spectra
@@ -50,8 +50,8 @@ ONE_POSE = PoseModel((), (), ())
 
 
 @dataclass(frozen=True)
-class _Pose:
-    """What the fit needs of one pose: (R, L, n) spectra of its R records."""
+class PoseSpectra:
+    """Steady-state spectra of one pose, (R, L, n) over its R records."""
 
     records: PeriodicRecords
     steady: SteadyState
@@ -86,21 +86,30 @@ def nd_local(
         As `fast_local`; poses that do not belong together or are not known.
     """
     model = model or LocalModel()
-    coordinates = _scheduling(records_of_poses)
+    coordinates = scheduling(records_of_poses)
     over_poses = over_poses or PoseModel(*((value,) * coordinates.shape[1] for value in (1, 1, 2)))
     windows = pose_windows(coordinates, over_poses.windows, over_poses.border)
-    poses = [_prepare(records, model) for records in records_of_poses]
+    poses = [prepare(records, model) for records in records_of_poses]
     z, w = np.stack([pose.z for pose in poses]), np.stack([pose.w for pose in poses])  # (poses, R, L, n)
     responses = []
-    for centre, window in enumerate(windows):
-        numerator = (model.numerator, *shrunk(over_poses.numerator, window.reach))
-        denominator = (model.denominator, *shrunk(over_poses.denominator if model.denominator else (0,) * len(window.reach), window.reach))
-        fits = _fit(z[window.poses], w[window.poses], window.offsets, poses[0].records, model, numerator, denominator)
-        responses.append(_response(poses[centre], fits, model, numerator, denominator, len(window.poses)))
+    for pose, window in zip(poses, windows, strict=True):
+        orders = local_orders(model, over_poses, window)
+        fits = fit_pose(z[window.poses], w[window.poses], window.offsets, pose.records, model, *orders)
+        responses.append(_response(pose, fits, model, orders[0], len(window.poses)))
     return tuple(responses)
 
 
-def _fit(
+def local_orders(model: LocalModel, over_poses: PoseModel, window: PoseWindow) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Orders of numerator and denominator over frequency and each scheduling parameter, none where the window does not extend."""
+
+    def carried(orders: Sequence[int]) -> tuple[int, ...]:
+        return tuple(min(order, 2 * p) for order, p in zip(orders, window.reach, strict=True))
+
+    over_denominator = over_poses.denominator if model.denominator else (0,) * len(window.reach)
+    return (model.numerator, *carried(over_poses.numerator)), (model.denominator, *carried(over_denominator))
+
+
+def fit_pose(
     z: np.ndarray,
     w: np.ndarray,
     pose_offsets: np.ndarray,
@@ -109,7 +118,7 @@ def _fit(
     numerator: tuple[int, ...],
     denominator: tuple[int, ...],
 ) -> LocalFits:
-    """Local fits at every line of one pose from its neighbours' spectra z (k, R, L, n_z), w (k, R, L, n_u)."""
+    """Local fits at every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u)."""
     k, R, L, n_z = z.shape
     n_u = w.shape[3]
     unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_z
@@ -138,9 +147,7 @@ def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int)
     return extended, images[0], images[1], n
 
 
-def _response(
-    pose: _Pose, fits: LocalFits, model: LocalModel, numerator: tuple[int, ...], denominator: tuple[int, ...], neighbours: int
-) -> FrequencyResponse:
+def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: tuple[int, ...], neighbours: int) -> FrequencyResponse:
     records, steady = pose.records, pose.steady
     L, n_y, n_u = len(records.lines), records.n_outputs, records.n_inputs
     G = plant_from_closed_loop(fits.response, n_y)
@@ -180,14 +187,15 @@ def _response(
     return replace(response, even_odd=even_odd(records, steady, G))
 
 
-def _prepare(records: PeriodicRecords, model: LocalModel) -> _Pose:
+def prepare(records: PeriodicRecords, model: LocalModel) -> PoseSpectra:
+    """Take the transients off and keep the excited lines."""
     steady = steady_state(records, model, np.concatenate((records.lines, detection_lines(records))))
     L = len(records.lines)
     w = period_spectra(records.excitation[:, :, : records.period_samples], records.period_samples)[:, :, 0, records.lines]
-    return _Pose(records, steady, steady.z[:, :, :L].reshape(-1, L, steady.z.shape[3]), w.reshape(-1, L, w.shape[3]))
+    return PoseSpectra(records, steady, steady.z[:, :, :L].reshape(-1, L, steady.z.shape[3]), w.reshape(-1, L, w.shape[3]))
 
 
-def _scheduling(records_of_poses: Sequence[PeriodicRecords]) -> np.ndarray:
+def scheduling(records_of_poses: Sequence[PeriodicRecords]) -> np.ndarray:
     """(n, m) scheduling parameters that vary; (1, 0) for one pose."""
     if not records_of_poses:
         raise IdentificationError("no records given")
@@ -207,8 +215,3 @@ def _scheduling(records_of_poses: Sequence[PeriodicRecords]) -> np.ndarray:
     if len(np.unique(poses, axis=0)) < len(poses):
         raise IdentificationError("two sets of records are of the same pose, or the poses are not known")
     return poses
-
-
-def shrunk(orders: Sequence[int], reach: Sequence[int]) -> tuple[int, ...]:
-    """Orders a window of that reach can carry: a direction it does not extend in has none."""
-    return tuple(min(order, 2 * p) for order, p in zip(orders, reach, strict=True))

@@ -47,13 +47,13 @@ def pose_windows(poses: np.ndarray, half_widths: Sequence[int], border: PoseBord
 
     Parameters
     ----------
-    poses : (n, m) scheduling parameters. half_widths : p_i per direction.
+    poses : (n, m) scheduling parameters. half_widths : p_i per direction; none lets every pose stand alone.
     """
     n, m = poses.shape
+    if len(half_widths) == 0:
+        return [PoseWindow(np.array([i]), np.zeros((1, 0)), ()) for i in range(n)]
     if len(half_widths) != m:
         raise IdentificationError(f"{len(half_widths)} pose windows for {m} scheduling parameters that vary")
-    if m == 0:
-        return [PoseWindow(np.array([i]), np.zeros((1, 0)), ()) for i in range(n)]
     levels = [_levels(poses[:, x]) for x in range(m)]
     if n < GRID_FILL * np.prod([index.max() + 1 for index in levels]):
         return _nearest(poses, half_widths)
