@@ -24,7 +24,7 @@ from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, bring_to_rest
 from drivers.canopen.supervision import Supervision
-from drivers.errors import BusTimeout, DeviceFault, DriverError, MotionRefused
+from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError, MotionRefused
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -89,8 +89,10 @@ class CanMachine:
         """
         with self._stopping_on_error():
             self._ticking = False
+            self.network.stop_heartbeat()
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
+            self.supervision.refuse_second_bench(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self.supervision.boot(self.settings.nodes)
             notes: list[str] = []
             for node in self.settings.nodes:
@@ -199,6 +201,8 @@ class CanMachine:
         """
         sample = self.sample
         try:
+            if not self._ticking:
+                raise BusError("the machine is not started, or was stopped; start it first")
             overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
             self._poll(sample, overdue_s)
             for axis, source in enumerate(self.inputs):
@@ -262,6 +266,11 @@ class CanMachine:
         """Whether the I/O commands a brake of this axis and reports its feedback."""
         io = self.settings.io
         return self._io is not None and io is not None and self.axes[axis] in io.brake_coils and self.axes[axis] in io.brake_feedback_inputs
+
+    def io_is_fresh(self) -> bool:
+        """Whether the I/O's newest state is young enough to be believed; a state that is too old says closed and released of everything."""
+        io = self.settings.io
+        return io is None or self.sample.io_age_s <= io.stale_after_s
 
     def sdo(self, axis: int) -> SdoNode:
         """Object dictionary of an axis' drive."""
@@ -345,7 +354,7 @@ class CanMachine:
         self.command_brakes({axis: False for axis in self.axes})
 
     def _brakes_closed(self) -> bool:
-        return not any(self.has_brake(axis) and self.sample.brakes_open[axis] for axis in range(len(self.axes)))
+        return self.io_is_fresh() and not any(self.has_brake(axis) and self.sample.brakes_open[axis] for axis in range(len(self.axes)))
 
 
 class _StopOnError:

@@ -99,7 +99,7 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
         elapsed = machine.clock.now() - begin
         push = settings.direction_check_effort * min(1.0, elapsed / ramp_s)
         command[axis] = holding[axis] + push
-        moved = machine.exchange(command).position[axis] - start
+        moved = motion.tick(machine, command).position[axis] - start
         if moved >= travel:
             return push
         if moved <= -travel:
@@ -176,7 +176,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
     has_link = machine.scalings[axis].link_resolution != 0.0
     deadline = machine.clock.now() + SAMPLE_TIMEOUT_S
     while True:
-        sample = machine.exchange(command)
+        sample = motion.tick(machine, command)
         position, link = float(sample.position[axis]), float(sample.link_position[axis])
         if np.isfinite(position) and (np.isfinite(link) or not has_link):
             return position, link
@@ -201,15 +201,15 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
     machine.set_controlword(axis, cia402.ENABLE_OPERATION)
     for _ in range(SETTLED_TICKS):  # the start bit must be seen low before it rises
-        machine.exchange(command)
+        motion.tick(machine, command)
     machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)
     for _ in range(SETTLED_TICKS):
-        machine.exchange(command)
+        motion.tick(machine, command)
     deadline = machine.clock.now() + settings.timeout_s
     while (progress := cia402.decode_homing(machine.inputs[axis].statusword)) is not Homing.DONE:
         failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
         if failed or machine.clock.now() > deadline:
             reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
             raise MotionRefused(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
-        machine.exchange(command)
+        motion.tick(machine, command)
     machine.set_controlword(axis, cia402.ENABLE_OPERATION)

@@ -23,6 +23,7 @@ CONTROLWORD, TARGET_TORQUE = 0x6040, 0x6071
 STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 INT16_MAX = 32767
+ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
 """Frames read at most outside the answer time: a device that babbles must not keep the loop from its tick."""
 
@@ -292,6 +293,8 @@ class CyclicExchange:
 
     def _other(self, message: can.Message) -> None:
         identifier = message.arbitration_id
+        if message.is_error_frame and identifier & ERROR_FRAME_BUS_OFF:
+            self._fault = self._fault or f"{self._bus.channel_info}: the CAN controller is bus off; check wiring, termination and bit rate"
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
             return
         if (node_id := self._heartbeats.get(identifier)) is not None:

@@ -60,6 +60,9 @@ class Machine(Protocol):
     def has_brake(self, axis: int) -> bool:
         """Whether the I/O commands a brake of this axis."""
 
+    def io_is_fresh(self) -> bool:
+        """Whether the I/O's newest state is young enough to be believed."""
+
     def sdo(self, axis: int) -> SdoNode:
         """Object dictionary of the axis' drive."""
 
@@ -99,7 +102,7 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
             raise BusTimeout(
                 f"not {goal.value} within {TRANSITION_TIMEOUT_S:.1f} s: {words}; is its power stage supplied, is safe torque off released?"
             )
-        machine.exchange(hold(machine.sample))
+        tick(machine, hold(machine.sample))
     if goal is State.OPERATION_ENABLED:
         for axis in axes:
             machine.arm(axis, True)
@@ -187,7 +190,21 @@ def run_for(machine: Machine, seconds: float, hold: Hold) -> None:
     """Tick for that long under a holding command."""
     end = machine.clock.now() + seconds
     while machine.clock.now() < end:
-        machine.exchange(hold(machine.sample))
+        tick(machine, hold(machine.sample))
+
+
+def tick(machine: Machine, command: np.ndarray) -> Sample:
+    """One exchange in which no device may report a fault.
+
+    Raises
+    ------
+    DeviceFault
+        Whatever any node reported, in words.
+    """
+    sample = machine.exchange(command)
+    if sample.fault:
+        raise DeviceFault(sample.fault)
+    return sample
 
 
 def _in_fault(machine: Machine, axis: int) -> bool:
@@ -201,12 +218,16 @@ def _move_brakes(machine: Machine, axes: Sequence[int], hold: Hold, *, wanted: b
     machine.command_brakes({machine.axes[axis]: wanted for axis in braked})
     deadline = machine.clock.now() + BRAKE_TIMEOUT_S
     while True:
-        sample = machine.exchange(hold(machine.sample))
+        sample = tick(machine, hold(machine.sample))
         waiting = [machine.axes[axis] for axis in braked if bool(sample.brakes_open[axis]) != wanted]
-        if not waiting:
+        if not waiting and machine.io_is_fresh():
             return
         if machine.clock.now() > deadline:
             word = "open" if wanted else "closed"
+            if not waiting:
+                raise MotionRefused(
+                    f"brakes: the I/O has not answered for {sample.io_age_s:.2f} s, so nobody knows whether they are {word}"
+                )
             raise MotionRefused(
                 f"brake of {', '.join(waiting)}: not {word} within {BRAKE_TIMEOUT_S:.1f} s by its feedback; check brake, relay and input"
             )

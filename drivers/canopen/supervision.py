@@ -127,6 +127,29 @@ class Supervision:
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
             )
 
+    def refuse_second_bench(self, own_node_id: int, heartbeat_period_s: float) -> None:
+        """Listen for somebody who already sends the bench's heartbeat: two masters on one bus would move the same motors.
+
+        Raises
+        ------
+        DuplicateNode
+        """
+        heard: list[int] = []
+
+        def listen(can_id: int, data: bytearray, stamp: float) -> None:
+            heard.append(can_id)
+
+        while self._network.pump(0.0):  # what is older than this start
+            pass
+        self._network.subscribe(HEARTBEAT + own_node_id, listen)
+        self._network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
+        self._network.unsubscribe(HEARTBEAT + own_node_id, listen)
+        if heard:
+            raise DuplicateNode(
+                f"node id {own_node_id}, the bench's own, is already on {self._network.can_bus.channel_info}: "
+                "another bench is running there; stop it, or give this one another master_node_id"
+            )
+
     def boot(self, nodes: Sequence[Node]) -> None:
         """Reset every node's communication and wait until each has booted.
 

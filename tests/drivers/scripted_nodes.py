@@ -349,6 +349,7 @@ class ScriptedIo:
     def __init__(self, drives: dict[str, ScriptedDrive], delay_polls: int = 3) -> None:
         self.drives, self.delay_polls = drives, delay_polls
         self.hold_to_run = self.door_closed = True
+        self.age_s = 0.0
         self.jammed: set[str] = set()
         self.history: list[dict[str, bool]] = []
         self._wanted = dict.fromkeys(drives, False)
@@ -367,7 +368,7 @@ class ScriptedIo:
                     self.drives[axis].brake_open = is_open
 
     def update(self, sample: object) -> None:
-        sample.hold_to_run, sample.door_closed = self.hold_to_run, self.door_closed
+        sample.hold_to_run, sample.door_closed, sample.io_age_s = self.hold_to_run, self.door_closed, self.age_s
         for axis, drive in enumerate(self.drives.values()):
             sample.brakes_open[axis] = drive.brake_open
 

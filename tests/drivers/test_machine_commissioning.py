@@ -94,6 +94,22 @@ def test_a_brake_whose_feedback_does_not_follow_is_refused(rig):
     assert rig.at_rest()
 
 
+def test_brakes_of_a_silent_io_are_never_taken_for_closed(rig):
+    rig.machine.enable()
+    rig.machine.release_brakes(lambda _: ZERO)
+    rig.io.age_s = 10.0
+    with pytest.raises(MotionRefused, match=r"the I/O has not answered for 10\.00 s"):
+        rig.machine.close_brakes(lambda _: ZERO)
+
+
+def test_a_fault_of_any_node_ends_a_procedure(rig):
+    rig.machine.enable()
+    rig.encoders[0].emergency(0x5000)
+    with pytest.raises(DeviceFault, match=r"propeller_encoder .*device hardware"):
+        rig.machine.release_brakes(lambda _: ZERO)
+    assert rig.at_rest()
+
+
 def test_closing_the_brakes_is_the_way_back(rig):
     rig.machine.enable()
     rig.machine.release_brakes(lambda _: ZERO)

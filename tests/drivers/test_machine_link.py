@@ -4,6 +4,7 @@ import dataclasses
 import math
 import struct
 
+import can
 import numpy as np
 import pytest
 from scripted_nodes import PERIOD_S, BusClock, ScriptedBus, ScriptedDrive, ScriptedEncoder, ScriptedIo, machine_settings
@@ -87,6 +88,25 @@ def test_two_devices_with_one_id_do_not_start(rig):
     rig.bus.nodes.append(twin)
     with pytest.raises(DuplicateNode, match="roll_drive"):
         rig.machine.start()
+
+
+def test_a_second_bench_on_the_bus_is_refused_before_anything_is_commanded(rig):
+    other = ScriptedDrive(127)  # anything that beats with the bench's id
+    other.bus = rig.bus
+    other.set(0x1017, 0, 100)
+    rig.bus.nodes.append(other)
+    with pytest.raises(DuplicateNode, match="another bench is running there"):
+        rig.machine.start()
+    assert not any(data[0] in (0x01, 0x81, 0x82) for data in rig.bus.sent(0x000))
+
+
+def test_ticks_before_the_start_and_after_a_stop_are_refused(rig):
+    with pytest.raises(BusError, match="not started"):
+        rig.machine.exchange(ZERO)
+    rig.ready()
+    rig.machine.stop()
+    with pytest.raises(BusError, match="start it first"):
+        rig.machine.exchange(ZERO)
 
 
 @pytest.mark.parametrize(
@@ -269,6 +289,12 @@ def test_an_emergency_of_any_node_is_in_the_sample(rig):
     assert faults[-1] == ""
 
 
+def test_a_controller_that_went_bus_off_is_a_fault(rig):
+    rig.ready()
+    rig.bus.queue.append(can.Message(arbitration_id=0x040, is_error_frame=True, is_extended_id=False, dlc=8))
+    assert "bus off" in rig.machine.exchange(ZERO).fault
+
+
 def test_a_node_that_falls_silent_stops_everything_within_its_time_out(rig):
     rig.ready()
     rig.encoders[1].silent = True
@@ -340,6 +366,14 @@ def test_a_brake_that_jams_open_does_not_hold_up_the_stop_for_ever(rig):
     rig.machine.stop()
     assert rig.bus.time_s - start < 1.0
     assert all(drive.power == "switch on disabled" for drive in rig.drives)
+
+
+def test_voltage_stays_on_while_nobody_knows_whether_the_brakes_have_closed(rig):
+    rig.ready()
+    rig.io.age_s = 10.0
+    start = rig.bus.time_s
+    rig.machine.stop()
+    assert rig.bus.time_s - start > 0.5
 
 
 def test_a_stopped_machine_starts_again_without_a_new_link(rig):
