@@ -10,11 +10,10 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +29,6 @@ from hil.realtime import Scheduling, real_time
 from hil.recording import JournalSink, RecorderProcess, recording_metadata
 from hil.wiring import Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
-
-T = TypeVar("T")
 
 SETTLE_S = 4.0
 """Standstill before row 0, in which what the way there has set swinging dies out."""
@@ -73,64 +70,79 @@ class BenchOptions:
 
 @dataclass
 class Bench:
-    """A commissioned machine; made by `open_bench`."""
+    """A machine at rest: drives disabled, brakes closed, nodes reset and silent; made by `open_bench`.
+
+    Every recording is a session of its own: boot, configuration, homing, hold, way, plan, brakes. Whatever takes time (planning, starting a
+    recorder, writing a file) is done between sessions, when nobody waits for a heartbeat.
+    """
 
     machine: Machine
-    model: Physics  # of the machine file: what holds it where
     options: BenchOptions
     wiring: Wiring
     loop: SampleLoop
-    layout: RowLayout
+    model: Physics  # of the machine file: what holds it where
     scheduling: Scheduling
-    commissioning: list[str]
     pose: np.ndarray  # (n_axes,) where the machine stands
+    commissioning: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._still = np.zeros(len(self.machine.axes))
 
+    def commission(self) -> tuple[str, ...]:
+        """Boot, first-move check, homing and encoder agreement of every axis; what was found, a line each.
+
+        Raises
+        ------
+        DriverError
+            A device is absent, wrong or at fault, or a check failed; the motors were stopped.
+        """
+        with self._session():
+            return self.commissioning
+
     def run(self, plan: Plan, path: Path, progress: Callable[[int], None] | None = None) -> LoopTiming:
-        """Take hold, go to the plan's start pose, settle, run it and record every row into `path`, and park again.
+        """Go to the plan's start pose, settle, run it and record every row into `path`.
 
         Raises
         ------
         LoopAborted, DriverError
             The motors were stopped; the rows up to then are in `path`.
         """
-        way, sink = self._while_ticking(lambda: (self._way_to(plan.start_pose), self._sink(plan, path)))
-        ended: dict[str, Any] = {}
+        way = self._way_to(plan.start_pose)
+        sink = self._sink(plan, path)
+        tables: dict[str, Any] = {}
         try:
-            self._take_hold()
-            for leg in way:
-                self.loop.run(leg)
-            self.pose = plan.start_pose.copy()
-            ended["initial"] = self._initial() | {"controller_states": self.loop.feedback.states}
-            self.wiring.start_truth()
-            timing = self.loop.run(plan, sink, progress)
-            self.wiring.pause_truth()
-            self.pose = plan.reference[-1].copy()
-            self.wiring.link.close_brakes(self._holding())
-            ended["timing"] = timing.summary()
+            with self._session():
+                self._take_hold()
+                for leg in way:
+                    self.loop.run(leg)
+                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states}
+                self.wiring.start_truth()
+                timing = self.loop.run(plan, sink, progress)
+                self.wiring.pause_truth()
+                self.pose = plan.reference[-1].copy()
+                self.wiring.link.close_brakes(self._holding())
+            tables["timing"] = timing.summary()
+            tables["bench"] = self._circumstances()
             return timing
         except BaseException as error:
-            ended["ended"] = {"error": str(error) or type(error).__name__}
+            tables["ended"] = {"error": str(error) or type(error).__name__}
             raise
         finally:
             self.wiring.pause_truth()
-            self._finish(sink, ended)
+            sink.close(tables)
 
-    def feedforward(self) -> np.ndarray:
-        """What gravity feedforward brings at the present pose (n_axes,), zero where no axis asks for it."""
-        brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
-        return np.zeros(len(self.pose)) if brought is None else brought[0]
-
-    def _way_to(self, pose: np.ndarray) -> list[Plan]:
-        """From where the machine is parked to standstill at `pose`, within the limits."""
-        axes = self.machine.axes
-        start = dict(zip(axes, map(float, self.pose), strict=True))
-        goal = dict(zip(axes, map(float, pose), strict=True))
-        tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
-        legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
-        return legs + Static(SETTLE_S, goal).plans(self.machine)
+    @contextlib.contextmanager
+    def _session(self) -> Iterator[None]:
+        """Commissioned nodes, drives disabled, brakes closed; stopped and reset on the way out, whatever happens."""
+        link = self.wiring.link
+        with real_time(wanted=not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
+            self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
+            stack.callback(link.close)
+            link.start()
+            holding = self.model.holding_effort(_measured_pose(link.exchange(self._still)))
+            found = link.home(holding, check_first_move=not self.commissioning)
+            self.commissioning = self.commissioning or tuple(found)
+            yield
 
     def _take_hold(self) -> None:
         """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
@@ -138,13 +150,13 @@ class Bench:
         link.enable()
         self.pose = _measured_pose(link.exchange(self._still))
         effort = self.model.holding_effort(self.pose)
-        self.loop.feedback.preload(effort, self.pose, self.feedforward())
+        self.loop.feedback.preload(effort, self.pose, self._feedforward())
         self.loop.command[:] = effort
         link.release_brakes(self._holding())
 
     def _holding(self) -> Callable[[Sample], np.ndarray]:
         """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
-        loop, pose, feedforward = self.loop, self.pose.copy(), self.feedforward()
+        loop, pose, feedforward = self.loop, self.pose.copy(), self._feedforward()
         position = pose.copy()
 
         def hold(sample: Sample) -> np.ndarray:
@@ -155,38 +167,37 @@ class Bench:
 
         return hold
 
-    def _while_ticking(self, work: Callable[[], T]) -> T:
-        """Do some work while the machine is parked: ticks and heartbeats go on, jitter does no harm. Lockstep time stands still."""
-        if self.wiring.lockstep:
-            return work()
-        with ThreadPoolExecutor(1) as worker:
-            result = worker.submit(work)
-            while not result.done():
-                self.wiring.link.exchange(self._still)
-            return result.result()
+    def _feedforward(self) -> np.ndarray:
+        """What gravity feedforward brings at the present pose (n_axes,), zero where no axis asks for it."""
+        brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
+        return np.zeros(len(self.pose)) if brought is None else brought[0]
+
+    def _way_to(self, pose: np.ndarray) -> list[Plan]:
+        """From where the machine stands to standstill at `pose`, within the limits."""
+        axes = self.machine.axes
+        start = dict(zip(axes, map(float, self.pose), strict=True))
+        goal = dict(zip(axes, map(float, pose), strict=True))
+        tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
+        legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
+        return legs + Static(SETTLE_S, goal).plans(self.machine)
 
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
         """Where the plan's rows go, ready to take them."""
-        bench = {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": self.commissioning}
-        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=bench)
-        return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.layout.channels, metadata)
-
-    def _finish(self, sink: JournalSink | RecorderProcess, tables: dict[str, Any]) -> None:
-        """Turn the rows into the recording; after a good run the machine is parked meanwhile, after a bad one it has been stopped."""
-        if "ended" in tables:
-            sink.close(tables)
-        else:
-            self._while_ticking(lambda: sink.close(tables))
+        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances())
+        return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)
 
     def _initial(self) -> dict[str, Any]:
         link = self.wiring.link
         brakes = {axis: "open" if link.has_brake(index) else "none" for index, axis in enumerate(self.machine.axes)}
         return {"brakes": brakes, "seed": self.options.seed}
 
+    def _circumstances(self) -> dict[str, Any]:
+        return {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": list(self.commissioning)}
+
 
 @contextlib.contextmanager
 def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None) -> Iterator[Bench]:
-    """A commissioned machine, parked: drives disabled, brakes closed. It is stopped on the way out, whatever happens.
+    """A machine found on its bus, at rest.
 
     Parameters
     ----------
@@ -200,7 +211,7 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
     UnusableInput
         The machine file has no bus or no controller.
     DriverError
-        A device is absent, wrong, at fault, or a check before motion failed.
+        The bus is missing, or a device is absent, wrong or at fault.
     """
     if machine.bus is None:
         raise UnusableInput(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
@@ -208,24 +219,32 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
         raise UnusableInput(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
     model = Physics(machine.plant, noise=False)
     feedback = _warm(Feedback(machine.controllers))
-    still = np.zeros(len(machine.axes))
     lockstep = options.bus_url.startswith("lockstep:")
     stop_request = StopRequest()
     with contextlib.ExitStack() as stack:
         stack.enter_context(_stopping_on_signals(stop_request))
         wiring = stack.enter_context(lockstep_wiring(machine, options, start_pose) if lockstep else wall_wiring(machine, options))
-        scheduling = stack.enter_context(real_time(wanted=not lockstep))
-        if lockstep:
-            scheduling = Scheduling("lockstep, virtual time", False)
-        link = wiring.link
-        stack.callback(link.close)
-        link.start()
-        commissioning = list(link.home(model.holding_effort(_measured_pose(link.exchange(still)))))
-        guarded = machine.bus.io is not None
-        stale_s = machine.bus.io.stale_after_s if machine.bus.io is not None else np.inf
-        layout = row_layout(machine)
-        loop = SampleLoop(link, wiring.clock, feedback, machine.limits, layout, guarded, stale_s, stop_request)
-        yield Bench(machine, model, options, wiring, loop, layout, scheduling, commissioning, _measured_pose(link.exchange(still)))
+        io = machine.bus.io
+        loop = SampleLoop(
+            wiring.link,
+            wiring.clock,
+            feedback,
+            machine.limits,
+            row_layout(machine),
+            guard_io=io is not None,
+            io_stale_s=io.stale_after_s if io is not None else np.inf,
+            stop_request=stop_request,
+        )
+        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(wiring, len(machine.axes)))
+
+
+def _look(wiring: Wiring, axes: int) -> np.ndarray:
+    """Where the machine stands (n_axes,), before anything is planned: the nodes are started, asked, and reset."""
+    try:
+        wiring.link.start()
+        return _measured_pose(wiring.link.exchange(np.zeros(axes)))
+    finally:
+        wiring.link.close()
 
 
 def _warm(feedback: Feedback) -> Feedback:

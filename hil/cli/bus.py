@@ -45,7 +45,7 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
     machine = load(machine_name)
     answer = Answer(json_to)
     with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
-        report = list(bench.commissioning)
+        report = bench.commission()
     for line in report:
         answer.say(line)
     answer.write({"machine": machine.name, "bus": bus, "checks": report})

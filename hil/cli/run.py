@@ -251,7 +251,6 @@ def _run(
     options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth)
     records: list[dict[str, Any]] = []
     with open_bench(machine, options, plans[0].start_pose) as bench:
-        answer.say(f"{machine.name} on {bus}: {bench.scheduling}")
         with progress(answer.console) as bars:
             for plan, path in zip(plans, recording_paths(out, plans), strict=True):
                 task = bars.add_task(path.name, total=plan.rows)
@@ -259,6 +258,7 @@ def _run(
                 bars.update(task, completed=plan.rows)
                 records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary()})
         scheduling = str(bench.scheduling)
+    answer.say(f"{machine.name} on {bus}: {scheduling}")
     for record in records:
         timing_table = record["timing"]
         line = f"{record['recording']}: {timing_table['ticks']} rows"

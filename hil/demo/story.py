@@ -104,8 +104,6 @@ def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], fl
     recorded_s = running_s = 0.0
     secret = machine.with_effects((SECRET_FRICTION,))
     with open_bench(machine, BenchOptions("lockstep:", seed=1, emulated=secret), plans[0].start_pose) as bench:
-        for line in bench.commissioning:
-            answer.say(f"  {line}")
         with progress(answer.console) as bars:
             task = bars.add_task("multisine with jog", total=sum(plan.rows for plan in plans))
             done = 0
@@ -116,4 +114,6 @@ def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], fl
                 recorded_s += plan.rows / machine.sample_rate_Hz
                 done += plan.rows
                 bars.update(task, completed=done)
+        for line in bench.commissioning:
+            answer.say(f"  {line}")
     return paths, recorded_s, running_s
