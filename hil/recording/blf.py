@@ -2,10 +2,16 @@
 
 Only times relative to the log's start are used. Its absolute start is local time in files of some tools and UTC in those of others, is
 kept in milliseconds, and is missing in some; frames from before the start have wrapped, unsigned times, and channels may be out of order.
+
+python-can skips what it cannot read with a line in its log, ends quietly where a file is cut off, and repeats an object of length 0 for
+ever: here each of these is an error.
 """
 
 from __future__ import annotations
 
+import contextlib
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -14,25 +20,58 @@ from hil.errors import RecordingError
 from hil.recording.can_frames import CanFrame
 
 _WRAP_S = 2.0**64 * 1e-9
-"""Times are unsigned counts of nanoseconds (or ten microseconds): one before the start appears this much later than it was."""
+"""Times are unsigned counts of nanoseconds: one before the start appears this much later than it was."""
+
+_MOST_AT_ONCE = 1000
+"""So many equal frames at the same nanosecond are no bus's: a frame takes 47 us at 1 Mbit/s."""
+
+
+class _Damaged(Exception):
+    """What python-can would have passed over."""
 
 
 def read_blf(path: Path) -> list[CanFrame]:
     """All frames of a BLF, in order of time, in seconds since the log's start; RecordingError if it is none or damaged."""
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
-    frames = []
     try:
-        with can.BLFReader(path) as reader:
-            start_s = reader.start_timestamp
-            for message in reader:
-                if message.is_error_frame:
-                    continue
-                time_s = message.timestamp - start_s
-                if time_s > _WRAP_S / 2.0:
-                    time_s -= _WRAP_S
-                channel, data = f"can{message.channel}", bytes(message.data)
-                frames.append(CanFrame(time_s, channel, message.arbitration_id, message.is_extended_id, message.is_remote_frame, data))
+        with _warnings_are_errors(), can.BLFReader(path) as reader:
+            if path.stat().st_size < reader.file_size:
+                raise _Damaged(f"{path.stat().st_size} bytes of {reader.file_size}; it was cut off")
+            frames = list(_frames(reader))
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
     except Exception as problem:  # python-can answers a damaged file with whatever its parser ran into
         raise RecordingError(f"{path}: no BLF, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
     return sorted(frames, key=lambda frame: frame.time_s)
+
+
+def _frames(reader: can.BLFReader) -> Iterator[CanFrame]:
+    start_s = reader.start_timestamp
+    last: CanFrame | None = None
+    repeated = 0
+    for message in reader:
+        time_s = message.timestamp - start_s
+        if time_s > _WRAP_S / 2.0:
+            time_s -= _WRAP_S
+        data = bytes(message.data)
+        frame = CanFrame(time_s, f"can{message.channel}", message.arbitration_id, message.is_extended_id, message.is_remote_frame, data)
+        repeated = repeated + 1 if frame == last else 0
+        if repeated > _MOST_AT_ONCE:
+            raise _Damaged("an object of length 0")
+        last = frame
+        if not message.is_error_frame:
+            yield frame
+
+
+@contextlib.contextmanager
+def _warnings_are_errors() -> Iterator[None]:
+    """Raise what python-can says in its log about a file, instead of letting it be passed over."""
+
+    def refuse(record: logging.LogRecord) -> bool:
+        raise _Damaged(record.getMessage())
+
+    logger = logging.getLogger("can.io.blf")
+    logger.addFilter(refuse)
+    try:
+        yield
+    finally:
+        logger.removeFilter(refuse)

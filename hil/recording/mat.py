@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.io
 
 from hil.errors import RecordingError
+from hil.recording.mat5 import Mat5Error, numeric_arrays
 from hil.recording.metadata import machine_table
 from hil.recording.model import Channel, Recording
 
@@ -47,29 +47,25 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, str] | Non
         raise RecordingError(f"{path}: no variable {missing[0]}; it has {', '.join(variables)}")
     channels = {channel: Channel(_unit(channel, machine, path), _vector(variables[name], name, path)) for name, channel in names.items()}
     others = {name: value for name, value in variables.items() if name not in names}
-    constants = {name: value.item() for name, value in others.items() if value.size == 1 and value.dtype.kind in "fiub"}
+    constants = {name: value.item() for name, value in others.items() if value is not None and value.size == 1}
     try:
         return Recording(channels, {"machine": machine_table(machine), "source": {"file": path.name, "constants": constants}})
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
+def _load(path: Path) -> dict[str, np.ndarray | None]:
     try:
-        content: dict[str, Any] = scipy.io.loadmat(path)
-    except NotImplementedError:
-        raise RecordingError(f"{path}: a MATLAB 7.3 (HDF5) file; save it with -v7") from None
-    except Exception as problem:  # SciPy answers a damaged file with whatever its parser ran into
-        reason = str(problem).partition("\n")[0] or type(problem).__name__
-        raise RecordingError(f"{path}: no MATLAB file, or damaged: {reason}") from None
-    return {name: value for name, value in content.items() if not name.startswith("__") and isinstance(value, np.ndarray)}
+        return numeric_arrays(path.read_bytes())
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
+    except Mat5Error as problem:
+        raise RecordingError(f"{path}: {problem}") from None
 
 
-def _known_names(variables: Mapping[str, np.ndarray], machine: Machine, path: Path) -> dict[str, str]:
+def _known_names(variables: Mapping[str, np.ndarray | None], machine: Machine, path: Path) -> dict[str, str]:
     if "time" in variables:
-        return {name: name for name, value in variables.items() if value.size > 1}
+        return {name: name for name, value in variables.items() if value is not None and value.size > 1}
     if {"t", "qg", "qm", "vir"} <= variables.keys() and len(machine.axes) == 1:
         axis = machine.axes[0]
         known = {name: quantity for name, quantity in EMPS_NAMES.items() if name in variables}
@@ -77,8 +73,8 @@ def _known_names(variables: Mapping[str, np.ndarray], machine: Machine, path: Pa
     raise RecordingError(f"{path}: its variables ({', '.join(variables)}) are not channels' names; say which is which, such as t=time")
 
 
-def _vector(value: np.ndarray, name: str, path: Path) -> np.ndarray:
-    if value.dtype.kind not in "fiub" or value.ndim > 2 or min(value.shape) != 1:
+def _vector(value: np.ndarray | None, name: str, path: Path) -> np.ndarray:
+    if value is None or value.ndim != 2 or min(value.shape) != 1:
         raise RecordingError(f"{path}: variable {name} is no vector of numbers")
     return value.ravel().astype(np.float64)
 

@@ -134,6 +134,25 @@ def test_a_blf_without_a_start_time_and_out_of_order_is_read(carm, tmp_path):
     np.testing.assert_array_equal(recording["command_roll"] / carm.bus.scalings[1].rated * 100, np.arange(4))
 
 
+def test_a_blf_that_was_cut_off_is_refused(tmp_path, carm):
+    path = write(tmp_path / "bus.blf", messages(range(8), carm))
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(RecordingError, match=f"{size - 50} bytes of {size}; it was cut off"):
+        read_recording(path)
+
+
+def test_an_object_of_length_0_in_a_blf_does_not_read_for_ever(tmp_path, carm):
+    with can.BLFWriter(tmp_path / "bus.blf", compression_level=0) as writer:
+        for message in messages(range(2), carm):
+            writer(message)
+    content = (tmp_path / "bus.blf").read_bytes()
+    second = content.index(b"LOBJ", content.index(b"LOBJ") + 4)  # the first is the container
+    (tmp_path / "bus.blf").write_bytes(content[: second + 8] + bytes(4) + content[second + 12 :])
+    with pytest.raises(RecordingError, match="an object of length 0"):
+        read_recording(tmp_path / "bus.blf")
+
+
 def test_without_a_machine_the_frames_themselves_are_the_rows(tmp_path):
     (tmp_path / "bus.log").write_text("(1.5) can0 181#0102 R\n(1.5) can0 1FFFFFFF#R\n(2.0) can1 000#\n(2.1) can0 20000004#00\n")
     recording = read_recording(tmp_path / "bus.log")

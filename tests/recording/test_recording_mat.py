@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hil.errors import RecordingError
 from hil.machine import load_machine
 from hil.recording import convert, read_recording
+from hil.recording.mat5 import numeric_arrays
 
 EMPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "emps"
 needs_emps = pytest.mark.skipif(not EMPS.is_dir(), reason="the EMPS records are not beside the repository (../shared/data/emps)")
@@ -98,10 +99,29 @@ def test_a_mat_without_machine_is_one_line(tmp_path):
         read_recording(save(tmp_path / "x.mat", time=[0.0]))
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_matlab_7_3_file_is_told_apart(carm, tmp_path):
+    (tmp_path / "x.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(512))
+    with pytest.raises(RecordingError, match="save it with -v7"):
+        read_recording(tmp_path / "x.mat", carm)
+
+
+def test_whatever_numeric_type_scipy_saves_is_read_as_it_is(tmp_path):
+    kinds = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"]
+    wanted = {f"v_{kind}": np.array([[1, 2, 3], [4, 5, 6]], dtype=kind) for kind in kinds}
+    others = {"text": "abc", "complex": np.array([1j]), "structure": {"a": 1.0}, "cell": np.array([1, "a"], dtype=object)}
+    for compressed in (False, True):
+        scipy.io.savemat(tmp_path / "x.mat", wanted | others, do_compression=compressed)
+        found = numeric_arrays((tmp_path / "x.mat").read_bytes())
+        assert all(found[name] is None for name in others)
+        for name, values in wanted.items():
+            assert found[name].dtype == values.dtype
+            np.testing.assert_array_equal(found[name], values)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255), keep=st.integers(0, 10_000))
 def test_a_damaged_mat_is_read_or_refused_in_one_line(carm, tmp_path, place, byte, keep):
-    path = save(tmp_path / "x.mat", time=[0.0, 0.5], position_roll=[0.1, 0.2])
+    path = save(tmp_path / "x.mat", time=[0.0, 0.5], position_roll=[0.1, 0.2], text="abc")
     content = bytearray(path.read_bytes())
     content[place % len(content)] = byte
     path.write_bytes(content[: keep + 1])
