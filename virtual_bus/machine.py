@@ -1,8 +1,7 @@
 """The emulated machine: physics, drives, link encoders, IMU and brakes on one time of its own.
 
-Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of whoever calls `idle`, so heartbeats run,
-time-outs expire and the arm falls if nobody holds it; dense traffic without SYNC (configuration by SDO) takes no time, so that runs are
-repeatable.
+Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of whoever calls `idle` (see
+virtual_bus/idle_time.py), so heartbeats run, time-outs expire and the arm falls if nobody holds it.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.encoder import Cia406Encoder
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.power_state import PowerState
+from virtual_bus.idle_time import IdleTime
 from virtual_bus.modbus.io_device import EmulatedIo
 from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus
@@ -24,10 +24,6 @@ from virtual_bus.settings import EmulatedBus
 if TYPE_CHECKING:
     from virtual_bus.physics import Latched, Physics
 
-QUIET_S = 0.002
-"""A pause between frames shorter than this is the master computing, not waiting."""
-SILENCE_S = 0.05
-"""So much waiting since the last SYNC, and the machine's time begins to follow the clock."""
 TEMPERATURE_EVERY = 16  # samples between updates of the temperature registers: windings are slow
 
 _BRAKE_OUTPUT_ON = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}
@@ -86,7 +82,7 @@ class EmulatedMachine:
         self._effort = np.zeros(len(physics.axes))
         self._brakes_closed = [True] * len(physics.axes)
         self._samples = 0
-        self._pause_s = self._waited_s = self._owed_s = 0.0
+        self._idle = IdleTime(period_s)
         for node in self._nodes:
             node.on_routes = self._collect_routes
 
@@ -123,29 +119,20 @@ class EmulatedMachine:
     # ---- frames and time ------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes) -> None:
         """One data frame of the bus."""
-        self._pause_s = 0.0
         if can_id == self.bus.sync_cob_id:
             self._sync(data)
             return
+        self._idle.frame()
         for handler in self._routes.get(can_id, ()):
             handler(data)
 
     def idle(self, seconds: float) -> None:
         """The bus has been silent for that long (call it in any slices)."""
-        before = self._pause_s
-        self._pause_s = pause = before + seconds
-        if pause < QUIET_S:
-            return
-        waited = seconds if before >= QUIET_S else pause
-        if self._waited_s < SILENCE_S:
-            self._waited_s += waited
-            waited = self._waited_s - SILENCE_S
-            if waited <= 0.0:
-                return
-        self._owed_s += waited
-        while self._owed_s >= self.period_s:
-            self._owed_s -= self.period_s
-            self._tick_nodes()
+        idle = self._idle
+        idle.add(seconds)
+        while idle.step():
+            if self._tick_nodes():
+                idle.spoken()
             self._act()
             self._advance()
 
@@ -155,7 +142,7 @@ class EmulatedMachine:
         Heartbeats go before the TPDOs: a master that waits for the last TPDO has then heard everything of this SYNC, and the order of
         frames on the bus depends on no race.
         """
-        self._waited_s = self._owed_s = 0.0
+        self._idle.sync()
         self._tick_nodes()
         counter = None
         for node in self._sync_nodes:
@@ -165,13 +152,17 @@ class EmulatedMachine:
             node.end_sync(counter)
         self._advance()
 
-    def _tick_nodes(self) -> None:
+    def _tick_nodes(self) -> bool:
+        """What is due by now, node by node; whether there was anything."""
         now_s = self.time_s
+        spoken = False
         for node in self._nodes:
             if now_s >= node.deadline_s or node.event_driven:
                 node.tick(now_s)
+                spoken = True
             else:
                 node.now_s = now_s
+        return spoken
 
     def _act(self) -> None:
         """The drives' efforts act from now on; every sensor is read."""

@@ -12,8 +12,9 @@ import pytest
 from device_wires import PERIOD_S, SpinningMasses, two_axis_bus, u32
 from lockstep_client import Master
 
+from virtual_bus.idle_time import SILENCE_S
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
-from virtual_bus.machine import SILENCE_S, EmulatedMachine
+from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 from virtual_bus.serial.xsens_imu import EmulatedImu
 

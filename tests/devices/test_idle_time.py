@@ -1,0 +1,88 @@
+"""Which silences become machine time, and how much of it."""
+
+from __future__ import annotations
+
+import pytest
+from device_wires import PERIOD_S
+
+from virtual_bus.idle_time import ANSWER_S, QUIET_S, SILENCE_S, IdleTime
+
+
+class Silence:
+    """Silence in slices of a millisecond, as an emulator on the wall clock sees it; counts the periods that pass."""
+
+    def __init__(self) -> None:
+        self.idle = IdleTime(PERIOD_S)
+        self.periods = 0
+        self.talkative = False  # the devices send something in every period
+
+    def wait(self, seconds: float, slice_s: float = 0.001) -> None:
+        for _ in range(round(seconds / slice_s)):
+            self.idle.add(slice_s)
+            while self.idle.step():
+                self.periods += 1
+                if self.talkative:
+                    self.idle.spoken()
+
+    @property
+    def passed_s(self) -> float:
+        return self.periods * PERIOD_S
+
+
+@pytest.mark.parametrize("slice_s", [0.0005, 0.001, 0.005, 0.05])
+def test_long_silence_passes_in_full_but_for_its_beginning(slice_s: float) -> None:
+    silence = Silence()
+    silence.wait(3.0, slice_s)
+    assert silence.passed_s == pytest.approx(3.0 - SILENCE_S, abs=PERIOD_S)
+
+
+def test_nothing_passes_between_syncs_of_any_usual_rate() -> None:
+    for period_s in (0.001, PERIOD_S, 0.01, 0.04):
+        silence = Silence()
+        for _ in range(100):
+            silence.idle.sync()
+            silence.wait(period_s)
+        assert silence.periods == 0
+
+
+def test_hesitations_in_a_burst_of_frames_take_no_time() -> None:
+    silence = Silence()
+    silence.wait(SILENCE_S + 0.002)  # a quiet moment before the burst
+    for _ in range(40):
+        silence.idle.frame()
+    for k in range(3000):
+        silence.idle.frame()
+        silence.wait(0.030 if k % 20 == 0 else 0.001)  # a loaded computer
+    assert silence.periods == 0
+
+
+@pytest.mark.parametrize("pause_s", [QUIET_S, 0.005, 0.01, 0.1, 0.5])
+def test_a_master_that_polls_waits_too(pause_s: float) -> None:
+    silence = Silence()
+    for _ in range(round(4.0 / pause_s)):
+        silence.idle.frame()
+        silence.wait(pause_s)
+    assert silence.passed_s == pytest.approx(4.0, rel=0.05)
+
+
+def test_after_a_device_has_spoken_time_waits_for_an_answer_and_is_then_made_up_for() -> None:
+    silence = Silence()
+    silence.wait(SILENCE_S)
+    silence.talkative = True
+    silence.wait(PERIOD_S + 0.001)
+    assert silence.periods == 1
+    silence.wait(ANSWER_S - 0.002)
+    assert silence.periods == 1
+    silence.talkative = False
+    silence.wait(1.0)
+    assert silence.passed_s == pytest.approx(1.0 + ANSWER_S, abs=2 * PERIOD_S)
+
+
+def test_an_answer_in_time_finds_the_machine_where_it_spoke() -> None:
+    silence = Silence()
+    silence.talkative = True
+    silence.wait(SILENCE_S + PERIOD_S + 0.010)
+    assert silence.periods == 1
+    silence.idle.sync()
+    silence.wait(0.040)
+    assert silence.periods == 1
