@@ -10,6 +10,7 @@ import time
 from typing import TYPE_CHECKING
 
 import can
+import canopen
 import numpy as np
 
 from drivers.canopen import cia402, motion
@@ -75,6 +76,7 @@ class CanMachine:
         self._imu, self._io = imu, io
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
+        self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
         self._armed = [False] * len(self.axes)
         self._ticking = False
         self._io_lost = ""
@@ -191,7 +193,7 @@ class CanMachine:
         Raises
         ------
         DeviceFault
-            An enabled drive left operation enabled.
+            An enabled drive left operation enabled, or a node left the NMT state operational.
         HeartbeatLost
             A node fell silent.
         MotionRefused
@@ -208,6 +210,8 @@ class CanMachine:
             for axis, source in enumerate(self.inputs):
                 if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
                     self._explain_fault(axis)
+            if self.supervision.left_operational:
+                raise DeviceFault("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self.supervision.check_one(self.clock.now())
         except BaseException:
             self.stop()
@@ -283,7 +287,9 @@ class CanMachine:
     def _configure(self, node: Node) -> tuple[str, ...]:
         if node.node_id in self._nodes:
             self._nodes[node.node_id].close()
-        sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, load_object_dictionary(node.eds, node.node_id))
+        if node.node_id not in self._dictionaries:
+            self._dictionaries[node.node_id] = load_object_dictionary(node.eds, node.node_id)
+        sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, self._dictionaries[node.node_id])
         check_identity(sdo, node)
         scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
         notes = configure_node(sdo, node, self.settings, scaling)

@@ -63,6 +63,7 @@ class Supervision:
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
         self._running = False  # nodes were started: from now on leaving operational is a fault
+        self.left_operational = ""  # what a node did that was started and runs no more, in words; '' while all run
         for node_id in self._nodes:
             network.subscribe(HEARTBEAT + node_id, lambda can_id, data, _: self.heartbeat(can_id - HEARTBEAT, data))
             network.subscribe(EMERGENCY + node_id, lambda can_id, data, _: self.emergency(can_id - EMERGENCY, data))
@@ -77,7 +78,7 @@ class Supervision:
             watched.boots += 1
         if self._running and state != OPERATIONAL:
             change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES.get(state, f'NMT state {state:02X}h')}"
-            self._note(f"{watched.who}: {change}")
+            self.left_operational = self.left_operational or f"{watched.who}: {change}"
         watched.state = state
 
     def emergency(self, node_id: int, data: bytes | bytearray) -> None:
@@ -224,7 +225,7 @@ class Supervision:
         now = clock.now()
         for watched in self._nodes.values():
             watched.heard_s = watched.heard_s if watched.heard_s == watched.heard_s else now
-        self._fresh_fault = ""
+        self._fresh_fault = self.left_operational = ""
         self._running = True
 
     def stand_down(self) -> None:

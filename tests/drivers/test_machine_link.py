@@ -289,6 +289,15 @@ def test_an_emergency_of_any_node_is_in_the_sample(rig):
     assert faults[-1] == ""
 
 
+def test_a_node_that_leaves_operational_stops_everything(rig):
+    rig.ready()
+    rig.encoders[0].receive(0x000, bytes((0x80, 11)))
+    with pytest.raises(DeviceFault, match=r"propeller_encoder \(node 11\): left operational: pre-operational"):
+        for _ in range(60):
+            rig.machine.exchange(ZERO)
+    assert rig.at_rest()
+
+
 def test_a_controller_that_went_bus_off_is_a_fault(rig):
     rig.ready()
     rig.bus.queue.append(can.Message(arbitration_id=0x040, is_error_frame=True, is_extended_id=False, dlc=8))

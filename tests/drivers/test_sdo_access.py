@@ -1,7 +1,10 @@
 """Objects over SDO without a receiving thread: answers, aborts in words, read-back, lost frames, two devices of one id."""
 
 import threading
+import uuid
 
+import can
+import canopen
 import pytest
 from scripted_nodes import EDS, BusClock, ScriptedBus, ScriptedDrive, ScriptedNode
 
@@ -9,6 +12,7 @@ from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.sdo import RESPONSE_TIMEOUT_S, SdoNode
 from drivers.errors import BusError, ConfigurationRefused, DuplicateNode, NodeAbsent
+from hil.clock import WallClock
 
 
 def connected(*nodes: ScriptedNode) -> tuple[ScriptedBus, SdoNode]:
@@ -154,3 +158,19 @@ def test_a_dead_interface_is_a_bus_error():
         node.read(0x1000)
     with pytest.raises(BusError, match="scripted"):
         node.network.pump(0.1)
+
+
+def test_the_canopen_librarys_own_server_is_read_and_written_on_a_virtual_bus_in_wall_time():
+    channel = uuid.uuid4().hex
+    network = canopen.Network(can.Bus(interface="virtual", channel=channel))
+    network.connect()
+    try:
+        network.create_node(1, str(EDS / "isocenter_drive.eds"))
+        with can.Bus(interface="virtual", channel=channel) as bus:
+            node = SdoNode(PolledNetwork(bus, WallClock()), 1, "drive", load_object_dictionary(EDS / "isocenter_drive.eds", 1))
+            node.write_checked(0x6072, 0, 1234)
+            assert node.read_text(0x1008) == "Isocenter drive"
+            with pytest.raises(ConfigurationRefused, match="attempt to write a read only object"):
+                node.write_integer(0x6041, 0, 0)
+    finally:
+        network.disconnect()
