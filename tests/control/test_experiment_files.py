@@ -1,5 +1,8 @@
 """Experiment files read back what was written, carry units, and say in one line what is wrong."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -138,6 +141,12 @@ def test_without_a_jog_table_a_file_has_no_jog():
 def test_a_file_that_is_wrong_says_where_and_what_would_be_right(text, says):
     with pytest.raises(ExperimentError, match="^e.toml: .*" + says):
         experiment_from_text(text, CARM, "e.toml")
+
+
+def test_the_examples_of_the_documentation_are_experiments():
+    text = (Path(__file__).parents[2] / "docs" / "experiments.md").read_text()
+    examples = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert [type(experiment_from_text(example, CARM)) for example in examples] == [Multisine, Scan]
 
 
 def test_a_file_that_cannot_be_read_says_so(tmp_path):

@@ -61,6 +61,13 @@ def test_a_standstill_is_held_from_the_first_sample():
     np.testing.assert_allclose(command, np.tile(holding, (600, 1)), atol=1e-9)
 
 
+def test_a_position_missing_in_the_very_first_sample_is_answered_with_the_holding_effort():
+    feedback, out, holding = make(), np.zeros(2), np.array([1.7, -0.9])
+    feedback.preload(holding, np.zeros(2))
+    assert feedback.step(np.zeros(2), np.full(2, np.nan), np.zeros(2), np.zeros(2), out) == 0b11
+    assert np.array_equal(out, holding)
+
+
 def test_feedforward_brings_its_part_of_the_holding_effort():
     feedback = Feedback([AxisController("propeller", design.gain(50.0), None, 8.0, True)])
     feedback.preload(np.array([1.7]), np.array([0.3]), feedforward=np.array([1.7]))
