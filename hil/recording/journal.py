@@ -21,6 +21,11 @@ from typing import Any, Self
 
 import numpy as np
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 from hil.errors import RecordingError
 from hil.recording.metadata import metadata_text, parse_metadata
 from hil.recording.model import Channel, Recording
@@ -52,6 +57,7 @@ class Journal:
         """Complete rows in the file."""
         self._handle = handle
         self._size = size
+        _lock(handle, path)
 
     @classmethod
     def create(cls, path: Path, channels: ChannelTable, metadata: Mapping[str, Any]) -> Journal:
@@ -67,16 +73,7 @@ class Journal:
         if len(set(names)) != len(names):
             raise RecordingError(f"{path}: a channel name stands twice in {', '.join(names)}")
         header = metadata_text({**metadata, "journal_channels": [list(channel) for channel in channels]}).encode()
-        try:
-            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-        except FileExistsError:
-            name = path.name.removesuffix(".part")
-            raise RecordingError(
-                f"{path}: holds a recording that was cut short; keep it with `isocenter convert {name} OTHER.mf4`, or delete it"
-            ) from None
-        except OSError as problem:
-            raise RecordingError(f"{path}: cannot be written: {problem.strerror}") from None
-        journal = cls(path, handle, len(channels), 0, 0)
+        journal = cls(path, _open_new(path), len(channels), 0, 0)
         try:
             journal._write(MAGIC + _LENGTHS.pack(len(header), zlib.crc32(header)) + header)
         except RecordingError:
@@ -93,13 +90,9 @@ class Journal:
         rows, size = 0, start
         for count, _, end in _blocks(content, start, len(channels)):
             rows, size = rows + count, end
-        try:
-            handle = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
-            os.ftruncate(handle, size)
-            os.lseek(handle, size, os.SEEK_SET)
-        except OSError as problem:
-            raise RecordingError(f"{path}: cannot be written: {problem.strerror}") from None
-        return cls(path, handle, len(channels), rows, size)
+        journal = cls(path, _open(path, os.O_RDWR), len(channels), rows, size)
+        journal._cut_off_rest()
+        return journal
 
     def append(self, rows: np.ndarray) -> None:
         """Hand (n, width) rows to the operating system: after this call they survive the death of the process.
@@ -141,10 +134,13 @@ class Journal:
             while left:
                 left = left[os.write(self._handle, left) :]
         except OSError as problem:
-            os.ftruncate(self._handle, self._size)
-            os.lseek(self._handle, self._size, os.SEEK_SET)
+            self._cut_off_rest()
             raise RecordingError(f"{self.path}: cannot be written: {problem.strerror}; the {self.rows} rows before are kept") from None
         self._size += len(content)
+
+    def _cut_off_rest(self) -> None:
+        os.ftruncate(self._handle, self._size)
+        os.lseek(self._handle, self._size, os.SEEK_SET)
 
 
 def recover(part: Path) -> Recording:
@@ -180,6 +176,45 @@ def read_journal(part: Path) -> tuple[Recording, int]:
     except RecordingError as problem:
         raise RecordingError(f"{part}: {problem}") from None
     return recording, len(content) - end
+
+
+def _open_new(path: Path) -> int:
+    """Create the file; one that was left behind without a row makes way."""
+    new = os.O_RDWR | os.O_CREAT | os.O_EXCL
+    try:
+        return _open(path, new)
+    except FileExistsError:
+        with Journal.resume(path) as left:
+            rows = left.rows
+    if rows:
+        name = path.name.removesuffix(".part")
+        raise RecordingError(
+            f"{path}: {rows} rows of a recording that was cut short; keep it with `isocenter convert {name} OTHER.mf4`, or delete it"
+        )
+    path.unlink()
+    return _open(path, new)
+
+
+def _open(path: Path, flags: int) -> int:
+    try:
+        return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o644)
+    except FileExistsError:
+        raise
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be written: {problem.strerror}") from None
+
+
+def _lock(handle: int, path: Path) -> None:
+    """One writer at a time, where the system has such locks (not on Windows); the lock goes with the process that holds it."""
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise RecordingError(f"{path}: is being recorded by another process; choose another name") from None
+    except OSError:
+        return  # a file system without locks
 
 
 def _read(path: Path) -> bytes:

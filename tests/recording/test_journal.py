@@ -94,9 +94,24 @@ def test_a_recorder_that_takes_over_goes_on_behind_the_last_complete_row(tmp_pat
     assert_rows(recover(part), 20)
 
 
+def test_a_journal_left_without_rows_makes_way(tmp_path):
+    Journal.create(tmp_path / "run.csv.part", CHANNELS, METADATA).close()
+    with JournalSink(tmp_path / "run.csv", CHANNELS, METADATA) as sink:
+        sink.put(rows(0, 1)[0])
+    assert_rows(read_recording(tmp_path / "run.csv"), 1)
+
+
+def test_two_runs_cannot_record_into_one_file(tmp_path):
+    with JournalSink(tmp_path / "run.csv", CHANNELS, METADATA) as first:
+        first.put(rows(0, 1)[0])
+        with pytest.raises(RecordingError, match="is being recorded by another process; choose another name"):
+            JournalSink(tmp_path / "run.csv", CHANNELS, METADATA)
+    assert_rows(read_recording(tmp_path / "run.csv"), 1)
+
+
 def test_an_unfinished_recording_is_not_overwritten(tmp_path):
     journal_of(tmp_path / "run.mf4.part", [(0, 3)])
-    with pytest.raises(RecordingError, match=r"holds a recording .*`isocenter convert run\.mf4 OTHER\.mf4`"):
+    with pytest.raises(RecordingError, match=r"3 rows of a recording .*`isocenter convert run\.mf4 OTHER\.mf4`"):
         JournalSink(tmp_path / "run.mf4", CHANNELS, METADATA)
     assert_rows(recover(tmp_path / "run.mf4.part"), 3)
 
