@@ -56,6 +56,8 @@ class BenchOptions:
         In lockstep, what only the emulator knows.
     emulated : Machine, optional
         In lockstep, the machine that is really there, where it differs from its file.
+    real_time : bool
+        On a bus, ask for real-time scheduling; not where loop and emulator have to share one processor.
     """
 
     bus_url: str
@@ -66,6 +68,7 @@ class BenchOptions:
     frame_log: Path | None = None
     truth: Path | None = None
     emulated: Machine | None = None
+    real_time: bool = True
 
 
 @dataclass
@@ -135,7 +138,7 @@ class Bench:
     def _session(self) -> Iterator[None]:
         """Commissioned nodes, drives disabled, brakes closed; stopped and reset on the way out, whatever happens."""
         link = self.wiring.link
-        with real_time(wanted=not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
+        with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
             self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
             stack.callback(link.close)
             link.start()

@@ -133,7 +133,14 @@ def _velocity_gains(machine: Machine, physics: Physics) -> dict[str, float]:
 
 
 def emulate_machine(
-    machine: Machine, bus_url: str, pose: Mapping[str, float], *, seed: int = 0, noise: bool = True, truth: Path | None = None
+    machine: Machine,
+    bus_url: str,
+    pose: Mapping[str, float],
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    truth: Path | None = None,
+    punctual: bool = True,
 ) -> None:
     """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
 
@@ -149,7 +156,7 @@ def emulate_machine(
             stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_device, ports.io_url)))
             _say({"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url})
 
-        with real_time():  # its answers are as punctual as hardware's, where the system grants it
+        with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
             run_emulator(bus, emulated, ready)
 
 

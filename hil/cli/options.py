@@ -35,6 +35,9 @@ ImuOption = Annotated[str, typer.Option("--imu", metavar="DEVICE", help="Serial 
 IoOption = Annotated[
     str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")
 ]
+RealTimeOption = Annotated[
+    bool, typer.Option("--real-time/--no-real-time", help="Ask for real-time scheduling; not where loop and emulator share one processor.")
+]
 NominalPeriodOption = Annotated[float, typer.Option("--period", metavar="S", help="Base period; lines are its inverse apart.")]
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import BusOption, EffectsOption, PoseOption, load, parse_pose
+from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption, load, parse_pose
 from hil.cli.output import Answer
 
 
@@ -53,6 +53,7 @@ def emulate(
     truth: Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Write what only the emulator knows (.csv).")] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="The sensors' noise.")] = True,
+    real_time: RealTimeOption = True,
 ) -> None:
     """Run until interrupted."""
     from hil.emulation import emulate_eds, emulate_machine
@@ -64,4 +65,4 @@ def emulate(
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)
-    emulate_machine(machine, bus, parse_pose(pose, machine), seed=seed, noise=noise, truth=truth)
+    emulate_machine(machine, bus, parse_pose(pose, machine), seed=seed, noise=noise, truth=truth, punctual=real_time)

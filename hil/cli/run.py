@@ -16,6 +16,7 @@ from hil.cli.options import (
     MachineOption,
     NominalPeriodOption,
     PoseOption,
+    RealTimeOption,
     edge_scale,
     load,
     parse_pose,
@@ -92,6 +93,7 @@ def multisine(
     noise: NoiseOption = True,
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -116,7 +118,7 @@ def multisine(
         jog=jog,
         seed=seed,
     )
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 @app.command(
@@ -142,6 +144,7 @@ def scan(
     noise: NoiseOption = True,
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -151,7 +154,7 @@ def scan(
     _known_axis(axis, machine)
     scale = edge_scale(machine, axis)
     experiment = Scan(axis, start * scale, stop * scale, speed * scale, parse_pose(pose, machine), dwell, sweeps)
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 @app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
@@ -171,6 +174,7 @@ def jog(
     noise: NoiseOption = True,
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -179,7 +183,7 @@ def jog(
     machine = load(machine_name, effects)
     shape = Jog(amplitude_rad=amplitude * edge_scale(machine, machine.axes[0]), line=1, axes=_names(axes))
     experiment = JogOnly(jog=shape, pose=parse_pose(pose, machine), period_s=period, periods=periods)
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 @app.command(
@@ -198,13 +202,14 @@ def static(
     noise: NoiseOption = True,
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Static
 
     machine = load(machine_name, effects)
-    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 @app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
@@ -220,13 +225,14 @@ def from_file(
     noise: NoiseOption = True,
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import read_experiment
 
     machine = load(machine_name, effects)
-    _run(machine, read_experiment(path), out, bus, seed, imu, io, noise, frame_log, truth, json_to)
+    _run(machine, read_experiment(path), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 def _run(
@@ -240,6 +246,7 @@ def _run(
     noise: bool,
     frame_log: Path | None,
     truth: Path | None,
+    real_time: bool,
     json_to: str | None,
 ) -> None:
     from hil.bench import BenchOptions, open_bench, recording_paths
@@ -248,7 +255,7 @@ def _run(
     answer = Answer(json_to)
     for note in dict.fromkeys(note for plan in plans for note in plan.notes):
         answer.say(note)
-    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth)
+    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, real_time=real_time)
     records: list[dict[str, Any]] = []
     with open_bench(machine, options, plans[0].start_pose) as bench:
         with progress(answer.console) as bars:
