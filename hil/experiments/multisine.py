@@ -54,7 +54,7 @@ class Multisine:
     experiments: Mixing = "orthogonal"
     lines: tuple[int, ...] | Band = field(default_factory=Band)
     weights: tuple[float, ...] | None = None
-    amplitude_A: float | Mapping[str, float] = 1.0
+    amplitude_A: float | Mapping[str, float] = 0.8
     period_s: float = 20.0
     periods: int = 10
     settle_periods: int = 1

@@ -10,6 +10,7 @@ import scipy.signal
 from controllers.sections import response
 from hil.errors import ExperimentError
 from hil.machine import Machine
+from hil.machine.closed_loop import LinearLoop
 from virtual_bus.physics import Physics
 
 
@@ -37,11 +38,16 @@ class ClosedLoop:
         self._machine = machine
         model = physics.linearise(pose)
         outputs = [model.output_labels.index(f"position_{axis}") for axis in machine.axes]
-        period = 1.0 / machine.sample_rate_Hz
-        self._a, self._b, self._c, _, _ = scipy.signal.cont2discrete(
-            (model.A, model.B, model.C[outputs], np.zeros((len(outputs), model.ninputs))), period
+        loop = LinearLoop(model.A, model.B, model.C[outputs], machine.controllers, machine.sample_rate_Hz)
+        if (radius := loop.pole_radius()) >= 1.0:
+            raise ExperimentError(
+                f"{machine.name}: the closed loop is not stable at {pose.round(4).tolist()} (largest pole radius {radius:.6f}); "
+                "lower the controller's gain"
+            )
+        held = scipy.signal.cont2discrete(
+            (model.A, model.B, model.C[outputs], np.zeros((len(outputs), model.ninputs))), 1.0 / machine.sample_rate_Hz
         )
-        self._check_stable(pose)
+        self._a, self._b, self._c = held[:3]
 
     def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Response:
         """Response to one period of reference deviation and excitation, (N, n_axes) each.
@@ -85,27 +91,3 @@ class ClosedLoop:
         spectrum = np.zeros((samples // 2 + 1, values.shape[1]), dtype=complex)
         spectrum[lines] = values
         return np.fft.irfft(spectrum, samples, axis=0)
-
-    def _check_stable(self, pose: np.ndarray) -> None:
-        """Poles of plant, delay and C_y together lie inside the unit circle."""
-        blocks = [scipy.signal.sos2zpk(each.position_sections) for each in self._machine.controllers]
-        controller = [scipy.signal.zpk2ss(*block) for block in blocks]
-        n, m = len(self._a), len(self._machine.axes)
-        sizes = [len(a) for a, _, _, _ in controller]
-        total = n + m + sum(sizes)
-        loop = np.zeros((total, total))
-        loop[:n, :n], loop[:n, n : n + m] = self._a, self._b  # plant fed by the delayed command
-        start = n + m
-        for axis, ((a, b, c, d), size) in enumerate(zip(controller, sizes, strict=True)):
-            own = slice(start, start + size)
-            loop[own, own] = a
-            loop[own, :n] = -b @ self._c[axis][None, :]
-            loop[n + axis, own] = c[0]
-            loop[n + axis, :n] = -d[0, 0] * self._c[axis]
-            start += size
-        radius = float(np.abs(np.linalg.eigvals(loop)).max())
-        if radius >= 1.0:
-            raise ExperimentError(
-                f"{self._machine.name}: the closed loop is not stable at {pose.round(4).tolist()} (largest pole radius {radius:.6f}); "
-                "lower the controller's gain"
-            )
