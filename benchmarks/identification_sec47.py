@@ -3,8 +3,8 @@
     python benchmarks/identification_sec47.py --out sec47.json [--draws 8]
 
 y = [imu_y, position_roll], n_z = 4; 6 periods of 10 s; noise 30 dB below the acceleration and 20 dB below the encoder signal, fed back
-where the encoder is; Table 4.1's orders and windows for LPM and 2D-LPM. Error is (4.55) against the plant's linearisation; bias is the error of
-the mean over the draws less its own variance. Finished draws are kept beside the result: a run may be broken off and taken up again.
+where the encoder is; Table 4.1's orders and windows for LPM and 2D-LPM. Error is (4.55) against the plant's linearisation; bias is the
+error of the mean over the draws less its own variance. Finished draws are kept beside the result: a run broken off is taken up again.
 """
 
 from __future__ import annotations

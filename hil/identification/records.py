@@ -29,7 +29,7 @@ class PeriodicRecords:
     inputs : (M, E, T, n_u) plant inputs, or None in open loop, where the excitation is the input.
     excitation : (M, E, T, n_u) w, added to the feedback's command.
     period_samples : samples N of one period.
-    settle_periods : leading periods that still hold the transient; averaging leaves them out, local methods use them.
+    settle_periods : leading periods that still hold the transient; averaging leaves them out, local methods use them unless a jog grows in.
     sample_rate_Hz : f_s.
     lines : (L,) excited lines, multiples of f_s / N; neither 0 nor N/2.
     output_names, input_names, output_units, input_units : labels in the arrays' order.

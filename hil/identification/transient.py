@@ -85,6 +85,8 @@ def complete_periods(records: PeriodicRecords, skip: int) -> tuple[tuple[np.ndar
     signals : one or two of (M, E, P N, n). periods : P. notes : what was left out.
     """
     N = records.period_samples
+    if records.unexcited_reference_lines:
+        skip = max(skip, records.settle_periods)  # the jog grows in over them: a motion that is neither periodic nor a transient
     measured = (records.outputs,) if records.inputs is None else (records.outputs, records.inputs)
     signals = tuple(signal[:, :, skip * N :] for signal in measured)
     M, E, T = signals[0].shape[:3]

@@ -1,6 +1,7 @@
 """Claims about going from recordings to a frequency response, its file, and its figure."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_
 
 from hil.errors import UnusableInput
 from hil.figures.frf import frf_figure
-from hil.identification import IdentificationError, identify, read_frf, write_frf
+from hil.figures.frf_over_poses import surface_figure, variance_figure
+from hil.identification import IdentificationError, PoseModel, identify, identify_poses, read_frf, write_frf
 from hil.recording.model import Channel, Recording
 
 PERIOD, SETTLE, LINES = 256, 6, np.arange(1, 100, 2)
@@ -185,3 +187,24 @@ def test_the_figure_labels_every_axis_with_its_unit(made):
     assert any("imu_x" in text and "m/(s^2 A)" in text for text in texts)
     assert any("command_roll [A]" in text for text in texts)
     assert figure.axes[-1].get_xlabel() == "Frequency [Hz]"
+
+
+def test_figures_over_poses_name_axes_and_methods(made):
+    poses = [replace(identify(recordings(seed=s, pose=(0.0, angle))), pose=(0.0, angle)) for s, angle in ((1, -0.5), (2, 0.5))]
+    surface = surface_figure(poses, 1)
+    surface.savefig(io.BytesIO(), dpi=40)
+    assert surface.axes[0].get_ylabel() == "pose [°]"
+    compared = variance_figure({"one": poses, "other": poses})
+    compared.savefig(io.BytesIO(), dpi=40)
+    assert {text.get_text() for text in compared.legends[0].get_texts()} >= {"one, noise", "other, nonlinear"}
+
+
+def test_every_pose_is_identified_and_neighbours_help_if_asked():
+    made = [r for s, angle in ((1, -0.5), (2, 0.0), (3, 0.5)) for r in recordings(seed=s, pose=(0.0, angle))]
+    apart = identify_poses(made, "robust_bla")
+    assert [response.pose for response in apart] == [(0.0, -0.5), (0.0, 0.0), (0.0, 0.5)]
+    together = identify_poses(made, "nd_lrm", over_poses=PoseModel((1,), (1,), (1,)))
+    assert together[1].method == "nd_lrm"
+    assert together[1].settings["poses"] == 3
+    with pytest.raises(IdentificationError, match="use identify_poses"):
+        identify(made[:6], "nd_lrm")
