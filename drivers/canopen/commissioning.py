@@ -13,6 +13,7 @@ from drivers.settings import HomingSettings
 DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
 RAMP_SHARE = 0.5  # of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
+AVERAGING_S = 0.5  # after a brake has closed a flexible structure still swings: the mean over some of its periods is where it stands
 
 HOMING_AT_PRESENT_POSITION = frozenset({35, 37})
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
@@ -140,7 +141,7 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     source = machine.inputs[axis]
     source.counter_was_set()
     source.offset = 0.0
-    position, link = _positions(machine, axis, holding)
+    position, link = _mean_positions(machine, axis, holding)
     if not moves and np.isfinite(link):
         source.offset = link - position
 
@@ -159,7 +160,7 @@ def check_agreement(machine: Machine, axis: int, settings: HomingSettings, comma
         They differ by more than `agreement_tolerance`.
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
-    position, link = _positions(machine, axis, command)
+    position, link = _mean_positions(machine, axis, command)
     if np.isfinite(link) and abs(position - link) > settings.agreement_tolerance:
         raise MotionRefused(
             f"{name}: motor side {position:+.5f} {unit}, link encoder {link:+.5f} {unit}: "
@@ -183,6 +184,16 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
         if machine.clock.now() > deadline:
             silent = "position" if not np.isfinite(position) else "link encoder"
             raise BusTimeout(f"{machine.axes[axis]}: no {silent} for {SAMPLE_TIMEOUT_S:.1f} s")
+
+
+def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
+    """The same, averaged at a standstill in which the structure may still swing."""
+    rows = [_positions(machine, axis, command)]
+    end = machine.clock.now() + AVERAGING_S
+    while machine.clock.now() < end:
+        rows.append(_positions(machine, axis, command))
+    position, link = np.mean(rows, axis=0)
+    return float(position), float(link)
 
 
 def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: bool) -> None:

@@ -64,6 +64,21 @@ def test_homing_finds_the_pose_the_machine_was_put_at(rig):
     assert sample.link_position == pytest.approx(POSE, abs=windup)
 
 
+def test_homing_on_the_encoders_index_pulse_agrees_with_the_link_encoder():
+    settings = WITHOUT_IO.bus
+    turn = 4096 * settings.scalings[0].position_resolution  # of the motor, at the joint: the pulse below the start is the first above zero
+    nodes = tuple(dataclasses.replace(node, writes=((0x607C, 0, 4096),)) if node.role == "drive" else node for node in settings.nodes)
+    homings = tuple(dataclasses.replace(homing, method=33) for homing in settings.homings)
+    machine = dataclasses.replace(WITHOUT_IO, bus=dataclasses.replace(settings, nodes=nodes, homings=homings))
+    rig = Rig(machine, np.array([turn + 0.004, turn + 0.006]))
+    rig.link.start()
+    lines = rig.link.home(rig.holding, check_first_move=False)
+    assert all("differ by" in line for line in lines)
+    sample = rig.link.exchange(np.zeros(2))
+    assert sample.position == pytest.approx(sample.link_position, abs=5e-3)  # it still swings a little; a turn amiss would be 12.6e-3
+    rig.bus.shutdown()
+
+
 def test_the_first_move_check_passes_on_a_healthy_machine_and_moves_little(rig):
     rig.link.start()
     lines = rig.link.home(rig.holding)
