@@ -11,6 +11,9 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.recording import Recording
 
+STANDSTILL = 1e-12
+"""A channel that varies by less than this share of its largest value does not move: what is left is rounding."""
+
 INPUTS = ("time", "reference_", "excitation_", "feedforward_")
 LARGEST_LAG = 5
 """Rows either way in which the lag is looked for: an off-by-one in somebody's timing shows, a wrong model's phase does not run away."""
@@ -110,12 +113,13 @@ def _compare_channel(name: str, recording: Recording, simulation: Recording) -> 
     difference = s[both] - y[both]
     rms = _rms(difference)
     spread = _rms(y[both] - y[both].mean())
+    moves = spread > STANDSTILL * np.abs(y[both]).max()
     return ChannelComparison(
         name=name,
         unit=recorded.unit,
         rms=rms,
         largest=float(np.abs(difference).max()),
-        nrmse=rms / spread if spread > 0.0 else float("nan"),
+        nrmse=rms / spread if moves else float("nan"),
         lag_rows=_lag(y, s),
         rows=int(both.sum()),
     )

@@ -39,7 +39,6 @@ class Rows(NamedTuple):
     position: np.ndarray  # (N, n)
     link_position: np.ndarray  # (N, n)
     imu: np.ndarray  # (N, 6 imus)
-    temperature_degC: np.ndarray  # (N, n)
 
 
 KERNEL = '''"""Generated: closed loop of one plant; do not edit."""
@@ -50,7 +49,7 @@ from PLANT import advance, imu_reading
 from controllers.feedback import feedback_step
 from virtual_bus.plant.jit import compiled_and_cached
 from virtual_bus.sensors.encoder import quantised
-from virtual_bus.sensors.measure import measure, warm_up
+from virtual_bus.sensors.measure import measure
 
 
 @compiled_and_cached
@@ -60,19 +59,18 @@ def run(closed, state, target, target_resolution, model, work, sensors, readings
     effort = np.zeros(axes)
     command = np.zeros(axes)
     brakes = np.zeros(axes)
-    temperature_rise = np.zeros(axes)
+    no_rise = np.zeros(axes)
     noise = np.zeros(axes + imu_motion.shape[0])
     for k in range(rows.reference.shape[0]):
         for i in range(axes):
             effort[i] = quantised(target[i], target_resolution[i])
         if imu_motion.shape[0] > 0:
             imu_reading(state, effort, brakes, model, work, imu_motion)
-        measure(state, effort, temperature_rise, imu_motion, noise, sensors, readings)
+        measure(state, effort, no_rise, imu_motion, noise, sensors, readings)
         rows.position[k] = readings.position
         rows.link_position[k] = readings.link_position
         rows.effort[k] = readings.effort
         rows.imu[k] = readings.imu
-        rows.temperature_degC[k] = readings.temperature_degC
         if closed:
             missing = feedback_step(
                 loop.sections, loop.state, loop.rows, loop.limit, loop.held,
@@ -86,7 +84,6 @@ def run(closed, state, target, target_resolution, model, work, sensors, readings
                 command[i] = min(max(rows.command[k, i], -loop.limit[i]), loop.limit[i])
         target[:] = command
         advance(state, effort, brakes, model, work)
-        warm_up(temperature_rise, effort, sensors)
     return -1
 '''
 

@@ -35,7 +35,8 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     Returns
     -------
     Recording
-        The same rows: inputs, command, measured effort, encoders and IMU.
+        The same rows: inputs, command, measured effort, encoders and IMU. Temperatures are left out: how warm the windings were at row 0
+        is not in a recording's inputs.
 
     Raises
     ------
@@ -82,7 +83,6 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     add("effort", outputs.effort, _effort_unit)
     add("position", outputs.position, _position_unit)
     add("link_position", outputs.link_position, _position_unit)
-    add("temperature", outputs.temperature_degC, lambda units: "degC")
     for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
         channels[name] = Channel(IMU_UNITS[name], values)
     metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation={"noise": False})

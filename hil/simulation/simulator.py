@@ -57,7 +57,6 @@ class Outputs:
     position: np.ndarray  # (N, n_axes) [rad or m]
     link_position: np.ndarray  # (N, n_axes); NaN without a link encoder
     imu: np.ndarray  # (N, 6 imus) specific force [m/s^2] and angular rate [rad/s]
-    temperature_degC: np.ndarray  # (N, n_axes); NaN without a thermometer
 
 
 class Simulator:
@@ -116,7 +115,7 @@ class Simulator:
         if failed >= 0 or not np.isfinite(state).all():
             at = f"at {failed / self.machine.sample_rate_Hz:.4g} s" if failed >= 0 else "in its last sample"
             raise BadAnswer(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
-        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.imu, rows.temperature_degC)
+        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.imu)
 
     def _rows(self, inputs: Inputs) -> Rows:
         shape = inputs.excitation.shape
@@ -131,7 +130,6 @@ class Simulator:
             position=np.zeros(shape),
             link_position=np.zeros(shape),
             imu=np.zeros((shape[0], 6 * len(self.machine.plant.imus))),
-            temperature_degC=np.zeros(shape),
         )
 
     @cached_property

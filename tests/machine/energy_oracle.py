@@ -1,6 +1,6 @@
 """Small motions of a tree of rigid bodies from its energies alone: an independent witness for natural frequencies and holding efforts.
 
-The mass matrix comes from body Jacobians, the stiffness from springs and the second difference of the gravity potential. It shares nothing with
+The mass matrix comes from body Jacobians, the stiffness from springs and the differences of gravity efforts. It shares nothing with
 the project's plant but the settings it reads.
 """
 
