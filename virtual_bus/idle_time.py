@@ -1,16 +1,18 @@
 """How the emulated machine's time follows a clock while no SYNC comes.
 
 A machine on a bus between processes must give the same frames in the same order as one in lockstep, run after run. So a pause counts as
-time only when somebody is really waiting: not while a master computes between two frames, not while a loaded computer hesitates in the middle
-of a configuration, and not right after a device has spoken and somebody may be about to answer. What is held back then is made up for.
+time only when somebody is really waiting: not while a master computes between two frames, not while a loaded computer hesitates in the
+middle of a configuration, and not right after a device has spoken and somebody may be about to answer. What is held back then is made up
+for.
 """
 
 from __future__ import annotations
 
 QUIET_S = 0.002
 """A shorter pause between frames is the master computing."""
-SILENCE_S = 0.05
-"""So much waiting since the last SYNC, and time begins to pass."""
+SILENCE_S = 0.1
+"""So much waiting since the last SYNC, and time begins to pass: longer than a busy computer lets a process stand still, shorter than the
+usual heartbeat time-outs."""
 PROMPT_S = 0.002
 """A frame that follows promptly takes so much of the waiting back: in a burst of frames single hesitations do not add up."""
 ANSWER_S = 0.02
@@ -29,9 +31,8 @@ class IdleTime:
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._pause_s = 0.0  # since the last frame
-        self._waited_s = 0.0  # 0 to SILENCE_S
+        self._waited_s = 0.0  # up to SILENCE_S
         self._owed_s = 0.0  # silence that has not yet become machine time
-        self._passing = False  # the silence since the last SYNC has been long enough once
 
     def frame(self) -> None:
         """A frame has come from the master."""
@@ -44,7 +45,6 @@ class IdleTime:
     def sync(self) -> None:
         """A SYNC has come: it alone moves time from here, and all waiting begins anew."""
         self._pause_s = self._waited_s = self._owed_s = 0.0
-        self._passing = False
 
     def spoken(self) -> None:
         """A device has sent something while nobody asked."""
@@ -57,14 +57,8 @@ class IdleTime:
         if self._pause_s < QUIET_S:
             return
         silence_s = seconds if before >= QUIET_S else self._pause_s
-        if not self._passing:
-            needed_s = min(silence_s, SILENCE_S - self._waited_s)
-            self._waited_s += needed_s
-            silence_s -= needed_s
-            self._passing = self._waited_s >= SILENCE_S
         self._waited_s = min(SILENCE_S, self._waited_s + silence_s)
-        if self._passing:
-            self._owed_s += silence_s
+        self._owed_s += silence_s
 
     def step(self) -> bool:
         """Whether one sample period is to pass now; call until it says no."""

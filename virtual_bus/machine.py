@@ -46,7 +46,7 @@ class EmulatedMachine:
     memory : path, optional
         Folder in which each device keeps its stored parameters, a file per device.
     witness : callable, optional
-        Called with the machine's time [s] whenever the sensors have been latched: for a truth recording.
+        Called with the machine's time [s] when the sensors have been latched at a SYNC: for a truth recording.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class EmulatedMachine:
         self.physics.place(axis_positions)
         for index, drive in self._drives:
             drive.place(float(axis_positions[index]))
-        self._latch()
+        self._read(self.physics.latch_exactly())
 
     def power_on(self) -> None:
         """Every device boots, in the order of node ids."""
@@ -134,6 +134,9 @@ class EmulatedMachine:
             if self._tick_nodes():
                 idle.spoken()
             self._act()
+            self._read(self.physics.latch_exactly())  # the noise of a row must not depend on how long somebody waited before
+            if self.imu is not None and (said := self.imu.advance(self.time_s)):
+                self.imu_out(said)
             self._advance()
 
     def _sync(self, data: bytes) -> None:
@@ -148,6 +151,12 @@ class EmulatedMachine:
         for node in self._sync_nodes:
             counter = node.begin_sync(data)
         self._act()
+        latched = self.physics.latch()
+        self._read(latched)
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+            self.imu_out(said)
+        if self._witness is not None:
+            self._witness(self.time_s)
         for node in self._sync_nodes:
             node.end_sync(counter)
         self._advance()
@@ -165,21 +174,16 @@ class EmulatedMachine:
         return spoken
 
     def _act(self) -> None:
-        """The drives' efforts act from now on; every sensor is read."""
+        """The drives' efforts act from now on."""
         effort = self._effort
         for index, drive in self._drives:
             effort[index] = drive.command()
         if self.io is None:
             self._work_brakes()
         self.physics.apply(effort)
-        latched = self._latch()
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
-            self.imu_out(said)
-        if self._witness is not None:
-            self._witness(self.time_s)
 
-    def _latch(self) -> Latched:
-        latched = self.physics.latch()
+    def _read(self, latched: Latched) -> None:
+        """Hand the sensors' readings to the devices."""
         counts, currents, temperatures = latched.position_counts.tolist(), latched.effort.tolist(), latched.temperature_degC.tolist()
         for index, drive in self._drives:
             drive.latch(counts[index], currents[index], temperatures[index])
@@ -190,7 +194,6 @@ class EmulatedMachine:
         if self.io is not None and self._samples % TEMPERATURE_EVERY == 0:
             for axis, temperature in zip(self.physics.axes, temperatures, strict=True):
                 self.io.set_temperature(axis, temperature)
-        return latched
 
     def _advance(self) -> None:
         self.physics.advance()

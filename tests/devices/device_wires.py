@@ -157,6 +157,7 @@ class SpinningMasses:
         self.load = np.zeros(len(axes))  # a constant effort against the drive
         self.temperature_degC = 24.0
         self.advanced = 0
+        self.rows = 0  # times the noisy sensors were read
         self._start = np.zeros(len(axes))
 
     def place(self, axis_positions: np.ndarray) -> None:
@@ -170,6 +171,10 @@ class SpinningMasses:
         self.effort[:] = effort
 
     def latch(self) -> Latched:
+        self.rows += 1
+        return self.latch_exactly()
+
+    def latch_exactly(self) -> Latched:
         latched = Latched(len(self.axes))
         latched.position_counts[:] = np.round((self.position - self._start) / RESOLUTION)
         latched.link_counts[:] = np.round(self.position / (2.0 * np.pi / 8388608))

@@ -12,7 +12,6 @@ import pytest
 from device_wires import PERIOD_S, SpinningMasses, two_axis_bus, u32
 from lockstep_client import Master
 
-from virtual_bus.idle_time import SILENCE_S
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
@@ -113,7 +112,7 @@ def test_waiting_lets_the_machine_live() -> None:
     came = master.wait(2.0)
     heartbeats = [can_id for can_id, _ in came if can_id == 0x701]
     assert len(heartbeats) == pytest.approx(20, abs=1)
-    assert master.machine.time_s == pytest.approx(2.0 - SILENCE_S, abs=2 * PERIOD_S)
+    assert master.machine.time_s == pytest.approx(2.0, abs=2 * PERIOD_S)
     assert master.bus.time_s == pytest.approx(2.0)
 
 
@@ -123,7 +122,17 @@ def test_time_passes_for_a_master_that_polls_slowly(pause_s: float) -> None:
     for _ in range(round(2.0 / pause_s)):
         master.read(1, 0x6041)
         master.wait(pause_s)
-    assert master.machine.time_s == pytest.approx(2.0 - SILENCE_S, abs=2 * pause_s)
+    assert master.machine.time_s == pytest.approx(2.0, abs=2 * pause_s)
+
+
+def test_waiting_draws_no_noise_and_triggers_nothing() -> None:
+    """Rows of a run must not depend on how long somebody waited before it."""
+    times: list[float] = []
+    master = Master(witness=times.append)
+    master.wait(1.0)
+    assert master.physics.rows == 0 and times == []
+    master.tick({}, {})
+    assert master.physics.rows == 1 and len(times) == 1
 
 
 def test_receiving_with_a_time_out_waits_in_virtual_time_only() -> None:
