@@ -64,7 +64,7 @@ class Dynamics:
     sample_period_s: float | None = None
 
     @classmethod
-    def from_polynomials(cls, numerator: Sequence[float], denominator: Sequence[float], sample_period_s: float | None = None) -> Dynamics:
+    def from_polynomials(cls, numerator: np.ndarray | Sequence[float], denominator: np.ndarray | Sequence[float], sample_period_s: float | None = None) -> Dynamics:
         """From a transfer function's coefficients, highest power first (of z for a sampled system).
 
         Raises
@@ -72,7 +72,7 @@ class Dynamics:
         DesignError
             More zeros than poles: no such system runs forwards in time.
         """
-        numerator, denominator = np.trim_zeros(np.atleast_1d(numerator), "f"), np.trim_zeros(np.atleast_1d(denominator), "f")
+        numerator, denominator = (np.trim_zeros(np.asarray(part, dtype=float), "f") for part in (numerator, denominator))
         if len(numerator) > len(denominator):
             raise DesignError(f"{len(numerator) - 1} zeros and {len(denominator) - 1} poles: a system has at least as many poles as zeros")
         if len(denominator) == 1:
@@ -162,7 +162,7 @@ class Dynamics:
         unstable = self.poles[self.poles.real >= 0.0]
         if unstable.size:
             worst = unstable[np.argmax(unstable.real)]
-            raise DesignError(f"the plant has a pole at {worst:.4g} rad/s: not stable, so no shaper settles it; close a loop around it first")
+            raise DesignError(f"the plant is not stable (pole at {worst:.4g} rad/s), so no shaper settles it; close a loop around it first")
 
     def _in_s(self, values: np.ndarray) -> np.ndarray:
         if self.sample_period_s is None:

@@ -48,7 +48,7 @@ def harmonic_conditions(
     if any(frequency < 0.0 or not np.isfinite(frequency) for frequency in forcing) or len(set(forcing)) < len(forcing):
         raise DesignError(f"forcing frequencies must be different and not negative, are {forcing} rad/s")
     if not set(flat) <= set(forcing):
-        raise DesignError(f"robust forcing frequencies {sorted(set(flat) - set(forcing))} rad/s are not among the forcing frequencies {forcing}")
+        raise DesignError(f"robust forcing frequencies {sorted(set(flat) - set(forcing))} rad/s are not among {forcing}")
     check_apart(poles, forcing)
     conditions = cancelling(poles) + tracking(dynamics, forcing)
     conditions += [condition for condition in cancelling(desensitised, True) if condition.order == 1]

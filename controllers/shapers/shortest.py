@@ -72,7 +72,7 @@ def shortest_delays(
         if not again and shaper.gain_sum <= gain_sum_limit and shaper.delays_s[1] <= longest_s:
             found.append(shaper)
     if not found:
-        raise DesignError(f"no delay up to {longest_s:.4g} s meets all conditions with {taps} taps and a gain sum of at most {gain_sum_limit:.4g}")
+        raise DesignError(f"no delay up to {longest_s:.4g} s meets all conditions with {taps} taps and a gain sum up to {gain_sum_limit:.4g}")
     return found
 
 

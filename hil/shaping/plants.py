@@ -1,0 +1,143 @@
+"""From reference to what moves: a machine's closed loop at one pose, as one path a shaper is designed for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+
+from controllers.errors import DesignError
+from controllers.settings import AxisController
+from controllers.shapers.dynamics import Dynamics
+from hil.machine import Machine
+from virtual_bus.physics import Physics
+
+if TYPE_CHECKING:
+    import control
+
+STEP = 1e-5
+"""Joint displacement [rad or m] for the detector's Jacobian by central differences: its error is of the order of 1e-10."""
+
+
+def from_state_space(system: control.StateSpace, output: str | int = 0, input_: str | int = 0) -> Dynamics:
+    """One path of a `control.StateSpace`, by name or number; sampled if its `dt` is positive.
+
+    Raises
+    ------
+    DesignError
+        No such input or output.
+    """
+    row, column = _index(system.output_labels, output, "output"), _index(system.input_labels, input_, "input")
+    period = float(system.dt) if isinstance(system.dt, float) and system.dt > 0.0 else None
+    a, b, c, d = (np.asarray(part, dtype=float) for part in (system.A, system.B, system.C, system.D))
+    return Dynamics(a, b[:, column], c[row], float(d[row, column]), period)
+
+
+def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "detector", physics: Physics | None = None) -> Dynamics:
+    """From the reference of an axis to a position, linear about rest at a pose, sampled with the loop's timing (docs/notation.md).
+
+    Parameters
+    ----------
+    machine : Machine
+        With a controller.
+    pose : (n_axes,) array
+    axis : str
+    output : str
+        "detector": displacement of the detector's centre along the path on which this axis alone would carry it, over its lever arm, so in
+        the axis's own unit; "link": behind the gear, where the link encoder is; "motor": the encoder the loop is closed on.
+    physics : Physics, optional
+        Of this machine, where it is already compiled.
+
+    Raises
+    ------
+    DesignError
+        No controller, no detector, or a detector that this axis does not move.
+    """
+    if not machine.controllers:
+        raise DesignError(f"{machine.name} has no controller, so no closed loop whose reference could be shaped")
+    physics = physics or Physics(machine.plant, noise=False)
+    n, axes = physics.plant.joints, len(machine.axes)
+    plant = physics.linearise(pose)
+    motion = (plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n])  # the IMU's low passes hang behind it
+    a, b, _, _, _ = scipy.signal.cont2discrete((*motion, np.zeros((1, 2 * n)), np.zeros((1, axes))), 1.0 / machine.sample_rate_Hz)
+    measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
+    row = np.zeros(2 * n)
+    index = machine.axis_index(axis)
+    if output == "detector":
+        row[:n] = _detector_row(machine, physics, pose, index)
+    elif output in ("link", "motor"):
+        name = f"{'link_' if output == 'link' else ''}position_{axis}"
+        if name not in plant.output_labels:
+            raise DesignError(f"{machine.name} has no encoder {name}")
+        row = plant.C[plant.output_labels.index(name), : 2 * n]
+    else:
+        raise DesignError(f"output {output!r}: must be detector, link or motor")
+    return _loop(a, b, measured, row, machine.controllers, index, 1.0 / machine.sample_rate_Hz)
+
+
+def _loop(
+    a: np.ndarray, b: np.ndarray, measured: np.ndarray, row: np.ndarray, controllers: tuple[AxisController, ...], axis: int, period_s: float
+) -> Dynamics:
+    """Plant states, the command that the drives hold for a sample, then the states of C_y and of C_r where that is another filter."""
+    filters = []  # (axis fed, from reference, from position, a, b, c, d)
+    for number, controller in enumerate(controllers):
+        shared = controller.reference_sections is None
+        filters.append((number, 1.0 if shared else 0.0, -1.0, *_state_space(controller.position_sections)))
+        if controller.reference_sections is not None:
+            filters.append((number, 1.0, 0.0, *_state_space(controller.reference_sections)))
+    n, axes = len(a), b.shape[1]
+    sizes = [len(entry[3]) for entry in filters]
+    total = n + axes + sum(sizes)
+    loop, entering = np.zeros((total, total)), np.zeros(total)
+    loop[:n, :n], loop[:n, n : n + axes] = a, b
+    start = n + axes
+    for (number, from_reference, from_position, f, g, h, d), size in zip(filters, sizes, strict=True):
+        own = slice(start, start + size)
+        loop[own, own] = f
+        loop[own, :n] = from_position * np.outer(g, measured[number])
+        loop[n + number, own] += h
+        loop[n + number, :n] += from_position * d * measured[number]
+        if number == axis:
+            entering[own] = from_reference * g
+            entering[n + number] += from_reference * d
+        start += size
+    seen = np.zeros(total)
+    seen[:n] = row
+    return Dynamics(loop, entering, seen, 0.0, period_s)
+
+
+def _detector_row(machine: Machine, physics: Physics, pose: np.ndarray, axis: int) -> np.ndarray:
+    """(joints,) displacement of the detector's centre along this axis's path, per joint, over what the axis itself does."""
+    geometry = machine.geometry
+    if geometry is None or geometry.detector_body not in machine.plant.watched_bodies:
+        raise DesignError(f"{machine.name} has no [geometry] with a detector; take output link or motor")
+    body = machine.plant.watched_bodies.index(geometry.detector_body)
+    joint = physics.plant.joint_of_axis()[machine.axes[axis]]
+    rest = np.zeros(physics.plant.joints)
+    rest[list(physics.plant.joint_of_axis().values())] = pose
+
+    def centre(q: np.ndarray) -> np.ndarray:
+        found = physics.plant.body_poses(physics.model, q)[body]
+        return found[:3] + found[3:].reshape(3, 3) @ geometry.detector_center_m
+
+    shifts = STEP * np.eye(len(rest))
+    jacobian = np.array([(centre(rest + shift) - centre(rest - shift)) / (2.0 * STEP) for shift in shifts]).T
+    path = jacobian[:, joint]
+    if not np.linalg.norm(path) > 1e-6:
+        raise DesignError(f"{machine.axes[axis]} does not move the detector's centre at {np.round(pose, 4).tolist()}; take output link")
+    return path @ jacobian / (path @ path)
+
+
+def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    a, b, c, d = scipy.signal.zpk2ss(*scipy.signal.sos2zpk(sections))
+    return a, np.asarray(b).reshape(-1), np.asarray(c).reshape(-1), float(np.asarray(d).reshape(-1)[0])
+
+
+def _index(labels: list[str], wanted: str | int, what: str) -> int:
+    if isinstance(wanted, str) and wanted in labels:
+        return labels.index(wanted)
+    if isinstance(wanted, int) and 0 <= wanted < len(labels):
+        return wanted
+    raise DesignError(f"{what} {wanted!r}: the system has {', '.join(labels)}")
