@@ -264,6 +264,16 @@ def test_saved_parameters_survive_power_off_and_load_brings_the_defaults_back(tm
     assert after.sdo[0x1017].raw == 0
 
 
+def test_a_restore_is_done_once() -> None:
+    wire, remote = bare_wire(ENCODER_EDS)
+    remote.sdo.download(0x1011, 1, b"load")
+    wire.command(RESET_NODE)
+    remote.sdo[0x1017].raw = 250
+    remote.sdo.download(0x1010, 1, b"save")
+    wire.command(RESET_NODE)
+    assert remote.sdo[0x1017].raw == 250
+
+
 def test_saving_one_group_leaves_the_others(tmp_path: Path) -> None:
     memory = tmp_path / "drive.json"
     _, remote = bare_wire(DRIVE_EDS, 4, memory)

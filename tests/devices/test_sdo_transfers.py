@@ -219,6 +219,15 @@ def test_a_segment_more_than_announced_is_refused(lab: tuple[Wire, canopen.Remot
     assert abort_of(wire.sdo_raw(b"\x00" + b"A" * 7)) == 0x06070012
 
 
+@pytest.mark.parametrize(("announced", "code"), [(8, 0x06070012), (1, 0x06070013)])
+def test_a_length_that_does_not_fit_the_object_is_refused_before_any_segment(
+    lab: tuple[Wire, canopen.RemoteNode], announced: int, code: int
+) -> None:
+    wire, _ = lab
+    assert abort_of(wire.sdo_raw(bytes.fromhex("21 17 10 00") + u32(announced))) == code
+    assert abort_of(wire.sdo_raw(bytes.fromhex("C2 17 10 00") + u32(announced))) == code
+
+
 def test_a_new_request_ends_the_old_transfer(lab: tuple[Wire, canopen.RemoteNode]) -> None:
     wire, remote = lab
     wire.sdo_raw(bytes.fromhex("21 01 20 00 64 00 00 00"))
