@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import sosfilt
 
 from hil.machine import load_machine
 from hil.recording import read_recording
@@ -25,16 +26,15 @@ def record(request):
 
 def test_the_machine_file_repeats_the_recorded_command_from_the_recorded_positions(record):
     """vir = C_r qg - C_y qm + pulses: the discretisation in the file is the one of the real controller."""
-    from scipy.signal import sosfilt
-
     controller = MACHINE.controllers[0]
     command = sosfilt(controller.reference_sections, record["reference_carriage"]) - sosfilt(
         controller.position_sections, record["position_carriage"]
     )
     if "excitation_carriage" in record:
         command += record["excitation_carriage"]
-    difference = (command - record["command_carriage"])[10:]
-    assert np.sqrt(np.mean(difference**2) / np.mean(record["command_carriage"] ** 2)) < (0.031 if "excitation_carriage" in record else 0.003)
+    recorded = record["command_carriage"]
+    error = np.sqrt(np.mean((command - recorded)[10:] ** 2) / np.mean(recorded**2))
+    assert error < (0.031 if "excitation_carriage" in record else 0.003)  # the pulses' unit is known to 1.4 % only
 
 
 def test_nominal_mass_and_viscous_friction_leave_the_dry_friction_unexplained(record):

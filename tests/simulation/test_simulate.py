@@ -159,7 +159,8 @@ def test_an_open_loop_machine_is_driven_by_its_command():
 
 
 def test_an_unstable_loop_is_reported_with_its_time():
-    wild = edited(EMPS, ("[160720.821, 0.0, -121725.0,", "[-1.0e150, 0.0, 0.0,"), ("limit_V = 10.0", "limit_V = 1e308"))
+    strong, unlimited, smooth = ("[160720.821,", "[-1.0e150,"), ("limit_V = 10.0", "limit_V = 1e308"), ("_um = 0.05", "_um = 0.0")
+    wild = edited(EMPS, strong, unlimited, smooth)
     with pytest.raises(BadAnswer, match=r"emps: the simulation diverged at .* s; check the controller"):
         simulate(wild, recording_of(EMPS))
 
