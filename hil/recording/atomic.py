@@ -4,35 +4,44 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from hil.errors import RecordingError
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write `content` beside `path`, bring it to the disk, then let it take `path`'s place.
+def write_atomically(files: Mapping[Path, bytes]) -> None:
+    """Write every file beside its place, bring all to the disk, then let each take its place.
 
     Raises
     ------
     RecordingError
-        The file cannot be written (no such folder, no permission, disk full); what was at `path` is untouched.
+        A file cannot be written (no such folder, no permission, disk full); what was in their places is untouched.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
+    at = next(iter(files))
     try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
+        for at, content in files.items():
+            _write(drafts[at], content)
+        for at, draft in drafts.items():
+            os.replace(draft, at)
     except OSError as problem:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-        raise RecordingError(f"{path}: cannot be written: {problem.strerror or problem}") from None
-    _sync_folder(path.parent)
+        for draft in drafts.values():
+            with contextlib.suppress(OSError):
+                draft.unlink()
+        raise RecordingError(f"{at}: cannot be written: {problem.strerror or problem}") from None
+    _sync_folder(at.parent)
+
+
+def _write(draft: Path, content: bytes) -> None:
+    with draft.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the new name to the disk as well, where folders can be synced (not on Windows)."""
+    """Bring the new names to the disk as well, where folders can be synced (not on Windows)."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -37,8 +37,7 @@ def write_csv(recording: Recording, path: Path) -> None:
     if beside.exists():
         _read_metadata(beside, f"{path} would put its metadata there: choose another name")
     metadata = metadata_text({**recording.metadata, "rows": recording.rows})
-    write_atomically(beside, metadata.encode())
-    write_atomically(path, csv_text(recording).encode())
+    write_atomically({beside: metadata.encode(), path: csv_text(recording).encode()})
 
 
 def csv_text(recording: Recording) -> str:

@@ -19,6 +19,7 @@ import logging
 import re
 import struct
 import sys
+import tempfile
 import warnings
 import zlib
 from collections.abc import Iterator
@@ -58,14 +59,11 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     if len(recording.channels) < 2 or not recording.rows:
         raise RecordingError(f"{path}: nothing to write: {recording.rows} rows of {', '.join(recording.channels)}")
     signals = [_signal(name, channel, recording.time) for name, channel in recording.channels.items() if name != "time"]
-    with MDF(version=MDF_VERSION) as mdf:
-        mdf.header.comment = f"isocenter recording; machine, experiment and initial states are in the attachment {ATTACHMENT}"
-        mdf.append(signals, comment="one row per SYNC", common_timebase=True)
-        mdf.attach(metadata_text(recording.metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording")
-        _date(mdf, _started(recording, path))
-        content = io.BytesIO()
-        mdf.save(content, compression=CompressionAlgorithm.DEFLATE, add_history_block=False)
-    write_atomically(path, _sealed(content.getvalue()))
+    try:
+        content = _mdf_bytes(recording, signals, _started(recording, path))
+    except OSError as problem:  # asammdf keeps what it is given in a temporary file
+        raise RecordingError(f"{path}: cannot be written: {problem.strerror} (temporary file in {tempfile.gettempdir()})") from None
+    write_atomically({path: _sealed(content)})
 
 
 def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
@@ -136,6 +134,17 @@ def _date(mdf: Any, started: datetime) -> None:
         entry.abs_time, entry.time_flags = mdf.header.abs_time, mdf.header.time_flags
         entry.tz_offset, entry.daylight_save_time = mdf.header.tz_offset, mdf.header.daylight_save_time
         entry.comment = _HISTORY
+
+
+def _mdf_bytes(recording: Recording, signals: list[Signal], started: datetime) -> bytes:
+    content = io.BytesIO()
+    with MDF(version=MDF_VERSION) as mdf:
+        mdf.header.comment = f"isocenter recording; machine, experiment and initial states are in the attachment {ATTACHMENT}"
+        mdf.append(signals, comment="one row per SYNC", common_timebase=True)
+        mdf.attach(metadata_text(recording.metadata).encode(), file_name=ATTACHMENT, comment="metadata of the recording")
+        _date(mdf, started)
+        mdf.save(content, compression=CompressionAlgorithm.DEFLATE, add_history_block=False)
+    return content.getvalue()
 
 
 def _metadata(mdf: Any, path: Path, machine: MachineFile | None) -> dict[str, Any]:

@@ -107,6 +107,23 @@ def test_the_start_of_a_recording_is_the_start_in_asammdf(tmp_path):
         write_recording(example().with_metadata(started="yesterday"), tmp_path / "run.mf4")
 
 
+@pytest.mark.parametrize("name", ["run.mf4", "run.csv"])
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path, name):
+    resource = pytest.importorskip("resource", reason="file sizes are limited with POSIX's resource")
+    write_recording(example(), tmp_path / name)
+    rows = 2000
+    longer = Recording({"time": Channel("s", np.arange(rows) + 0.0), "x": Channel("", np.random.default_rng(1).normal(size=rows))}, {})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(RecordingError, match=rf"{name}: cannot be written: File too large"):
+            write_recording(longer, tmp_path / name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not [entry.name for entry in tmp_path.iterdir() if entry.name.endswith(".tmp")]
+    assert_same(read_recording(tmp_path / name), example())
+
+
 def test_numpy_alone_reads_the_csv(tmp_path):
     write_recording(example(), tmp_path / "run.csv")
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, deletechars="", replace_space=" ")
@@ -256,5 +273,5 @@ def test_a_missing_file_is_one_line(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["run.mf4", "run.csv"])
 def test_a_folder_that_is_not_there_is_one_line(tmp_path, name):
-    with pytest.raises(RecordingError, match=r"cannot be written: No such file or directory$"):
+    with pytest.raises(RecordingError, match=r"cannot be written: No such file or directory"):
         write_recording(example(), tmp_path / "absent" / name)
