@@ -1,9 +1,9 @@
-"""Are the covariances true? Monte Carlo over noise draws on a loop inside the local model class, for every method, SNR and number of periods.
+"""Are the covariances true? Monte Carlo over noise draws on a loop inside the local model class: methods, SNRs, numbers of periods.
 
     python benchmarks/identification_coverage.py --out coverage.json [--draws 500]
 
-Estimated against sample variance averaged over lines and elements, and the share of lines whose truth lies within the 95 % circle and within
-Hotelling's ellipsoid. Finished cases are kept in the result file, so that a run may be broken off and taken up again.
+Estimated against sample variance averaged over lines and elements, and the share of lines whose truth lies within the 95 % circle and
+within Hotelling's ellipsoid. Finished cases are kept in the result file, so that a run may be broken off and taken up again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from hil.identification import FrequencyResponse, LocalModel, PeriodicRecords, fast_local, periodic_records, robust_bla, robust_local
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "identification"))
-from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop  # noqa: E402  # the tests' own simulation, no emulator
+from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop  # the tests' own simulation, no emulator
 
 PERIOD, LINES, SETTLE = 1024, np.arange(1, 200), 2
 LOOP = two_mode_loop(damping=(0.5, 0.5))

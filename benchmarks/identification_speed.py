@@ -1,4 +1,4 @@
-"""How long the estimators take on one core: one pose of 14 records, 1279 lines, 7 closed-loop outputs, 2 inputs, 10 periods of 2560 samples.
+"""How long the estimators take on one core: one pose, 14 records, 1279 lines, 7 closed-loop outputs, 2 inputs, 10 periods of 2560.
 
     OMP_NUM_THREADS=1 python benchmarks/identification_speed.py
 """
