@@ -12,10 +12,10 @@ BLOCK_MASS_kg = 2.0
 
 def block(
     *, stiffness: float = 0.0, damping: float = 0.0, brake_effort: float = 50.0, bandwidth_Hz: float = 40.0, substeps: int = 4,
-    effects: tuple[EffectSetting, ...] = (), noise: float = 0.0, resolution: float = 0.0, axis: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    effects: tuple[EffectSetting, ...] = (), noise: float = 0.0, resolution: float = 0.0,
 ) -> PlantSettings:  # fmt: skip
     """One mass on a rail, pushed in newtons, with every kind of sensor."""
-    joint = Joint("rail", "prismatic", np.array(axis), stiffness=stiffness, damping=damping, brake_effort=brake_effort)
+    joint = Joint("rail", "prismatic", np.array([1.0, 0, 0]), stiffness, damping, brake_effort=brake_effort)
     body = Body("block", "world", np.zeros(3), np.eye(3), BLOCK_MASS_kg, np.zeros(3), 0.01 * np.eye(3), joint)
     imu = Imu(
         "imu", "block", np.zeros(3), np.eye(3), np.full(3, noise), np.zeros(3), bandwidth_Hz, resolution, np.full(3, noise), np.zeros(3),
@@ -43,7 +43,8 @@ def gantry(substeps: int = 4) -> PlantSettings:
     tilt = np.array([0.0, 0.6, 0.8])
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     bodies = (
-        Body("cart", "world", np.zeros(3), np.eye(3), 8.0, np.zeros(3), 0.2 * np.eye(3), Joint("cart", "prismatic", np.array([1.0, 0, 0]), 60.0, 5.0)),
+        Body("cart", "world", np.zeros(3), np.eye(3), 8.0, np.zeros(3), 0.2 * np.eye(3),
+             Joint("cart", "prismatic", np.array([1.0, 0, 0]), 60.0, 5.0)),
         Body("slide", "cart", np.array([0, 0, 0.1]), turned, 3.0, np.array([0.1, 0, 0]), 0.1 * np.eye(3),
              Joint("slide", "prismatic", np.array([1.0, 0, 0]), 900.0, 2.0, rest_position=0.05)),
         Body("bracket", "slide", np.array([0.2, 0.0, 0.0]), np.eye(3), 0.5, np.zeros(3), 0.01 * np.eye(3)),

@@ -55,11 +55,12 @@ def test_the_holding_effort_of_a_pendulum_is_its_weight_on_its_lever() -> None:
 
 
 def test_a_joint_with_nothing_to_rest_against_is_refused_in_one_line() -> None:
-    bodies = tuple(
-        replace(body, joint=replace(body.joint, stiffness=0.0)) if body.name == "lift" and body.joint else body for body in gantry().tree.bodies
-    )
+    settings = gantry()
+    lift = settings.tree.bodies[3]
+    assert lift.joint is not None
+    bodies = (*settings.tree.bodies[:3], replace(lift, joint=replace(lift.joint, stiffness=0.0)), settings.tree.bodies[4])
     with pytest.raises(PlantError, match="no elastic equilibrium") as refusal:
-        Physics(replace(gantry(), tree=replace(gantry().tree, bodies=bodies)))
+        Physics(replace(settings, tree=replace(settings.tree, bodies=bodies)))
     assert "lift" in str(refusal.value) and "\n" not in str(refusal.value)
 
 

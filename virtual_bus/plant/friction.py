@@ -5,8 +5,9 @@ from __future__ import annotations
 from virtual_bus.effects.effect import JointState
 from virtual_bus.plant.jit import compiled
 
-SWEEPS = 3  # Gauss-Seidel over the joints that rub; their mutual coupling through the inertia is weak
-STUCK_SPEED = 1e-12  # rad/s or m/s: slower is rounding, the joint is at rest
+SWEEPS = 4  # Gauss-Seidel over the joints that rub; their mutual coupling through the inertia is weak, so two mostly do
+SETTLED_SPEED = 1e-11  # rad/s or m/s: what a further sweep may still change
+STUCK_SPEED = 1e-9  # rad/s or m/s: slower is what is left of the sweeps, the joint is at rest
 
 
 @compiled
@@ -26,24 +27,18 @@ def friction_level(j, speed, direction, effect_level, model, work):
 
 
 @compiled
-def mean_friction(j, start, drive, response, effect_level, model, work):
+def mean_friction(j, start, drive, response, kinetic, effect_level, model, work):
     """Constant friction effort that does over a step what the friction law does, of a joint alone.
 
     Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per
-    unit of effort. The joint slides throughout, or comes to rest and stays, or turns within the step; which one follows from the law.
+    unit of effort, `kinetic` the friction's level at the step's middle. The joint slides throughout, or comes to rest and stays, or turns
+    within the step; which one follows from the law.
     """
     onward = 1.0 if drive > 0.0 else -1.0
-    direction = onward
     if start != 0.0:
         direction = 1.0 if start > 0.0 else -1.0
-    kinetic = friction_level(j, abs(start), direction, effect_level, model, work)
-    end = start + response * (drive - direction * kinetic)
-    middle = 0.5 * (start + end)
-    if middle * direction > 0.0:
-        kinetic = friction_level(j, abs(middle), direction, effect_level, model, work)
-        end = start + response * (drive - direction * kinetic)
-    if start != 0.0 and end * direction > 0.0:
-        return -direction * kinetic  # slides throughout
+        if (start + response * (drive - direction * kinetic)) * direction > 0.0:
+            return -direction * kinetic  # slides throughout
     if abs(drive) <= friction_level(j, 0.0, onward, effect_level, model, work):
         return -start / response - drive  # comes to rest within the step, or stays at rest
     if start == 0.0:
@@ -53,27 +48,39 @@ def mean_friction(j, start, drive, response, effect_level, model, work):
 
 
 @compiled
+def kinetic_level(j, effect_level, model, work):
+    """Friction level of joint j at its mean speed over the step, as the step is before its friction is corrected."""
+    start = work.start_speed[j]
+    middle = 0.5 * (start + work.speed[j])
+    if start * middle < 0.0:
+        middle = 0.0  # it turns, or friction stops it: what counts is the level at low speed
+    direction = 1.0 if (start if start != 0.0 else middle) >= 0.0 else -1.0
+    return friction_level(j, abs(middle), direction, effect_level, model, work)
+
+
+@compiled
 def rub(effect_level, model, work):
     """Correct a step's end for friction, in place; work.friction holds what the step assumed and then what it was."""
     n = len(work.position)
     for j in range(n):
         work.friction_change[j] = 0.0
+        if abs(work.start_speed[j]) < STUCK_SPEED:
+            work.start_speed[j] = 0.0
+        if rubs(j, model, work):
+            work.kinetic[j] = kinetic_level(j, effect_level, model, work)
     for _ in range(SWEEPS):
         largest = 0.0
         for j in range(n):
             if rubs(j, model, work):
-                response = work.speed_response[j, j]
-                start = work.start_speed[j]
-                if abs(start) < STUCK_SPEED:
-                    start = 0.0
+                start, response = work.start_speed[j], work.speed_response[j, j]
                 drive = (work.speed[j] - start) / response - work.friction[j]
-                change = mean_friction(j, start, drive, response, effect_level, model, work) - work.friction[j]
+                change = mean_friction(j, start, drive, response, work.kinetic[j], effect_level, model, work) - work.friction[j]
                 work.friction[j] += change
                 work.friction_change[j] += change
                 for i in range(n):
                     work.speed[i] += work.speed_response[j, i] * change
                 largest = max(largest, abs(change * response))
-        if largest < STUCK_SPEED:
+        if largest < SETTLED_SPEED:
             break
     for j in range(n):
         change = work.friction_change[j]

@@ -45,7 +45,7 @@ def work_dtype(joints: int, imus: int, bodies: int) -> np.dtype:
         "pivots", "effort", "brake", "load", "force", "derivative", "lower_derivative",
         "start_speed", "start_acceleration",  # of an inner step
         "first_position", "first_speed", "first_acceleration",  # of a sample, under its new effort
-        "friction_change",
+        "friction_change", "kinetic",  # of the friction solution
     ]  # fmt: skip
     squares = ["mass", "inverse", "position_response", "speed_response"]
     readings = ["filtered", "reading", "start_reading"]
