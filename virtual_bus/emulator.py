@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -81,7 +82,7 @@ def _imu_listener(machine: EmulatedMachine, line: Pty | None) -> Callable[[], No
 
 def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], listen: Callable[[], None]) -> None:
     device.connect(lambda can_id, data: _send(bus, can_id, data))
-    with _stop_on_signals() as stopped:
+    with _stop_on_signals() as stopped, _long_lived_objects_frozen():
         device.power_on()
         on_ready()
         last_s = time.perf_counter()
@@ -103,6 +104,17 @@ def _send(bus: can.BusABC, can_id: int, data: bytes) -> None:
             return
         except can.CanOperationError:  # the transmit queue is full
             time.sleep(SEND_PAUSE_S)
+
+
+@contextlib.contextmanager
+def _long_lived_objects_frozen() -> Iterator[None]:
+    """Everything there is when the emulator starts is exempt from garbage collection: a full collection would take longer than a period."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextlib.contextmanager

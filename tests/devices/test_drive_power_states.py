@@ -185,6 +185,15 @@ def test_a_cause_that_is_still_there_keeps_the_fault() -> None:
     assert bench.remote.sdo[0x603F].raw == 0
 
 
+def test_a_fault_outlives_a_reset_of_communication_and_not_a_reset_of_the_node() -> None:
+    bench = Bench()
+    bench.drive.inject_fault(0x2310)
+    bench.wire.command(0x82)
+    assert bench.state == "fault" and bench.remote.sdo[0x1001].raw == 0x03
+    bench.wire.command(0x81)
+    assert bench.state == "switch on disabled" and bench.remote.sdo[0x1001].raw == 0
+
+
 def test_a_fault_is_told_once_with_its_code() -> None:
     bench = Bench()
     bench.wire.forget()

@@ -18,6 +18,7 @@ GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0
 _REGISTER_OF_CLASS = {0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x8: COMMUNICATION}
 _FRAME = struct.Struct("<HB5s")
 _NO_ERROR = 0x0000
+HEARTBEAT_ERROR = 0x8130
 
 
 def register_bit(code: int) -> int:
@@ -42,9 +43,11 @@ class Emergency:
         for subindex in range(1, self._history_room + 1):
             node.objects.readings[key_of(0x1003, subindex)] = lambda subindex=subindex: self._history(subindex)  # type: ignore[misc]
 
-    def reset(self) -> None:
-        """Power-on: nothing is wrong."""
-        self._active.clear()
+    def reset(self, *, application: bool) -> None:
+        """Start anew with an empty history. Errors of the application outlive a reset of communication alone."""
+        if application:
+            self._active.clear()
+        self._active.pop(HEARTBEAT_ERROR, None)
         self._queue.clear()
         self._not_before_s, self.deadline_s = -math.inf, math.inf
         self._update_register()

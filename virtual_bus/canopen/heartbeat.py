@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.emergency import HEARTBEAT_ERROR
 from virtual_bus.canopen.objects import Value, key_of
 
 if TYPE_CHECKING:
     from virtual_bus.canopen.node import Node
-
-HEARTBEAT_ERROR = 0x8130
 
 
 class HeartbeatProducer:

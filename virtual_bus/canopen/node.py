@@ -15,8 +15,8 @@ import canopen
 
 from virtual_bus.canopen import communication, pdo_rules
 from virtual_bus.canopen.cob_id import CAN_ID
-from virtual_bus.canopen.emergency import Emergency
-from virtual_bus.canopen.heartbeat import HEARTBEAT_ERROR, HeartbeatConsumer, HeartbeatProducer
+from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
+from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from virtual_bus.canopen.nmt import STATE_AFTER, NmtCommand, NmtState
 from virtual_bus.canopen.objects import Objects, Value, key_of
 from virtual_bus.canopen.pdo import Rpdo, Tpdo
@@ -116,7 +116,7 @@ class Node:
         self.state = NmtState.INITIALISING
         self._memory.reset(indices)
         self._sdo.reset()
-        self.emergency.reset()
+        self.emergency.reset(application=indices is _ALL_OBJECTS)
         self.deadline_s = math.inf
         if indices is _ALL_OBJECTS:
             self.application_reset()
