@@ -101,7 +101,7 @@ def replay(device: Node, sent: list[tuple[int, bytes]]) -> list[Exchange]:
 KNOWN_DIFFERENCES = {
     159,  # a block acknowledge of 128 segments: they say unknown command, we say invalid sequence number (0504 0003h)
     16372,  # they refuse to switch on a PDO that maps nothing; CiA 301 does not ask for that
-    *range(16420, 16437),  # so that PDO is on with us, and its mapping may not be written: 0601 0000h comes before 0604 0042h
+    *range(16420, 16437, 2),  # so that PDO is on with us, and its mapping may not be written: 0601 0000h comes before 0604 0042h
 }
 
 
