@@ -210,10 +210,7 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 
 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
-    machine.set_controlword(axis, cia402.ENABLE_OPERATION)
-    for _ in range(SETTLED_TICKS):  # the start bit must be seen low before it rises
-        motion.tick(machine, command)
-    machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)
+    machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)  # rises from the low bit with which it was enabled
     for _ in range(SETTLED_TICKS):
         motion.tick(machine, command)
     deadline = machine.clock.now() + settings.timeout_s

@@ -121,10 +121,9 @@ def reset_fault(machine: Machine, axis: int) -> None:
     deadline = machine.clock.now() + FAULT_RESET_TIMEOUT_S
     if not _in_fault(machine, axis):
         return
-    for controlword in (cia402.DISABLE_VOLTAGE, cia402.FAULT_RESET):
-        machine.set_controlword(axis, controlword)
-        for _ in range(SETTLED_TICKS):
-            machine.exchange(zero)
+    machine.set_controlword(axis, cia402.FAULT_RESET)  # rises: no other controlword sent before has this bit
+    for _ in range(SETTLED_TICKS):
+        machine.exchange(zero)
     while _in_fault(machine, axis) and machine.clock.now() < deadline:
         machine.exchange(zero)
     machine.set_controlword(axis, cia402.DISABLE_VOLTAGE)

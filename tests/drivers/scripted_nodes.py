@@ -354,9 +354,12 @@ class ScriptedIo:
         self.history: list[dict[str, bool]] = []
         self._wanted = dict.fromkeys(drives, False)
         self._left = 0
+        self.opened_at_sync = 0  # SYNCs on the bus' log when brakes were last told to open
 
     def command_brakes(self, brakes: dict[str, bool]) -> None:
         self.history.append(dict(brakes))
+        if any(brakes.values()):
+            self.opened_at_sync = len(next(iter(self.drives.values())).bus.sent(0x080))
         self._wanted |= brakes
         self._left = self.delay_polls
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scripted_nodes import ScriptedDrive
+from scripted_nodes import PERIOD_S, ScriptedDrive
 from test_machine_link import RESOLUTION, ZERO, Rig
 
 from drivers.errors import BusTimeout, DeviceFault, MotionRefused
@@ -81,7 +81,10 @@ def test_brakes_open_only_after_the_drives_hold(rig):
     rig.machine.enable()
     holding = np.array([0.5, -0.5])
     rig.drives[0].gravity, rig.drives[1].gravity = 100, -100  # per mille that the holding effort balances
+    rig.bus.log.clear()
     rig.machine.release_brakes(lambda _: holding)
+    held = rig.bus.sent(0x201)[: round(0.05 / PERIOD_S)]
+    assert all(data[2:] == (100).to_bytes(2, "little") for data in held) and rig.io.opened_at_sync >= len(held)
     assert all(drive.brake_open for drive in rig.drives)
     assert [drive.counts for drive in rig.drives] == [1000.0, 1000.0]
 

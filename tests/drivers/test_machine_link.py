@@ -224,13 +224,13 @@ def test_waiting_for_a_missing_pdo_ends_with_the_answer_time(rig):
 
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig):
     rig.ready()
-    rig.drives[0].mute_pdo = True
+    last = rig.encoders[1]
+    last.mute_pdo = True
     rig.machine.exchange(ZERO)
-    rig.bus.emit(0x181, struct.pack("<Hih", 0x237, 123456, 77))  # what the drive owed to the last SYNC
-    rig.drives[0].mute_pdo = False
+    rig.bus.emit(0x18C, struct.pack("<I", 4194304 + 99999))  # what the encoder owed to the last SYNC
+    last.mute_pdo = False
     sample = rig.machine.exchange(ZERO)
-    assert sample.position[0] == pytest.approx(rig.drives[0].value(0x6064) * RESOLUTION)
-    assert sample.effort[0] == 0.0
+    assert sample.link_position[1] == pytest.approx((last.value(0x6004) - 4194304) * 2 * math.pi / 2**23)
 
 
 def test_a_pdo_that_is_too_short_is_a_fault_in_words_and_no_value(rig):
