@@ -1,5 +1,6 @@
 """Objects over SDO without a receiving thread: answers, aborts in words, read-back, lost frames, two devices of one id."""
 
+import errno
 import threading
 import uuid
 
@@ -174,3 +175,29 @@ def test_the_canopen_librarys_own_server_is_read_and_written_on_a_virtual_bus_in
                 node.write_integer(0x6041, 0, 0)
     finally:
         network.disconnect()
+
+
+def test_a_transmit_queue_that_is_full_for_a_moment_loses_no_frame():
+    bus, node = connected(ScriptedDrive(1))
+    refusals = [can.CanOperationError("no buffer space", errno.ENOBUFS), can.CanOperationError("Transmit buffer full")]
+    original = bus.send
+
+    def send(message, timeout=None):
+        if refusals:
+            raise refusals.pop()
+        original(message)
+
+    bus.send = send
+    assert node.read_integer(0x1000) == 0x0002_0192
+    assert len(bus.sent(0x601)) == 1
+
+
+def test_a_transmit_queue_that_stays_full_is_a_bus_error():
+    bus, node = connected(ScriptedDrive(1))
+
+    def send(message, timeout=None):
+        raise can.CanOperationError("no buffer space", errno.ENOBUFS)
+
+    bus.send = send
+    with pytest.raises(BusError, match="frame 601 could not be sent: no buffer space"):
+        node.read(0x1000)
