@@ -47,6 +47,28 @@ def test_udp_buses_of_one_group_hear_each_other():
     assert heard is not None and heard.arbitration_id == 0x80
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems keep groups apart by themselves")
+def test_udp_buses_of_two_groups_do_not_hear_each_other():
+    pytest.importorskip("msgpack")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    try:
+        buses = [open_bus(f"udp:239.74.163.{k}@{port}", 1) for k in (21, 22, 22)]
+    except BusUnavailable as error:
+        pytest.skip(f"this host joins no multicast group: {error}")
+    other, sender, same = buses
+    try:
+        sender.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        assert same.recv(2.0) is not None
+        assert other.recv(0.0) is None
+    except can.CanError as error:
+        pytest.skip(f"this host routes no multicast: {error}")
+    finally:
+        for bus in buses:
+            bus.shutdown()
+
+
 @pytest.mark.parametrize(
     ("url", "interface", "channel", "options"),
     [
