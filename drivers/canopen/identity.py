@@ -55,7 +55,7 @@ def check_identity(node: SdoNode, expected: Node) -> None:
     wanted = ROLE_PROFILES[expected.role]
     if profile != wanted:
         found = describe_device_type(node.read_integer(0x1000))
-        raise WrongIdentity(f"{node.who}: is a {found}, the machine file expects a {PROFILES[wanted]}; node ids exchanged?")
+        raise WrongIdentity(f"{node.who}: found {found}, the machine file expects {PROFILES[wanted]}; are node ids exchanged?")
     identity = read_identity(node)
     differences = []
     for name, _ in _FIELDS:

@@ -164,7 +164,7 @@ def test_identity_fields_the_machine_file_leaves_open_are_not_compared():
 def test_an_encoder_where_a_drive_is_expected_is_a_wrong_identity():
     node = machine_settings().nodes[0]
     _, sdo = opened(ScriptedEncoder(1, ScriptedDrive(2)), node)
-    with pytest.raises(WrongIdentity, match=r"is a encoder \(CiA 406\), the machine file expects a drive"):
+    with pytest.raises(WrongIdentity, match=r"found encoder \(CiA 406\), the machine file expects drive"):
         check_identity(sdo, node)
 
 
