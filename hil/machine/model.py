@@ -45,6 +45,8 @@ class Machine:
     path: Path | None  # None when it came out of a recording
     axes: tuple[str, ...]
     sample_rate_Hz: float
+    overrun_ticks: int  # ticks lost at once that the loop skips and counts; more stop the motors
+    stale_ticks: int  # ticks in a row that a missing position is bridged with the last one; more stop the motors
     units: tuple[AxisUnits, ...]
     plant: PlantSettings
     controllers: tuple[AxisController, ...]  # () for an open-loop machine

@@ -15,6 +15,8 @@ Count = Annotated[Whole, Field(gt=0, le=2**40)]
 
 
 class JointTable(Table):
+    """[body.joint]: how a body moves against its parent."""
+
     name: Name
     type: Literal["revolute", "prismatic"]
     axis: Vector
@@ -25,6 +27,8 @@ class JointTable(Table):
 
 
 class BodyTable(Table):
+    """[[body]]: one rigid body."""
+
     name: Name
     parent: Name
     position: Annotated[Vector, Quantity("length")] = (0.0, 0.0, 0.0)
@@ -36,12 +40,18 @@ class BodyTable(Table):
 
 
 class TimingTable(Table):
+    """[timing]: sample rate, plant steps, and when the loop gives up."""
+
     sample_rate: Annotated[Positive, Quantity("frequency"), Field(le=20_000.0)]
     substeps: Annotated[Whole, Field(ge=1, le=1000)]
     sync_order: tuple[Literal["apply_targets"], Literal["latch"], Literal["advance"]] = ("apply_targets", "latch", "advance")
+    overrun_ticks: Annotated[Whole, Field(ge=0, le=10_000)] = 8
+    stale_ticks: Annotated[Whole, Field(ge=0, le=10_000)] = 3
 
 
 class DriveTable(Table):
+    """[drives.AXIS]: motor, gear, and what the command means."""
+
     joint: Name
     effort_unit: Literal["A", "V", "Nm", "N"]
     constant: Positive
@@ -58,6 +68,8 @@ class DriveTable(Table):
 
 
 class EncoderTable(Table):
+    """[sensors.position_AXIS] and [sensors.link_position_AXIS]."""
+
     type: Literal["encoder"]
     joints: Annotated[tuple[Name, ...], Field(min_length=1)]
     kind: Literal["incremental", "absolute"]
@@ -66,6 +78,8 @@ class EncoderTable(Table):
 
 
 class CurrentTable(Table):
+    """[sensors.current_AXIS] or [sensors.effort_AXIS]."""
+
     type: Literal["current"]
     axis: Name
     resolution: Annotated[NotNegative, Quantity(*EFFORT_DIMENSIONS)] = 0.0
@@ -73,6 +87,8 @@ class CurrentTable(Table):
 
 
 class ImuTable(Table):
+    """[sensors.imu]."""
+
     type: Literal["imu"]
     body: Name
     position: Annotated[Vector, Quantity("length")] = (0.0, 0.0, 0.0)
@@ -88,6 +104,8 @@ class ImuTable(Table):
 
 
 class TemperatureTable(Table):
+    """[sensors.temperature_AXIS]."""
+
     type: Literal["temperature"]
     axis: Name
     ambient: Annotated[Number, Field(ge=-50, le=150), Quantity("temperature")]
@@ -100,12 +118,16 @@ SensorTable = Annotated[EncoderTable | CurrentTable | ImuTable | TemperatureTabl
 
 
 class ControllerTable(Table):
+    """[controller.AXIS]: second-order sections at the sample rate."""
+
     position_sections: Annotated[tuple[Section, ...], Field(min_length=1)]
     reference_sections: Annotated[tuple[Section, ...], Field(min_length=1)] | None = None
     gravity_feedforward: Flag = False
 
 
 class LimitsTable(Table):
+    """[limits.AXIS]: what references and positions are held against."""
+
     range: Annotated[tuple[Number, Number], Quantity("angle", "length")]
     speed: Annotated[Positive, Quantity("angular_speed", "speed")]
     acceleration: Annotated[Positive, Quantity("angular_acceleration", "acceleration")]
@@ -114,6 +136,8 @@ class LimitsTable(Table):
 
 
 class GeometryTable(Table):
+    """[geometry]: source and detector, for imaging."""
+
     isocenter: Annotated[Vector, Quantity("length")] = (0.0, 0.0, 0.0)
     source_body: Name
     source_position: Annotated[Vector, Quantity("length")]
@@ -124,6 +148,8 @@ class GeometryTable(Table):
 
 
 class MachineTable(Table):
+    """The whole file."""
+
     format: Literal[1]
     name: Name
     description: Text = ""

@@ -17,6 +17,8 @@ Address = Annotated[Whole, Field(ge=0, le=65535)]
 
 
 class PdoTable(Table):
+    """[[bus.nodes.NAME.tpdo]] or rpdo."""
+
     number: Annotated[Whole, Field(ge=1, le=512)]
     cob_id: CobId
     transmission_type: Annotated[Whole, Field(ge=0, le=255)]
@@ -24,12 +26,16 @@ class PdoTable(Table):
 
 
 class WriteTable(Table):
+    """[[bus.nodes.NAME.write]]: a further object, written and read back."""
+
     index: Annotated[Whole, Field(ge=0x1000, le=0xFFFF)]
     subindex: Annotated[Whole, Field(ge=0, le=255)] = 0
     value: Annotated[Whole, Field(ge=-(2**31), le=0xFFFF_FFFF)]
 
 
 class NodeTable(Table):
+    """[bus.nodes.NAME]: one CANopen device."""
+
     role: Literal["drive", "encoder"]
     axis: Name
     node_id: NodeId
@@ -47,6 +53,8 @@ class NodeTable(Table):
 
 
 class HomingTable(Table):
+    """[bus.homing.AXIS]: how an axis finds its zero, and what is checked on the way."""
+
     method: Annotated[Whole, Field(ge=-128, le=37)]
     speed: Annotated[Positive, Quantity("angular_speed", "speed")]
     acceleration: Annotated[Positive, Quantity("angular_acceleration", "acceleration")]
@@ -58,6 +66,8 @@ class HomingTable(Table):
 
 
 class ImuPortTable(Table):
+    """[bus.imu]: the serial IMU."""
+
     sensor: Name
     device: Text = ""
     baud: Annotated[Whole, Field(ge=1200, le=4_000_000)]
@@ -66,6 +76,8 @@ class ImuPortTable(Table):
 
 
 class IoTable(Table):
+    """[bus.io]: Modbus inputs and outputs."""
+
     url: Text = ""
     unit_id: Annotated[Whole, Field(ge=1, le=247)]
     poll_period: Seconds
@@ -78,11 +90,14 @@ class IoTable(Table):
 
 
 class BusTable(Table):
+    """[bus]: everything on the wires."""
+
     bitrate_bit_s: Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
     sync_cob_id: CobId = 0x080
     master_node_id: NodeId
     master_heartbeat: Seconds
     answer_timeout: Seconds
+    answers: Literal["punctual", "awaited"] = "punctual"
     nodes: Annotated[dict[Name, NodeTable], Field(min_length=1)]
     homing: dict[Name, HomingTable]
     imu: ImuPortTable | None = None

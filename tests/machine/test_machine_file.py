@@ -134,6 +134,13 @@ def test_orientation_turns_the_body_in_its_parent(slide):
     np.testing.assert_allclose(slide.plant.tree.bodies[0].orientation @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
 
 
+def test_orientation_angles_are_about_the_parents_axes_in_the_order_x_y_z():
+    machine = machine_from_text(ONE_AXIS.replace("orientation_deg = [0.0, 0.0, 90.0]", "orientation_deg = [90.0, 0.0, 90.0]"))
+    turned = machine.plant.tree.bodies[0].orientation @ np.eye(3)
+    # about x first: y goes to z and z to -y; then about the parent's z: x to y and y to -x
+    np.testing.assert_allclose(turned, np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).T, atol=1e-15)
+
+
 def test_what_the_file_leaves_out_is_open(slide):
     assert slide.bus is None and slide.geometry is None and slide.controllers == ()
     assert slide.limits[0].upper == math.inf and slide.limits[0].unit == "m"

@@ -22,6 +22,7 @@ MISTAKES = [
     ("mass_kg = 120.0", 'mass_kg = "heavy"', ["body.ceiling_mount.mass_kg", "must be a number"]),
     ("mass_kg = 120.0", "mass_kg = nan", ["must be a finite number"]),
     ("mass_kg = 120.0", "mass_kg = true", ["body.ceiling_mount.mass_kg = true", "must be a number"]),
+    ("mass_kg = 120.0", "mass_g = true", ["body.ceiling_mount.mass_g = true", "must be a number"]),
     ("mass_kg = 120.0", "", ["body.ceiling_mount.mass_kg", "is missing"]),
     ("mass_kg = 120.0", "mass_lb = 120.0", ["unknown unit lb", "mass_kg or mass_g"]),
     ("mass_kg = 120.0", "mass = 120.0", ["needs its unit", "mass_kg"]),
