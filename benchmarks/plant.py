@@ -34,6 +34,7 @@ SECONDS = 10.0
 TOLERANCE = 1e-4
 STEPS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 64, 128)
 CONVERGED_STEPS = 256
+HALVINGS = (1, 2, 4, 8, 16, 32)
 POSE = np.array([0.5, 0.4])
 INTEGRATORS = ("Euler", "implicitfast", "implicit", "RK4")
 TURNS = 15
@@ -67,9 +68,11 @@ def run(state, efforts, brakes, model, work, positions):
 class OurPlant:
     """Our plant at a number of steps per sample."""
 
-    def __init__(self, plant: CompiledPlant, start: np.ndarray, efforts: np.ndarray, steps: int) -> None:
+    def __init__(
+        self, plant: CompiledPlant, start: np.ndarray, efforts: np.ndarray, steps: int, effects: tuple[EffectSetting, ...] = ()
+    ) -> None:
         self._kernel = plant.fuse("rollout", ROLLOUT)
-        self._model = compile_plant(replace(plant.settings, substeps=steps)).model()
+        self._model = compile_plant(replace(plant.settings, substeps=steps)).model(effects=effects)
         self._work, self._start, self._efforts = plant.new_work(), plant.new_state(start), efforts
         self.positions = np.zeros((len(efforts), plant.joints))
 
@@ -121,6 +124,20 @@ def largest_step(make: Callable[[int], Any], converged: np.ndarray) -> tuple[Any
     return None
 
 
+def errors_by_steps(
+    plant: CompiledPlant, start: np.ndarray, efforts: np.ndarray, effects: tuple[EffectSetting, ...]
+) -> dict[int, float]:
+    """Our plant's error at halving steps."""
+    converged = OurPlant(plant, start, efforts, CONVERGED_STEPS, effects)
+    converged.run()
+    errors = {}
+    for steps in HALVINGS:
+        coarse = OurPlant(plant, start, efforts, steps, effects)
+        coarse.run()
+        errors[steps] = error(coarse.positions, converged.positions)
+    return errors
+
+
 def best_times_s(simulators: dict[str, Any], turns: int) -> dict[str, float]:
     """Best time of each, in turns, so that whatever else the computer does meets all alike."""
     best = dict.fromkeys(simulators, float("inf"))
@@ -168,6 +185,8 @@ def plant_alone(machine: Machine) -> dict[str, Any]:
         "simulated_s": SECONDS,
         "tolerance": TOLERANCE,
         "converged_answers_differ_by": error(check.positions, reference.positions),
+        "error_by_steps_per_sample": errors_by_steps(plant, start, efforts, ()),
+        "error_by_steps_per_sample_with_friction": errors_by_steps(plant, start, efforts, FRICTION),
         "simulators": simulators,
         "mujoco_fastest": fastest,
         "times_faster_than_mujoco": times_s[fastest] / times_s["ours"],

@@ -103,6 +103,22 @@ def test_the_imu_answers_a_step_of_acceleration_as_a_first_order_low_pass() -> N
     np.testing.assert_allclose(np.array(forces)[:, 2], 9.81, rtol=1e-12)
 
 
+def test_the_imu_follows_a_vibration_as_a_first_order_low_pass() -> None:
+    stiffness = BLOCK_MASS_kg * (2.0 * np.pi * 5.0) ** 2
+    physics = Physics(block(stiffness=stiffness, bandwidth_Hz=8.0), noise=False)
+    physics.place(np.array([0.02]))
+    physics.set_brakes(np.array([False]))
+    forces = []
+    for _ in range(256):
+        forces.append(physics.latch().imu[0])
+        physics.advance()
+    time_s = np.arange(256) * PERIOD_s
+    amplitude = -0.02 * (2.0 * np.pi * 5.0) ** 2 / (1.0 + 5.0j / 8.0)
+    steady = np.real(amplitude * np.exp(2j * np.pi * 5.0 * time_s))
+    expected = steady - steady[0] * np.exp(-2.0 * np.pi * 8.0 * time_s)
+    np.testing.assert_allclose(forces, expected, rtol=0, atol=2e-4 * np.abs(amplitude))
+
+
 def test_an_imu_without_a_low_pass_reads_the_instant_under_the_new_effort() -> None:
     physics = Physics(block(bandwidth_Hz=0.0), noise=False)
     physics.apply(np.array([6.0]))

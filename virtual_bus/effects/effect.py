@@ -49,6 +49,7 @@ class Parameter:
     description: str
 
     def unit_at(self, prismatic: bool) -> str:
+        """The unit at a joint that turns or one that slides."""
         return PRISMATIC_UNITS.get(self.unit, self.unit) if prismatic else self.unit
 
     def key(self, prismatic: bool = False) -> str:

@@ -57,22 +57,27 @@ class CompiledPlant:
 
     @property
     def joints(self) -> int:
+        """Degrees of freedom."""
         return len(self.settings.tree.joints)
 
     @property
     def state_size(self) -> int:
+        """Length of a state vector."""
         return 4 * self.joints + 6 * len(self.settings.imus)
 
     @property
     def advance(self) -> Any:
+        """Compiled: one sample period."""
         return self.module.advance
 
     @property
     def joint_acceleration(self) -> Any:
+        """Compiled: joint accelerations of this instant."""
         return self.module.joint_acceleration
 
     @property
     def imu_reading(self) -> Any:
+        """Compiled: noise-free IMU channels of this instant."""
         return self.module.imu_reading
 
     @property
@@ -132,6 +137,7 @@ class CompiledPlant:
         return state
 
     def joint_of_axis(self) -> dict[str, int]:
+        """Number of the joint each axis drives, in axis order."""
         return {drive.axis: self.settings.tree.joint_index(drive.joint) for drive in self.settings.drives}
 
     def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> np.ndarray:

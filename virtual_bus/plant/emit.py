@@ -21,6 +21,7 @@ class Emitter:
 
     @property
     def constant_count(self) -> int:
+        """How many entries of `c` the functions written so far read."""
         return len(self._constant_nodes)
 
     def _slot(self, node: Node) -> str:

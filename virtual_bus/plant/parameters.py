@@ -28,6 +28,7 @@ class PlantParameter:
 
     @property
     def name(self) -> str:
+        """Owner, quantity and unit in one word."""
         suffix = self.unit.replace("/", "_").replace(" ", "_")
         return f"{self.owner}.{self.quantity}_{suffix}" if suffix else f"{self.owner}.{self.quantity}"
 

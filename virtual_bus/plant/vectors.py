@@ -11,16 +11,19 @@ Matrix = tuple[Vector, Vector, Vector]  # rows
 
 
 def constant_vector(graph: Graph, values: np.ndarray) -> Vector:
+    """(3,) numbers as nodes."""
     x, y, z = (graph.constant(value) for value in values)
     return x, y, z
 
 
 def constant_matrix(graph: Graph, values: np.ndarray) -> Matrix:
+    """(3, 3) numbers as nodes."""
     x, y, z = (constant_vector(graph, row) for row in values)
     return x, y, z
 
 
 def add(*vectors: Vector) -> Vector:
+    """Sum of any number of vectors."""
     total = vectors[0]
     for vector in vectors[1:]:
         total = (total[0] + vector[0], total[1] + vector[1], total[2] + vector[2])
@@ -28,18 +31,22 @@ def add(*vectors: Vector) -> Vector:
 
 
 def scale(factor: Node, vector: Vector) -> Vector:
+    """factor · vector."""
     return factor * vector[0], factor * vector[1], factor * vector[2]
 
 
 def dot(a: Vector, b: Vector) -> Node:
+    """a · b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
+    """a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def transpose(m: Matrix) -> Matrix:
+    """mᵀ."""
     return (m[0][0], m[1][0], m[2][0]), (m[0][1], m[1][1], m[2][1]), (m[0][2], m[1][2], m[2][2])
 
 
@@ -54,12 +61,14 @@ def apply_transposed(m: Matrix, v: Vector) -> Vector:
 
 
 def product(a: Matrix, b: Matrix) -> Matrix:
+    """a b."""
     columns = transpose(b)
     x, y, z = ((dot(row, columns[0]), dot(row, columns[1]), dot(row, columns[2])) for row in a)
     return x, y, z
 
 
 def add_matrices(*matrices: Matrix) -> Matrix:
+    """Sum of any number of matrices."""
     x, y, z = (add(*rows) for rows in zip(*matrices, strict=True))
     return x, y, z
 

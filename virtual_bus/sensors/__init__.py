@@ -1,0 +1,1 @@
+"""What the emulated machine's sensors read of the plant."""

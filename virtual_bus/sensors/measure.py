@@ -50,6 +50,7 @@ class Readings(NamedTuple):
 
 
 def sensor_model(settings: PlantSettings) -> SensorModel:
+    """The arrays `measure` takes of a machine's sensors."""
     position_joints, position_resolution = encoder_arrays(settings, "position")
     link_joints, link_resolution = encoder_arrays(settings, "link_position")
     bias, _, imu_resolution = imu_arrays(settings)
@@ -60,6 +61,7 @@ def sensor_model(settings: PlantSettings) -> SensorModel:
 
 
 def new_readings(settings: PlantSettings) -> Readings:
+    """Readings for `measure` to fill."""
     axes = len(settings.drives)
     return Readings(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(6 * len(settings.imus)), np.zeros(axes))
 
