@@ -26,6 +26,9 @@ HOLDING_SHARE = 0.75
 BUS_LOAD = 0.6
 """Share of the bit rate that the cyclic frames may take: SDO, heartbeats and retries want the rest."""
 
+INTEGRATOR_SLACK = 1e-9
+"""Rounding of an integrator's pole in a machine file."""
+
 POSES = 81
 MOST_PER_AXIS = 9
 LIGHTLY_DAMPED = 0.2
@@ -64,7 +67,7 @@ def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     results = examine(machine, poses)
     findings = [*_modes(machine, results), *_holding(machine, results)]
     if machine.controllers:
-        findings += [_stability(machine, results), *_margins(machine, results)]
+        findings += [_stability(machine, results), *_margins(machine, results), *_reference_filters(machine)]
     if machine.bus is not None:
         findings += [_bus_load(machine), *_device_files(machine)]
     return findings
@@ -160,6 +163,18 @@ def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
         unstable = sum(result.pole_radius >= 1.0 for result in results)
         text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {_shown(machine, worst.pose)}; lower the gain"
     return Finding("stability", ok, text, {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)})
+
+
+def _reference_filters(machine: Machine) -> list[Finding]:
+    """A separate C_r stands outside the loop: no feedback would hold a pole of its own that runs away."""
+    findings = []
+    for controller in machine.controllers:
+        if controller.reference_sections is not None:
+            radius = max(float(np.abs(np.roots(section[3:])).max(initial=0.0)) for section in controller.reference_sections)
+            ok = radius < 1.0 + INTEGRATOR_SLACK
+            text = f"{controller.axis}: reference sections {'stable' if ok else 'unstable'}, largest pole radius {radius:.6f}; at most 1 is right"
+            findings.append(Finding("reference_filter", ok, text, {"axis": controller.axis, "pole_radius": radius}))
+    return findings
 
 
 def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:

@@ -153,6 +153,15 @@ def test_bus_load_counts_every_frame_of_a_cycle(carm):
     assert bus_load(carm.bus) == pytest.approx(expected)
 
 
+def test_a_reference_filter_that_runs_away_is_found():
+    emps = load_machine("emps")
+    old = "[38995.821, 0.0, 0.0, 1.0, 0.0, 0.0]"
+    wild = edited(emps, old, "[38995.821, 0.0, 0.0, 1.0, -1.02, 0.0]")
+    for machine, ok in ((emps, True), (wild, False)):
+        finding = next(finding for finding in check_machine(machine, poses=3) if finding.name == "reference_filter")
+        assert finding.ok is ok
+
+
 def test_the_benchmark_axis_needs_no_holding_effort_and_is_stable():
     findings = check_machine(load_machine("emps"), poses=3)
     holding = next(finding for finding in findings if finding.name == "holding")
