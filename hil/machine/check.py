@@ -172,7 +172,8 @@ def _reference_filters(machine: Machine) -> list[Finding]:
         if controller.reference_sections is not None:
             radius = max(float(np.abs(np.roots(section[3:])).max(initial=0.0)) for section in controller.reference_sections)
             ok = radius < 1.0 + INTEGRATOR_SLACK
-            text = f"{controller.axis}: reference sections {'stable' if ok else 'unstable'}, largest pole radius {radius:.6f}; at most 1 is right"
+            said = f"reference sections {'stable' if ok else 'unstable'}, largest pole radius {radius:.6f}"
+            text = f"{controller.axis}: {said}; at most 1 is right"
             findings.append(Finding("reference_filter", ok, text, {"axis": controller.axis, "pole_radius": radius}))
     return findings
 
