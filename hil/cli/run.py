@@ -76,7 +76,7 @@ def multisine(
     band: Annotated[str, typer.Option("--band", metavar="LOW:HIGH", help="Excited band [Hz].")] = "0.15:40",
     lines: Annotated[str, typer.Option("--lines", metavar="N,N,...", help="Excited lines instead of a band.")] = "",
     every_line: Annotated[bool, typer.Option("--every-line", help="Even lines too; forfeits the odd/even split.")] = False,
-    amplitude: Annotated[float, typer.Option("--amplitude", help="Rms of the excitation, in the drive's unit.")] = 1.0,
+    amplitude: Annotated[float, typer.Option("--amplitude", help="Rms of the excitation, in the drive's unit.")] = 0.8,
     period: NominalPeriodOption = 20.0,
     periods: Annotated[int, typer.Option("--periods", help="Periods kept.")] = 10,
     settle_periods: Annotated[int, typer.Option("--settle-periods", help="Periods before them, for transients.")] = 1,
@@ -135,6 +135,7 @@ def scan(
     speed: Annotated[float, typer.Option("--speed", help="Speed of the constant part, degrees/s (mm/s).")] = 30.0,
     sweeps: Annotated[int, typer.Option("--sweeps", help="1: there; 2: there and back; and so on.")] = 1,
     dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Standstill before and after each sweep.")] = 1.0,
+    shaper: Annotated[Path | None, typer.Option("--shaper", metavar="FILE", help="Shape the reference: a file of isocenter shape.")] = None,
     bus: BusOption = "lockstep:",
     pose: PoseOption = "",
     seed: SeedOption = 0,
@@ -153,7 +154,12 @@ def scan(
     machine = load(machine_name, effects)
     _known_axis(axis, machine)
     scale = edge_scale(machine, axis)
-    experiment = Scan(axis, start * scale, stop * scale, speed * scale, parse_pose(pose, machine), dwell, sweeps)
+    experiment: Experiment = Scan(axis, start * scale, stop * scale, speed * scale, parse_pose(pose, machine), dwell, sweeps)
+    if shaper is not None:
+        from hil.shaping.plans import Shaped
+        from hil.shaping.shaper_file import read_shaper
+
+        experiment = Shaped(experiment, read_shaper(shaper))
     _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
@@ -232,7 +238,7 @@ def from_file(
     from hil.experiments import read_experiment
 
     machine = load(machine_name, effects)
-    _run(machine, read_experiment(path), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    _run(machine, read_experiment(path, machine), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
 
 
 def _run(

@@ -17,6 +17,8 @@ from virtual_bus.physics import Physics
 if TYPE_CHECKING:
     import control
 
+OUTPUTS = ("link", "detector", "motor")
+
 STEP = 1e-5
 """Joint displacement [rad or m] for the detector's Jacobian by central differences: its error is of the order of 1e-10."""
 
@@ -35,8 +37,10 @@ def from_state_space(system: control.StateSpace, output: str | int = 0, input_: 
     return Dynamics(a, b[:, column], c[row], float(d[row, column]), period)
 
 
-def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "detector", physics: Physics | None = None) -> Dynamics:
+def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "link", physics: Physics | None = None) -> Dynamics:
     """From the reference of an axis to a position, linear about rest at a pose, sampled with the loop's timing (docs/notation.md).
+
+    Scaled to DC gain 1: what gravity bends the machine by at another pose is the calibration's, not the shaper's.
 
     Parameters
     ----------
@@ -57,24 +61,42 @@ def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "de
     """
     if not machine.controllers:
         raise DesignError(f"{machine.name} has no controller, so no closed loop whose reference could be shaped")
+    if output not in OUTPUTS:
+        raise DesignError(f"output {output!r}: must be one of {', '.join(OUTPUTS)}")
     physics = physics or Physics(machine.plant, noise=False)
-    n, axes = physics.plant.joints, len(machine.axes)
-    plant = physics.linearise(pose)
-    motion = (plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n])  # the IMU's low passes hang behind it
-    a, b, _, _, _ = scipy.signal.cont2discrete((*motion, np.zeros((1, 2 * n)), np.zeros((1, axes))), 1.0 / machine.sample_rate_Hz)
-    measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
-    row = np.zeros(2 * n)
     index = machine.axis_index(axis)
     if output == "detector":
-        row[:n] = _detector_row(machine, physics, pose, index)
-    elif output in ("link", "motor"):
-        name = f"{'link_' if output == 'link' else ''}position_{axis}"
-        if name not in plant.output_labels:
-            raise DesignError(f"{machine.name} has no encoder {name}")
-        row = plant.C[plant.output_labels.index(name), : 2 * n]
+        jacobian = _detector_jacobian(machine, physics, pose)
+        path = jacobian[:, physics.plant.joint_of_axis()[axis]]
+        if not np.linalg.norm(path) > 1e-6:
+            raise DesignError(f"{axis} does not move the detector's centre at {np.round(pose, 4).tolist()}; take output link")
+        row = path @ jacobian / (path @ path)
     else:
-        raise DesignError(f"output {output!r}: must be detector, link or motor")
-    return _loop(a, b, measured, row, machine.controllers, index, 1.0 / machine.sample_rate_Hz)
+        name = f"{'link_' if output == 'link' else ''}position_{axis}"
+        encoder = next((each for each in machine.plant.encoders if each.channel == name), None)
+        if encoder is None:
+            raise DesignError(f"{machine.name} has no encoder {name}")
+        row = np.array([float(joint.name in encoder.joints) for joint in machine.plant.tree.joints])
+    loop = _loops(machine, physics, pose, index, row[None, :])[0]
+    return loop.scaled(1.0 / complex(loop.response(0.0)).real)
+
+
+def detector_paths(machine: Machine, pose: np.ndarray, axis: str, physics: Physics) -> tuple[Dynamics, ...]:
+    """From the reference of an axis to the x, y and z displacement of the detector's centre [m]; of the link where there is no detector."""
+    if machine.geometry is None or machine.geometry.detector_body not in machine.plant.watched_bodies:
+        return (closed_loop(machine, pose, axis, "motor", physics),)
+    return tuple(_loops(machine, physics, pose, machine.axis_index(axis), _detector_jacobian(machine, physics, pose)))
+
+
+def _loops(machine: Machine, physics: Physics, pose: np.ndarray, axis: int, rows: np.ndarray) -> list[Dynamics]:
+    """Closed loops from one axis's reference to combinations of joint positions, rows (k, joints)."""
+    n, period_s = physics.plant.joints, 1.0 / machine.sample_rate_Hz
+    plant = physics.linearise(pose)
+    motion = (plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n])  # the IMU's low passes hang behind it
+    a, b, _, _, _ = scipy.signal.cont2discrete((*motion, np.zeros((1, 2 * n)), np.zeros((1, len(machine.axes)))), period_s)
+    measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
+    speeds_too = np.hstack([rows, np.zeros_like(rows)])
+    return [_loop(a, b, measured, row, machine.controllers, axis, period_s) for row in speeds_too]
 
 
 def _loop(
@@ -108,13 +130,12 @@ def _loop(
     return Dynamics(loop, entering, seen, 0.0, period_s)
 
 
-def _detector_row(machine: Machine, physics: Physics, pose: np.ndarray, axis: int) -> np.ndarray:
-    """(joints,) displacement of the detector's centre along this axis's path, per joint, over what the axis itself does."""
+def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> np.ndarray:
+    """(3, joints) displacement of the detector's centre per joint, by central differences."""
     geometry = machine.geometry
     if geometry is None or geometry.detector_body not in machine.plant.watched_bodies:
         raise DesignError(f"{machine.name} has no [geometry] with a detector; take output link or motor")
     body = machine.plant.watched_bodies.index(geometry.detector_body)
-    joint = physics.plant.joint_of_axis()[machine.axes[axis]]
     rest = np.zeros(physics.plant.joints)
     rest[list(physics.plant.joint_of_axis().values())] = pose
 
@@ -123,11 +144,7 @@ def _detector_row(machine: Machine, physics: Physics, pose: np.ndarray, axis: in
         return found[:3] + found[3:].reshape(3, 3) @ geometry.detector_center_m
 
     shifts = STEP * np.eye(len(rest))
-    jacobian = np.array([(centre(rest + shift) - centre(rest - shift)) / (2.0 * STEP) for shift in shifts]).T
-    path = jacobian[:, joint]
-    if not np.linalg.norm(path) > 1e-6:
-        raise DesignError(f"{machine.axes[axis]} does not move the detector's centre at {np.round(pose, 4).tolist()}; take output link")
-    return path @ jacobian / (path @ path)
+    return np.array([(centre(rest + shift) - centre(rest - shift)) / (2.0 * STEP) for shift in shifts]).T
 
 
 def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

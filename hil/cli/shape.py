@@ -1,0 +1,158 @@
+"""isocenter shape: reference shapers designed and judged."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.options import EffectsOption, MachineArgument, PoseOption, edge_scale, load, parse_pose
+from hil.cli.output import Answer, JsonOption
+
+if TYPE_CHECKING:
+    from hil.machine import Machine
+    from hil.shaping.aim import Aim
+    from hil.shaping.design import Design
+    from hil.shaping.verdict import Subject
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(
+        short_help="Design and judge a reference shaper.",
+        help="Design reference shapers for one axis of a machine, judge them, and write the recommended one."
+        "\n\nFor a sweep unless --period says that the scan repeats. Designed from the machine file's closed loop at a pose, at several "
+        "with --schedule, or from an identified frequency response with --frf."
+        "\n\nExample:  isocenter shape carm --axis roll -o roll.shaper.npz",
+    )(shape)
+
+
+def shape(
+    machine_name: MachineArgument,
+    axis: Annotated[str, typer.Option("--axis", help="Axis whose reference is shaped.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="SHAPER", help="Where to write the shaper (.npz).")],
+    pose: PoseOption = "",
+    period: Annotated[float, typer.Option("--period", metavar="S", help="Period of a scan that repeats; 0 for a sweep.")] = 0.0,
+    harmonics: Annotated[str, typer.Option("--harmonics", metavar="N,N,...", help="Of the period: tracked without error.")] = "1,3,5",
+    longest: Annotated[
+        float, typer.Option("--longest", metavar="S", help="Longest transient; 0.6 s for a sweep, one period otherwise.")
+    ] = 0.0,
+    schedule: Annotated[str, typer.Option("--schedule", metavar="AXIS", help="Design over the range of this axis and interpolate.")] = "",
+    output: Annotated[str, typer.Option("--output", help="What shall track: link, detector or motor.")] = "link",
+    frf: Annotated[Path | None, typer.Option("--frf", metavar="FRF", help="Design from an identified frequency response.")] = None,
+    quiet: Annotated[str, typer.Option("--quiet", metavar="LOW:HIGH", help="Band [Hz] that the quiet design passes least in.")] = "4:20",
+    take: Annotated[str, typer.Option("--take", metavar="NAME", help="Write this design instead of the recommended one.")] = "",
+    table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Verdicts as CSV.")] = None,
+    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses and map of delays.")] = None,
+    effects: EffectsOption = None,
+    json_to: JsonOption = None,
+) -> None:
+    """One line per design, the recommended one first."""
+    from hil.errors import UnusableInput
+    from hil.shaping.design import design_all, shaper_of
+    from hil.shaping.shaper_file import ShaperFile, write_shaper
+
+    machine = load(machine_name, effects)
+    if axis not in machine.axes:
+        raise UnusableInput(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
+    answer = Answer(json_to)
+    aim = _aim(period, harmonics, longest)
+    subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
+    answer.say(f"{axis} of {machine.name}, {aim.kind}, from {source}")
+    band = _band(quiet)
+    designs = design_all(subjects, aim, machine.sample_rate_Hz, band)
+    chosen = designs[0] if not take else next((design for design in designs if design.name == take), None)
+    if chosen is None:
+        raise UnusableInput(f"--take {take}: must be one of {', '.join(design.name for design in designs)}")
+    for design in designs:
+        answer.say(f"{'*' if design is chosen else ' '} {design.verdict.line}")
+    for line in _left_out_lines(chosen):
+        answer.say(line)
+    answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
+    verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
+    notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": source, "output": output}
+    notes["verdict"] = chosen.verdict.line
+    shapers = (shaper_of(chosen, axis, machine.sample_rate_Hz, positions, schedule),)
+    write_shaper(ShaperFile(shapers, machine.sample_rate_Hz, notes), out)
+    answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(positions)} pose{'s' if len(positions) > 1 else ''}")
+    if table is not None:
+        _write_csv(verdicts, table)
+        answer.say(f"{table}: verdicts")
+    if figure is not None:
+        from hil.figures.shapers import design_figure
+
+        design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}").savefig(figure, dpi=130)
+        answer.say(f"{figure}: figure")
+    answer.write({"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes, "designs": verdicts})
+
+
+def _aim(period: float, harmonics: str, longest: float) -> Aim:
+    from hil.errors import UnusableInput
+    from hil.shaping.aim import periodic, sweep
+
+    if period == 0.0:
+        return sweep(longest) if longest else sweep()
+    try:
+        numbers = [int(part) for part in harmonics.split(",")]
+    except ValueError:
+        raise UnusableInput(f"--harmonics {harmonics}: must be whole numbers such as 1,3,5") from None
+    return periodic(period, numbers, longest or None)
+
+
+def _subjects(
+    machine: Machine, axis: str, pose: str, schedule: str, output: str, frf: Path | None
+) -> tuple[list[Subject], list[float], str]:
+    """What to design for, the scheduling positions, and where it comes from in words."""
+    import numpy as np
+
+    from hil.errors import UnusableInput
+    from hil.experiments.plan import pose_array
+    from hil.shaping.poses import scheduled_poses, subject_at
+
+    if frf is not None:
+        from hil.identification import read_frf
+        from hil.shaping.from_frf import subject_from_frf
+
+        if schedule or pose:
+            raise UnusableInput("--frf: a frequency response is of one pose; leave out --schedule and --pose")
+        subject, error = subject_from_frf(machine, read_frf(frf), axis, output)
+        return [subject], [0.0], f"{frf}, fitted to {error:.2%}"
+    at = pose_array(machine, parse_pose(pose, machine))
+    if not schedule:
+        where = ", ".join(f"{name} {value / edge_scale(machine, name):g}" for name, value in zip(machine.axes, at, strict=True))
+        return [subject_at(machine, at, axis, output)], [0.0], f"the machine file's closed loop at {where}"
+    if schedule not in machine.axes:
+        raise UnusableInput(f"--schedule {schedule}: {machine.name} has {', '.join(machine.axes)}")
+    poses = scheduled_poses(machine, at, schedule)
+    positions = poses[:, machine.axis_index(schedule)]
+    low, high = positions[[0, -1]] / edge_scale(machine, schedule)
+    source = f"the machine file's closed loop at {len(poses)} poses, {schedule} {low:g} to {high:g}"
+    return [subject_at(machine, each, axis, output) for each in poses], positions.tolist(), source
+
+
+def _band(text: str) -> tuple[float, float]:
+    from hil.errors import UnusableInput
+
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise UnusableInput(f"--quiet {text}: must be LOW:HIGH in Hz") from None
+    return low, high
+
+
+def _left_out_lines(design: Design) -> list[str]:
+    listed = design.verdict.left_out
+    if not listed:
+        return [f"{design.name}: every pole that matters is cancelled"]
+    shares = ", ".join(f"{each.frequency_Hz:.3g} Hz (damping {each.damping:.2g}) {each.residual:.2g}" for each in listed)
+    return [f"{design.name}: poles left out, with what is left of a unit step in them after the transient: {shares}"]
+
+
+def _write_csv(verdicts: list[dict[str, Any]], path: Path) -> None:
+    columns = [name for name in verdicts[0] if name != "left_out"]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([verdict[name] for name in columns] for verdict in verdicts)

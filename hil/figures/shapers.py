@@ -1,0 +1,79 @@
+"""Figures of reference shapers: their taps, what they pass, and the map of delays they were chosen from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from controllers.errors import DesignError
+from controllers.shapers.harmonic import harmonic_conditions
+from hil.shaping.aim import Aim
+from hil.shaping.design import Design, delay_map
+from hil.shaping.verdict import Subject
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
+"""Okabe and Ito's palette: told apart by colour-blind readers and in grey."""
+
+SHOWN = 5
+"""Designs drawn: more lines than this are no longer told apart."""
+
+
+def design_figure(designs: Sequence[Design], subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, title: str = "") -> Figure:
+    """Taps, |G| and |H| over frequency at the first pose, and the map of delays of the harmonic filter, as Figs 7.4 and 7.12."""
+    figure = Figure(figsize=(11.0, 7.5), layout="constrained")
+    taps, passes, tracks, gains = figure.subplots(2, 2).reshape(-1)
+    frequencies = np.geomspace(0.05, sample_rate_Hz / 4.0, 2000)
+    s = 2j * np.pi * frequencies
+    plant = subjects[0].dynamics.response(s)
+    tracks.loglog(frequencies, np.abs(plant), color="black", linewidth=1.0, label="no shaper")
+    for design, colour in zip([each for each in designs if each.name != "none"][:SHOWN], COLOURS, strict=False):
+        shaper = design.filters[0]
+        taps.plot(shaper.delays_s, shaper.gains, "o-", color=colour, markersize=3, linewidth=0.7, label=design.name)
+        through = np.abs(shaper.response(s))
+        passes.loglog(frequencies, through, color=colour, linewidth=1.0, label=design.name)
+        tracks.loglog(frequencies, np.abs(plant) * through, color=colour, linewidth=1.0, label=design.name)
+    for mode in subjects[0].ringing:
+        passes.axvline(mode.frequency_rad_s / (2.0 * np.pi), color="grey", linewidth=0.5, linestyle=":")
+    for axes, text in ((passes, "|G|"), (tracks, "|H| = |P G|")):
+        axes.set(xlabel="Frequency [Hz]", ylabel=text, ylim=(1e-4, 10.0))
+        axes.grid(alpha=0.3, linewidth=0.5)
+    taps.set(xlabel="Delay [s]", ylabel="Gain")
+    taps.grid(alpha=0.3, linewidth=0.5)
+    taps.legend(fontsize="small")
+    _draw_map(gains, designs, subjects, aim, sample_rate_Hz)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def _draw_map(axes, designs: Sequence[Design], subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float) -> None:
+    """Sum of |A_k| and vibration at 10 percent over T, the chosen delay marked."""
+    cancelled = designs[0].cancelled
+    for robust, name, colour in ((False, "hTDF", COLOURS[0]), (True, "hTDF robust", COLOURS[1])):
+        try:
+            conditions = [
+                harmonic_conditions(
+                    each.dynamics,
+                    aim.forcing_rad_s,
+                    poles,
+                    robust_poles=poles if robust else (),
+                    robust_forcing_rad_s=aim.without_slope_rad_s,
+                )
+                for each, poles in zip(subjects, cancelled, strict=True)
+            ]
+        except DesignError:
+            continue
+        rows = delay_map(conditions, subjects, 1.0 / sample_rate_Hz, aim.longest_transient_s)
+        if not rows:
+            continue
+        delays = [row.delay_s for row in rows]
+        axes.semilogy(delays, [row.gain_sum for row in rows], ".-", color=colour, linewidth=0.8, label=f"{name}: sum of |A|")
+        axes.semilogy(delays, [row.vibration_at_10 for row in rows], ":", color=colour, label=f"{name}: vibration at ±10 %")
+        chosen = next((design for design in designs if design.name == name), None)
+        if chosen is not None:
+            axes.axvline(chosen.filters[0].delays_s[1], color=colour, linewidth=0.6)
+    axes.set(xlabel="Delay T [s]")
+    axes.grid(alpha=0.3, linewidth=0.5)
+    axes.legend(fontsize="small")

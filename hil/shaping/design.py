@@ -1,0 +1,213 @@
+"""Every shaper that could serve, designed at the sample rate for one axis at one or several poses, judged, the recommended one first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.shapers.conditions import LIGHTLY_DAMPED, Condition, cancelling
+from controllers.shapers.delays import DelayFilter
+from controllers.shapers.dynamics import Dynamics, Mode
+from controllers.shapers.harmonic import harmonic, harmonic_conditions, tap_count
+from controllers.shapers.point_to_point import ei, two_hump_ei, zv, zvd
+from controllers.shapers.quiet import quiet
+from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
+from hil.shaping.aim import Aim
+from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
+
+FAST = 0.125
+"""Modes above this share of the sample rate are fast: a tap every sample or two would be needed for them. They are left out and listed."""
+
+SEEN = 1e-3
+"""A mode belongs to the axis if it contributes at least this share of the ringing acceleration at one of the poses."""
+
+NOTCH_DAMPING = 0.7
+"""Damping of the notch's poles: as wide as a notch can be without ringing itself."""
+
+QUIET_BAND_Hz = (4.0, 20.0)
+"""Where the C-arm's structure rings: 8 Hz and 14 Hz, and what moves between them."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A shaper and its verdict."""
+
+    filters: tuple[DelayFilter, ...]  # one per pose
+    verdict: Verdict
+    cancelled: tuple[tuple[complex, ...], ...]
+
+    @property
+    def name(self) -> str:
+        return self.verdict.name
+
+
+@dataclass(frozen=True)
+class MapRow:
+    """One delay of a map as Fig. 7.12: gains, their sum, the transient and the worst vibration at 10 percent."""
+
+    delay_s: float
+    filters: tuple[DelayFilter, ...]
+    gain_sum: float
+    largest_gain: float
+    transient_s: float
+    vibration_at_10: float
+
+
+def subject(tracked: Dynamics, rung: Sequence[Dynamics]) -> Subject:
+    """The path that shall track, and its lightly damped modes weighted by what they do to `rung` (paths with the same poles)."""
+    tracked.check_stable()
+    weights: dict[complex, float] = {}
+    for path in rung:
+        for mode in path.modes:
+            if mode.damping < LIGHTLY_DAMPED:
+                key = complex(np.round(mode.pole, 6))
+                weights[key] = float(np.hypot(weights.get(key, 0.0), mode.step_share))
+    modes = sorted((Mode(pole, weight) for pole, weight in weights.items()), key=lambda mode: mode.pole.imag)
+    return Subject(tracked, tuple(modes))
+
+
+def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[tuple[complex, ...]]:
+    """Lightly damped poles of every subject that are not fast and that the axis rings, the same ones (by order of frequency) everywhere.
+
+    Raises
+    ------
+    DesignError
+        Another number of slow modes at one pose than at the others.
+    """
+    slow = [[mode for mode in each.ringing if mode.frequency_rad_s < 2.0 * np.pi * FAST * sample_rate_Hz] for each in subjects]
+    if len({len(modes) for modes in slow}) > 1:
+        raise DesignError(f"the poses have {[len(modes) for modes in slow]} ringing modes: no schedule over them; shape pose by pose")
+    seen = np.zeros(len(slow[0]), dtype=bool)
+    for modes in slow:
+        acceleration = np.array([mode.step_share * mode.frequency_rad_s**2 for mode in modes])
+        seen |= acceleration > SEEN * acceleration.max(initial=0.0)
+    found = []
+    for each, modes in zip(subjects, slow, strict=True):
+        poles = each.dynamics.poles
+        wanted = [mode.pole for mode, chosen in zip(modes, seen, strict=True) if chosen]
+        found.append(tuple(complex(poles[np.argmin(np.abs(poles - pole))]) for pole in wanted))
+    return found
+
+
+def delay_map(
+    conditions: Sequence[Sequence[Condition]], subjects: Sequence[Subject], sample_period_s: float, longest_s: float
+) -> list[MapRow]:
+    """Harmonic filters for every delay T of whole samples whose transient fits, as Fig. 7.12; delays without a solution are left out."""
+    taps = tap_count(conditions[0])
+    rows = []
+    for samples in range(1, int(longest_s / sample_period_s / max(taps - 1, 1)) + 1):
+        delay_s = samples * sample_period_s
+        try:
+            filters = tuple(harmonic(each, delay_s) for each in conditions)
+        except DesignError:
+            continue
+        worst = max(
+            vibration_left(shaper, each.ringing, share) for shaper, each in zip(filters, subjects, strict=True) for share in (-0.1, 0.1)
+        )
+        sums, largest = max(shaper.gain_sum for shaper in filters), max(shaper.largest_gain for shaper in filters)
+        rows.append(MapRow(delay_s, filters, sums, largest, filters[0].transient_s, worst))
+    return rows
+
+
+def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
+    """Of the delays with gains within the limit the one with the least transient (as a share of the time there is) plus vibration at 10
+    percent; where gains are too large everywhere, the one with the smallest.
+
+    Raises
+    ------
+    DesignError
+        The map is empty.
+    """
+    if not rows:
+        raise DesignError(f"no delay fits its filter into {longest_s:.4g} s: allow a longer transient, or fewer harmonics or robust poles")
+    fitting = [row for row in rows if row.gain_sum <= GAIN_LIMIT]
+    if not fitting:
+        return min(rows, key=lambda row: row.gain_sum)
+    return min(fitting, key=lambda row: row.transient_s / longest_s + row.vibration_at_10)
+
+
+def design_all(
+    subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz
+) -> list[Design]:
+    """Point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with something against them last.
+
+    Raises
+    ------
+    DesignError
+        An unstable plant, no ringing mode, a forcing frequency on a pole, or no harmonic filter that fits the time there is.
+    """
+    period_s = 1.0 / sample_rate_Hz
+    cancelled = poles_to_cancel(subjects, sample_rate_Hz)
+    if not cancelled[0]:
+        raise DesignError(f"nothing rings below {FAST * sample_rate_Hz:.3g} Hz: there is nothing to shape away")
+    conditions = [
+        harmonic_conditions(each.dynamics, aim.forcing_rad_s, poles, robust_forcing_rad_s=aim.without_slope_rad_s)
+        for each, poles in zip(subjects, cancelled, strict=True)
+    ]
+    robust = [
+        harmonic_conditions(each.dynamics, aim.forcing_rad_s, poles, robust_poles=poles, robust_forcing_rad_s=aim.without_slope_rad_s)
+        for each, poles in zip(subjects, cancelled, strict=True)
+    ]
+    found = [tuple(_named(DelayFilter(np.zeros(1), np.ones(1)), "none") for _ in subjects)]
+    found += [_common(subjects, cancelled, make, name, period_s) for make, name in _POINT_TO_POINT]
+    found.append(tuple(_notch(poles, period_s) for poles in cancelled))
+    refused = []
+    for each, name in ((conditions, "hTDF"), (robust, "hTDF robust")):
+        try:
+            row = choose_delay(delay_map(each, subjects, period_s, aim.longest_transient_s), aim.longest_transient_s)
+            found.append(tuple(_named(shaper, name) for shaper in row.filters))
+        except DesignError as error:
+            refused.append(error)
+    longest = _whole(aim.longest_transient_s, sample_rate_Hz)
+    try:
+        found.append(tuple(quiet(each, period_s, longest, quiet_band_Hz) for each in robust))
+    except DesignError as error:
+        refused.append(error)
+        if len(refused) == 3:
+            raise error from None
+    designs = [Design(filters, judge(filters, subjects, aim, cancelled), tuple(cancelled)) for filters in found]
+    return sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))
+
+
+def shaper_of(
+    design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = ""
+) -> AxisShaper:
+    """A design as the loop runs it."""
+    return axis_shaper(axis, design.filters, sample_rate_Hz, positions, schedule_axis, design.verdict.static_gain)
+
+
+_Maker = Callable[[float, float], DelayFilter]
+_POINT_TO_POINT: tuple[tuple[_Maker, str], ...] = ((zv, "ZV"), (zvd, "ZVD"), (ei, "EI"), (two_hump_ei, "2HEI"))
+
+
+def _common(
+    subjects: Sequence[Subject], cancelled: Sequence[Sequence[complex]], make: _Maker, name: str, period_s: float
+) -> tuple[DelayFilter, ...]:
+    """A point-to-point shaper of the mode that rings most, on samples, for the middle pose: its delays cannot be scheduled."""
+    middle = len(subjects) // 2
+    weight = {mode.pole: mode.step_share * mode.frequency_rad_s**2 for mode in subjects[middle].ringing}
+    pole = max(cancelled[middle], key=lambda p: weight[min(weight, key=lambda q: abs(q - p))])
+    shaper = make(abs(pole), -pole.real / abs(pole))
+    conditions = [Condition(0.0, 1.0, 0, "DC gain")]
+    conditions += [Condition(c.s, complex(shaper.response(c.s)), 0, c.what) for c in cancelling([pole])]
+    return tuple(_named(on_samples(shaper, conditions, period_s), name) for _ in subjects)
+
+
+def _notch(poles: Sequence[complex], period_s: float) -> DelayFilter:
+    """Zeros at the poles, as many well damped poles at their frequencies, DC gain 1."""
+    wide = [complex(-NOTCH_DAMPING * abs(p), np.sqrt(1.0 - NOTCH_DAMPING**2) * abs(p)) for p in poles]
+    in_z = [np.exp(np.array([*roots, *np.conj(roots)]) * period_s) for roots in (list(poles), wide)]
+    system = Dynamics.from_polynomials(np.real(np.poly(in_z[0])), np.real(np.poly(in_z[1])), period_s)
+    return DelayFilter(np.zeros(1), np.ones(1), system.scaled(1.0 / complex(system.response(0.0)).real), "notch")
+
+
+def _named(shaper: DelayFilter, name: str) -> DelayFilter:
+    return DelayFilter(shaper.delays_s, shaper.gains, shaper.tail, name)
+
+
+def _whole(seconds: float, sample_rate_Hz: float) -> float:
+    """One sample less than there is time for: the shaped scan must be at rest before it is over."""
+    return (np.ceil(seconds * sample_rate_Hz - 1e-9) - 1.0) / sample_rate_Hz

@@ -1,0 +1,75 @@
+"""A shaper's subject from an identified frequency response: the loop is closed on paper and its poles are found by a rational fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.sections import response as sections_response
+from controllers.shapers.dynamics import Dynamics
+from hil.identification.result import FrequencyResponse
+from hil.machine import Machine
+from hil.shaping.design import subject
+from hil.shaping.rational import fit
+from hil.shaping.verdict import Subject
+
+WORST_FIT = 0.1
+"""Relative rms error of the fit beyond which its poles are not believed."""
+
+
+def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output: str = "link") -> tuple[Subject, float]:
+    """Subject at the FRF's pose, and the relative rms error of the fit.
+
+    Parameters
+    ----------
+    machine : its controller closes the loop.
+    frf : from commands to at least the motor positions.
+    axis, output : as in `hil.shaping.plants.closed_loop`; "detector" is not measured.
+
+    Raises
+    ------
+    DesignError
+        A command or position is not in the response, another sample rate, or no rational function fits.
+    """
+    if abs(frf.sample_rate_Hz / machine.sample_rate_Hz - 1.0) > 1e-6:
+        raise DesignError(f"the frequency response is of {frf.sample_rate_Hz:g} Hz; {machine.name} runs at {machine.sample_rate_Hz:g} Hz")
+    tracked = {"link": f"link_position_{axis}", "motor": f"position_{axis}"}.get(output)
+    if tracked is None:
+        raise DesignError(f"output {output!r}: a frequency response has link or motor")
+    needed = [*(f"position_{name}" for name in machine.axes), tracked]
+    for names, there in (([f"command_{name}" for name in machine.axes], frf.input_names), (needed, frf.output_names)):
+        for name in names:
+            if name not in there:
+                raise DesignError(f"the frequency response has no {name}; it has {', '.join(there)}")
+    rung = [name for name in frf.output_names if name.startswith("imu_")]
+    loop = _closed(machine, frf, axis)
+    columns = [frf.output_names.index(name) for name in (tracked, *rung)]
+    found = fit(loop[:, columns], frf.frequencies_Hz, frf.sample_rate_Hz)
+    if found.error > WORST_FIT:
+        raise DesignError(f"no rational function fits the closed loop: {found.error:.0%} off; identify with more lines or less noise")
+    path = found.systems[0]
+    path = path.scaled(1.0 / complex(path.response(0.0)).real)
+    return subject(path, [_displacement(system) for system in found.systems[1:]] or [path]), found.error
+
+
+def _closed(machine: Machine, frf: FrequencyResponse, axis: str) -> np.ndarray:
+    """(L, n_y) from the reference of an axis to every output: G (I + C_y G_p)^-1 C_r e."""
+    rate, lines = machine.sample_rate_Hz, frf.frequencies_Hz
+    inputs = [frf.input_names.index(f"command_{name}") for name in machine.axes]
+    positions = [frf.output_names.index(f"position_{name}") for name in machine.axes]
+    plant = frf.G[:, :, inputs]
+    c_y = np.array([sections_response(each.position_sections, lines, rate) for each in machine.controllers]).T
+    own = machine.controllers[machine.axis_index(axis)]
+    c_r = sections_response(own.position_sections if own.reference_sections is None else own.reference_sections, lines, rate)
+    entering = np.zeros((len(lines), len(machine.axes)), dtype=complex)
+    entering[:, machine.axis_index(axis)] = c_r
+    difference = np.eye(len(machine.axes)) + c_y[:, :, None] * plant[:, positions]
+    return (plant @ np.linalg.solve(difference, entering[:, :, None]))[:, :, 0]
+
+
+def _displacement(acceleration: Dynamics) -> Dynamics:
+    """The same modes weighted as displacements: each residue over its pole squared, so that ringing compares with paths of positions."""
+    values, right = np.linalg.eig(acceleration.a)
+    s = np.log(values.astype(complex)) * (1.0 / (acceleration.sample_period_s or 1.0))
+    c = (acceleration.c @ right / s**2) @ np.linalg.inv(right)
+    return Dynamics(acceleration.a, acceleration.b, np.real(c), 0.0, acceleration.sample_period_s)

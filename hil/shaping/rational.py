@@ -1,0 +1,136 @@
+"""Rational fit of sampled frequency responses with common poles: vector fitting (Gustavsen and Semlyen 1999) on the unit circle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from controllers.errors import DesignError
+from controllers.shapers.dynamics import Dynamics
+
+ROUNDS = 15
+"""Relocations of the poles at most; from well spread starts they have settled after ten."""
+
+SETTLED = 1e-8
+"""Largest move of a pole in the z plane after which another round changes nothing."""
+
+ORDERS = range(6, 31, 4)
+
+WORSE = 2
+"""Orders in a row that raise the criterion before the search ends."""
+
+FLOOR = 0.01
+"""Responses count relative to their own size, but not below this share of their largest: a fit should not chase antiresonances' noise."""
+
+
+@dataclass(frozen=True)
+class RationalFit:
+    """Systems with common poles, and how far they are from the data.
+
+    Attributes
+    ----------
+    systems : one per response.
+    error : rms of the weighted relative error over all responses and lines.
+    """
+
+    systems: tuple[Dynamics, ...]
+    error: float
+
+
+def fit(responses: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> RationalFit:
+    """Fit with the order of least Bayesian information criterion.
+
+    Parameters
+    ----------
+    responses : (L, m) complex array
+    frequencies_Hz : (L,) array
+    sample_rate_Hz : float
+
+    Raises
+    ------
+    DesignError
+        Too few lines for the smallest order.
+    """
+    lines, outputs = responses.shape
+    if lines < ORDERS[0] + 2:
+        raise DesignError(f"{lines} frequencies are too few to find modes in; it takes {ORDERS[0] + 2}")
+    z = np.exp(2j * np.pi * frequencies_Hz / sample_rate_Hz)
+    size = np.abs(responses)
+    weights = 1.0 / np.maximum(size, FLOOR * size.max(axis=0))
+    best: tuple[float, RationalFit] | None = None
+    since_best = 0
+    for order in ORDERS:
+        if lines < order + 2 or since_best == WORSE:
+            break
+        systems = _fit_order(responses, weights, z, order, 1.0 / sample_rate_Hz, frequencies_Hz)
+        modelled = np.array([system.response(2j * np.pi * frequencies_Hz) for system in systems]).T
+        error = float(np.sqrt(np.mean(np.abs(weights * (modelled - responses)) ** 2)))
+        count = 2 * lines * outputs
+        criterion = count * np.log(max(error, 1e-12) ** 2) + (order + outputs * (order + 1)) * np.log(count)
+        since_best += 1
+        if best is None or criterion < best[0]:
+            best, since_best = (criterion, RationalFit(systems, error)), 0
+    assert best is not None
+    return best[1]
+
+
+def _fit_order(
+    responses: np.ndarray, weights: np.ndarray, z: np.ndarray, order: int, period_s: float, frequencies_Hz: np.ndarray
+) -> tuple[Dynamics, ...]:
+    low, high = max(frequencies_Hz.min(), 1e-3), frequencies_Hz.max()
+    angles = 2.0 * np.pi * period_s * np.geomspace(low, high, order // 2)
+    poles = np.exp((-0.05 + 1j) * angles)  # upper halves of pairs, 5 % damped
+    states, entering = _blocks(poles)
+    for _ in range(ROUNDS):
+        basis = _basis(states, entering, z)
+        rows, right = [], []
+        for response, weight in zip(responses.T, weights.T, strict=True):
+            own = np.column_stack([basis, np.ones(len(z))])
+            block = weight[:, None] * np.column_stack([own, -response[:, None] * basis])
+            block, target = np.vstack([block.real, block.imag]), np.concatenate([(weight * response).real, (weight * response).imag])
+            r = np.asarray(np.linalg.qr(np.column_stack([block, target]), mode="r"))
+            kept = r[own.shape[1] :, own.shape[1] :]  # what the common denominator has to explain
+            rows.append(kept[:, :-1])
+            right.append(kept[:, -1])
+        shared = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
+        moved = np.linalg.eigvals(states - np.outer(entering, shared))
+        outside = np.abs(moved) >= 1.0
+        moved[outside] = 1.0 / np.conj(moved[outside])
+        before = np.sort_complex(np.linalg.eigvals(states))
+        states, entering = _blocks(_halves(moved))
+        if np.abs(np.sort_complex(np.linalg.eigvals(states)) - before).max() < SETTLED:
+            break
+    basis = np.column_stack([_basis(states, entering, z), np.ones(len(z))])
+    systems = []
+    for response, weight in zip(responses.T, weights.T, strict=True):
+        block, target = weight[:, None] * basis, weight * response
+        solution = np.linalg.lstsq(np.vstack([block.real, block.imag]), np.concatenate([target.real, target.imag]), rcond=None)[0]
+        systems.append(Dynamics(states, entering, solution[:-1], float(solution[-1]), period_s))
+    return tuple(systems)
+
+
+def _halves(poles: np.ndarray) -> np.ndarray:
+    """Upper halves of pairs, then the real ones."""
+    real = np.abs(poles.imag) < 1e-12
+    return np.concatenate([poles[~real & (poles.imag > 0.0)], poles[real].real])
+
+
+def _blocks(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Real state matrix (n, n) and input (n,) with these poles."""
+    blocks, entering = [], []
+    for pole in halves:
+        if abs(pole.imag) > 0.0:
+            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
+            entering += [2.0, 0.0]
+        else:
+            blocks.append(np.array([[pole.real]]))
+            entering += [1.0]
+    return scipy.linalg.block_diag(*blocks), np.array(entering)
+
+
+def _basis(states: np.ndarray, entering: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """(L, n) states' responses to the input."""
+    resolvent = z[:, None, None] * np.eye(len(states)) - states
+    return np.linalg.solve(resolvent, np.broadcast_to(entering.astype(complex)[:, None], (len(z), len(states), 1)))[..., 0]

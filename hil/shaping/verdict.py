@@ -1,0 +1,154 @@
+"""What a shaper promises, on one line: residual vibration, transient, gains, sensitivity to 10 percent, what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controllers.shapers.delays import DelayFilter
+from controllers.shapers.dynamics import Dynamics, Mode
+from controllers.shapers.harmonic import UNIT_GAIN
+from hil.shaping.aim import Aim
+
+VARIATION = np.linspace(-0.1, 0.1, 21)
+"""Relative changes of poles and forcing frequencies over which the worst case is looked for: the thesis's 10 percent."""
+
+GAIN_LIMIT = 3.0
+"""Sum of |A_k| beyond which a shaper is not recommended: the raw reference would have to keep within a third of the limits."""
+
+LAG_s = 1e-3
+"""Ramp lag that still counts as none: a quarter of a sample at 256 Hz."""
+
+LISTED = 1e-4
+"""Poles left out are listed from this share of a step on."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A pole that is not cancelled, and what is left of a unit step in it when the transient is over."""
+
+    frequency_Hz: float
+    damping: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Numbers of one design, the worst over the poses it was judged at. Vibration and tracking error are shares: 1 is as much as without a
+    shaper, or as the reference itself."""
+
+    name: str
+    vibration: float
+    vibration_at_10: float
+    tracking: float
+    tracking_at_10: float
+    lag_s: float
+    transient_s: float
+    largest_gain: float
+    gain_sum: float
+    static_gain: float
+    left_out: tuple[LeftOut, ...]
+    against: str  # why it is not recommended, or ""
+
+    @property
+    def cost(self) -> float:
+        """What the recommendation goes by: worst-case vibration plus the tracking error, both as shares."""
+        return self.vibration_at_10 + self.tracking
+
+    @property
+    def line(self) -> str:
+        """For a person."""
+        parts = [
+            f"vibration {_percent(self.vibration)} ({_percent(self.vibration_at_10)} at ±10 %)",
+            f"transient {self.transient_s:.3f} s",
+            f"largest gain {self.largest_gain:.3g} (sum {self.gain_sum:.2f})",
+            f"tracking error {_percent(self.tracking)} ({_percent(self.tracking_at_10)} at ±10 %)",
+            f"ramp lag {1e3 * self.lag_s:.1f} ms",
+        ]
+        text = f"{self.name:12s} " + ", ".join(parts)
+        return text + (f"; against it: {self.against}" if self.against else "")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One pose a shaper is judged at: the path that shall track, and the modes that shall not ring with their weights."""
+
+    dynamics: Dynamics
+    ringing: tuple[Mode, ...]
+
+
+def judge(shapers: Sequence[DelayFilter], subjects: Sequence[Subject], aim: Aim, cancelled: Sequence[Sequence[complex]]) -> Verdict:
+    """Verdict of a shaper, one filter per subject (or the same filter for all)."""
+    pairs = list(zip(shapers, subjects, strict=True))
+    vibration = max(vibration_left(shaper, subject.ringing) for shaper, subject in pairs)
+    at_10 = max(vibration_left(shaper, subject.ringing, share) for shaper, subject in pairs for share in VARIATION)
+    through = [complex(subject.dynamics.response(0.0) * shaper.response(0.0)).real for shaper, subject in pairs]
+    static_gain = through[int(np.argmax(np.abs(np.array(through) - 1.0)))]
+    lag = max((_lag(shaper, subject.dynamics) for shaper, subject in pairs), key=abs)
+    transient = max(shaper.transient_s for shaper in shapers)
+    gain_sum = max(shaper.gain_sum for shaper in shapers)
+    against = ""
+    if abs(static_gain - 1.0) > UNIT_GAIN:
+        against = f"H(0) = {static_gain:.4g}, no filter for a reference with a mean"
+    elif transient >= aim.longest_transient_s:
+        against = f"the scan has time for {aim.longest_transient_s:.3g} s"
+    elif gain_sum > GAIN_LIMIT:
+        against = f"gains sum to more than {GAIN_LIMIT:g}"
+    elif 0.0 in aim.without_slope_rad_s and abs(lag) > LAG_s:
+        against = "a ramp lags"
+    return Verdict(
+        shapers[0].name,
+        vibration,
+        at_10,
+        max(tracking_error(shaper, subject.dynamics, aim) for shaper, subject in pairs),
+        max(tracking_error(shaper, subject.dynamics, aim, share) for shaper, subject in pairs for share in VARIATION),
+        lag,
+        transient,
+        max(shaper.largest_gain for shaper in shapers),
+        gain_sum,
+        static_gain,
+        left_out(shapers[0], subjects[0].dynamics, cancelled[0]),
+        against,
+    )
+
+
+def vibration_left(shaper: DelayFilter, modes: Sequence[Mode], share: float = 0.0) -> float:
+    """Amplitude of all modes when the transient is over, over their amplitude without a shaper, poles moved by a share of their frequency.
+
+    |sum A_k exp(p (L T - d_k))| for each mode, weighted with the acceleration its mode contributes to the response to a step.
+    """
+    if not modes:
+        return 0.0
+    poles = np.array([mode.pole for mode in modes]) * (1.0 + share)
+    weight = np.array([mode.step_share for mode in modes]) * np.abs(poles) ** 2
+    left = np.abs(shaper.ending(poles))
+    return float(np.sqrt(np.sum((weight * left) ** 2) / np.sum(weight**2)))
+
+
+def tracking_error(shaper: DelayFilter, dynamics: Dynamics, aim: Aim, share: float = 0.0) -> float:
+    """Largest |H - 1| over the forcing frequencies, moved by a share."""
+    s = 1j * np.array(aim.forcing_rad_s) * (1.0 + share)
+    return float(np.abs(dynamics.response(s) * shaper.response(s) - 1.0).max())
+
+
+def left_out(shaper: DelayFilter, dynamics: Dynamics, cancelled: Sequence[complex]) -> tuple[LeftOut, ...]:
+    """Poles that are not cancelled, largest residual first."""
+    found = []
+    for mode in dynamics.modes:
+        if any(abs(mode.pole - pole) < 1e-6 * abs(pole) for pole in cancelled):
+            continue
+        residual = mode.step_share * float(np.abs(shaper.ending(np.array(mode.pole))))
+        if residual > LISTED:
+            found.append(LeftOut(mode.frequency_rad_s / (2.0 * np.pi), mode.damping, float(residual)))
+    return tuple(sorted(found, key=lambda each: -each.residual))
+
+
+def _lag(shaper: DelayFilter, dynamics: Dynamics) -> float:
+    """-d(PG)/ds at 0: how late a ramp comes out."""
+    return -complex(dynamics.slope(0.0) * shaper.response(0.0) + dynamics.response(0.0) * shaper.slope(0.0)).real
+
+
+def _percent(share: float) -> str:
+    return "0 %" if share < 5e-10 else f"{100.0 * share:.3g} %"
