@@ -169,8 +169,6 @@ class EmulatedMachine:
             if now_s >= node.deadline_s or node.event_driven:
                 node.tick(now_s)
                 spoken = True
-            else:
-                node.now_s = now_s
         return spoken
 
     def _act(self) -> None:
@@ -198,7 +196,9 @@ class EmulatedMachine:
     def _advance(self) -> None:
         self.physics.advance()
         self._samples += 1
-        self.time_s += self.period_s
+        self.time_s = now_s = self.time_s + self.period_s
+        for node in self._nodes:
+            node.now_s = now_s
         if self.io is not None:
             self.io.advance(self.time_s)
 

@@ -9,6 +9,8 @@ import pytest
 from device_wires import COUNTS_PER_TURN, PERIOD_S, RESOLUTION
 from lockstep_client import Master, one_axis, one_axis_bus
 
+from virtual_bus.canopen.motion import STANDSTILL_SAMPLES, VelocityGains, VelocityLoop
+
 OPERATION_ENABLED, FAULT, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED = 0x27, 0x08, 0x07, 0x40
 TARGET_REACHED, INTERNAL_LIMIT, HOMING_ATTAINED, HOMING_ERROR, FOLLOWS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 12
 
@@ -330,6 +332,29 @@ def test_a_homing_that_is_interrupted_finds_no_home(word: int) -> None:
     assert abs(master.physics.speed[0]) < 0.005
 
 
+def test_a_homing_that_was_cut_off_does_not_go_on_by_itself() -> None:
+    master = one_axis(position=0.3, negative_switch=-5.0)
+    home(master, 17, seconds=0.5)
+    master.tick({2: 0x00}, {})
+    for word in (0x16, 0x17, 0x1F):  # the start bit stays on
+        master.tick({2: word}, {})
+    for _ in range(100):
+        master.tick({2: 0x1F}, {})
+    statusword, _, _ = master.sample(2)
+    assert state(statusword) == OPERATION_ENABLED and statusword & TARGET_REACHED and not statusword & HOMING_ATTAINED
+    assert abs(master.physics.speed[0]) < 0.005
+
+
+def test_a_reset_of_the_node_starts_counting_at_zero() -> None:
+    master = one_axis(position=0.3)
+    spin_up(master, 0.2)
+    for _ in range(300):
+        master.tick({2: 0x07}, {})
+    assert shown(master) > 100
+    master.send(0x000, b"\x81\x02")
+    assert master.read(2, 0x6064, signed=True) == 0
+
+
 def test_without_enable_homing_does_not_start() -> None:
     master = Master(one_axis_bus(), (0.3,))
     master.configure((2,), (12,))
@@ -346,3 +371,36 @@ def test_the_counter_wraps_at_32_bits() -> None:
     for _ in range(20):
         master.tick({2: 0x0F}, {2: 500})
     assert shown(master) < -(2**31) + 100_000
+
+
+# ---- the drive's own velocity loop ---------------------------------------------------------------------
+
+
+def loop() -> VelocityLoop:
+    return VelocityLoop(VelocityGains(proportional=0.1, integral=0.5), PERIOD_S, standstill_counts_s=10.0)
+
+
+def test_a_loop_against_its_limit_does_not_wind_up() -> None:
+    velocity = loop()
+    velocity.start(0.0, 0.0)
+    for _ in range(2000):
+        assert velocity.torque(1e5, 1e9, 0.0, 100.0) == 100.0
+    assert velocity.torque(0.0, 1e9, 1000.0, 100.0) < 0.0, "it turns round at once"
+
+
+def test_a_motor_stands_when_it_has_stood_for_a_while() -> None:
+    velocity = loop()
+    velocity.start(0.0, 0.0)
+    for _ in range(STANDSTILL_SAMPLES - 1):
+        velocity.torque(0.0, 1e9, 5.0, 100.0)
+    assert not velocity.standing
+    velocity.torque(0.0, 1e9, 5.0, 100.0)
+    assert velocity.standing
+    velocity.torque(0.0, 1e9, 11.0, 100.0)
+    assert not velocity.standing
+
+
+def test_the_loop_takes_over_without_a_bump() -> None:
+    velocity = loop()
+    velocity.start(250.0, -70.0)
+    assert velocity.torque(250.0, 1e3, 250.0, 100.0) == -70.0

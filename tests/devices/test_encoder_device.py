@@ -64,6 +64,8 @@ def test_the_direction_can_be_reversed(encoder) -> None:  # type: ignore[no-unty
     device.latch(1000)
     remote.sdo[0x6000].raw = 0x0005
     assert remote.sdo[0x6004].raw == (-(4194304 + 1000)) % TURN
+    device.latch(1001)
+    assert remote.sdo[0x6004].raw == (-(4194304 + 1001)) % TURN
     assert abort_code(lambda: remote.sdo.download(0x6000, 0, u16(0x0002))) == 0x06090030
 
 

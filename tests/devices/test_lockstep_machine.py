@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import struct
 
@@ -123,6 +124,35 @@ def test_time_passes_for_a_master_that_polls_slowly(pause_s: float) -> None:
         master.read(1, 0x6041)
         master.wait(pause_s)
     assert master.machine.time_s == pytest.approx(2.0, abs=2 * pause_s)
+
+
+def test_between_syncs_nothing_else_moves_time() -> None:
+    master = Master()
+    for _ in range(100):
+        master.tick({}, {})
+        master.wait(0.04)
+    assert master.machine.time_s == pytest.approx(100 * PERIOD_S)
+
+
+def test_a_master_that_reacts_to_a_heartbeat_finds_the_machine_where_it_spoke() -> None:
+    master = Master()
+    master.configure(heartbeat_ms=100)
+    while not [can_id for can_id, _ in master.wait(0.001) if can_id > 0x700]:
+        pass
+    spoke_s = master.machine.time_s
+    master.wait(0.015)
+    assert master.machine.time_s == spoke_s
+
+
+@pytest.mark.parametrize("start", range(12))
+def test_heartbeats_fall_on_the_same_syncs_whenever_they_began(start: int) -> None:
+    """25.6 samples are 0.1 s: every fifth heartbeat falls on a sample exactly, and rounding must not decide."""
+    master = Master()
+    for _ in range(start * 977):
+        master.machine.receive(0x080, b"")
+    master.configure(heartbeat_ms=100)
+    ticks = [k for k in range(700) if 0x701 in master.tick({}, {})]
+    assert ticks == [math.ceil(n * 25.6) for n in range(28)]
 
 
 def test_waiting_draws_no_noise_and_triggers_nothing() -> None:

@@ -90,7 +90,7 @@ class Emergency:
         inhibit_s = self._node.objects.number(0x1015) * 1e-4
         while self._queue and now_s >= self._not_before_s:
             self._send(self._queue.popleft())
-            self._not_before_s = now_s + inhibit_s if inhibit_s else -math.inf
+            self._not_before_s = self._node.after(inhibit_s) if inhibit_s else -math.inf
         self.deadline_s = self._not_before_s if self._queue else math.inf
         self._node.schedule(self.deadline_s)
 

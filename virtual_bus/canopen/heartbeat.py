@@ -29,7 +29,7 @@ class HeartbeatProducer:
     def start(self, *, at_once: bool) -> None:
         """Begin with the period in the dictionary; 0 stops."""
         first_s = 0.0 if at_once else self._period_s
-        self.deadline_s = self._node.now_s + first_s if self._period_s else math.inf
+        self.deadline_s = self._node.after(first_s) if self._period_s else math.inf
         self._node.schedule(self.deadline_s)
 
     def expire(self, now_s: float) -> None:
@@ -38,7 +38,7 @@ class HeartbeatProducer:
             self._node.send_heartbeat()
             self.deadline_s += self._period_s
             if self.deadline_s <= now_s:
-                self.deadline_s = now_s + self._period_s
+                self.deadline_s = self._node.after(self._period_s)
 
 
 class _Watch:
@@ -98,7 +98,7 @@ class HeartbeatConsumer:
     def heard(self, node_id: int) -> None:
         """A heartbeat or boot-up of that node."""
         watch = self._watches[node_id]
-        watch.deadline_s = self._node.now_s + watch.timeout_s
+        watch.deadline_s = self._node.after(watch.timeout_s)
         if watch.lost:
             watch.lost = False
             if not any(other.lost for other in self._watches.values()):

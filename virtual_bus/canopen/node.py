@@ -27,6 +27,8 @@ from virtual_bus.canopen.sync_producer import SyncProducer
 Emit = Callable[[int, bytes], None]
 Handler = Callable[[bytes], None]
 
+ROUNDING_S = 1e-6
+"""Everything is due a microsecond early: times that fall on a sample must not be decided by how their sums were rounded."""
 _ALL_OBJECTS = range(0x1000, 0x10000)
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1 keeps the state
@@ -151,6 +153,10 @@ class Node:
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     # ---- time -----------------------------------------------------------------------------------------
+    def after(self, seconds: float) -> float:
+        """The time [s] that much later."""
+        return self.now_s + seconds - ROUNDING_S
+
     def schedule(self, deadline_s: float) -> None:
         """Something is due then."""
         if deadline_s < self.deadline_s:

@@ -113,7 +113,7 @@ class Rpdo:
             if len(data) < layout.length:
                 return
         if self._timeout_s:
-            self.deadline_s = node.now_s + self._timeout_s
+            self.deadline_s = node.after(self._timeout_s)
             node.schedule(self.deadline_s)
             node.emergency.clear_error(_RPDO_TIMEOUT)
         if self.synchronous:
@@ -184,7 +184,8 @@ class Tpdo:
         self._start = objects.number(self.communication, 6) if objects.number(0x1019) else 0
         if not (was_alive and self.alive):
             self._counted, self._last, self._not_before_s = 0, None, -math.inf
-        self._next_event_s = self._node.now_s + self._event_s if self.alive and self._event_s and not self.synchronous else math.inf
+        timed = self.alive and self._event_s and not self.synchronous
+        self._next_event_s = self._node.after(self._event_s) if timed else math.inf
         self._set_deadline()
 
     def on_sync(self, counter: int | None) -> None:
@@ -227,9 +228,9 @@ class Tpdo:
 
     def _send(self, data: bytes) -> None:
         self._last = data
-        self._not_before_s = self._node.now_s + self._inhibit_s
+        self._not_before_s = self._node.after(self._inhibit_s)
         if self._event_s and not self.synchronous:
-            self._next_event_s = self._node.now_s + self._event_s
+            self._next_event_s = self._node.after(self._event_s)
         self._set_deadline()
         self._node.emit(self.cob_id, data)
 

@@ -26,7 +26,7 @@ class SyncProducer:
         """Begin with what the dictionary says."""
         self._counter = 0
         period_s = self._period_s()
-        self.deadline_s = self._node.now_s + period_s if period_s else math.inf
+        self.deadline_s = self._node.after(period_s) if period_s else math.inf
         self._node.schedule(self.deadline_s)
 
     def _period_s(self) -> float:
@@ -43,7 +43,7 @@ class SyncProducer:
             return
         self.deadline_s += period_s
         if self.deadline_s <= now_s:
-            self.deadline_s = now_s + period_s
+            self.deadline_s = self._node.after(period_s)
         overflow = self._node.objects.number(0x1019)
         data = b""
         if overflow:
