@@ -2,28 +2,38 @@
 
 from hil.identification.arbitrary import ArbitraryRecords, arbitrary_local
 from hil.identification.bla import fast_bla, robust_bla
+from hil.identification.design import ExcitationDesign, design_excitation, frozen_pose_check
 from hil.identification.errors import IdentificationError
 from hil.identification.frf_file import read_frf, write_frf
 from hil.identification.identify import METHODS, POSE_METHODS, identify, identify_poses
 from hil.identification.local_fast import PoseModel, fast_local, nd_local
 from hil.identification.local_model import LocalModel
 from hil.identification.local_robust import robust_local
+from hil.identification.modal_model import ModalModel, fit_modal_model
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.identification.result import Distortion, FrequencyResponse
+from hil.identification.selection import Candidate, Selection, select_local_model
 
 __all__ = [
     "METHODS",
     "POSE_METHODS",
     "ArbitraryRecords",
+    "Candidate",
     "Distortion",
+    "ExcitationDesign",
     "FrequencyResponse",
     "IdentificationError",
     "LocalModel",
+    "ModalModel",
     "PeriodicRecords",
     "PoseModel",
+    "Selection",
     "arbitrary_local",
+    "design_excitation",
     "fast_bla",
     "fast_local",
+    "fit_modal_model",
+    "frozen_pose_check",
     "identify",
     "identify_poses",
     "nd_local",
@@ -31,5 +41,6 @@ __all__ = [
     "read_frf",
     "robust_bla",
     "robust_local",
+    "select_local_model",
     "write_frf",
 ]

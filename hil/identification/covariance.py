@@ -6,7 +6,7 @@ vec(.) stacks columns: element (i, j) of an n_y x n_u matrix has index j n_y + i
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 
 def plant_covariance(G: np.ndarray, inputs: np.ndarray, covariance_z: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ def circle_factor(dof: np.ndarray | float, probability: float) -> np.ndarray:
     dof = np.asarray(dof, float)
     known = np.sqrt(-np.log1p(-probability))
     safe = np.where(np.isfinite(dof), np.maximum(dof, 1e-9), 1.0)
-    return np.where(np.isfinite(dof), np.sqrt(stats.f.ppf(probability, 2, 2 * safe)), known)
+    return np.where(np.isfinite(dof), np.sqrt(special.fdtri(2, 2 * safe, probability)), known)
 
 
 def hotelling_bound(size: int, dof: np.ndarray | float, probability: float) -> np.ndarray:
@@ -83,7 +83,7 @@ def hotelling_bound(size: int, dof: np.ndarray | float, probability: float) -> n
     dof = np.asarray(dof, float)
     left = dof - size + 1
     usable = left > 0
-    value = dof * size / np.where(usable, left, 1.0) * stats.f.ppf(probability, 2 * size, 2 * np.where(usable, left, 1.0))
+    value = dof * size / np.where(usable, left, 1.0) * special.fdtri(2 * size, 2 * np.where(usable, left, 1.0), probability)
     return np.where(usable, value, np.nan)
 
 

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import control
 import numpy as np
 from numpy.polynomial import legendre
-from scipy import stats
+from scipy import special
 
 from hil.identification.errors import IdentificationError
 from hil.identification.modal_pose import PoseModes, choose_pairs, fit_modes, pair_responses
 from hil.identification.result import FrequencyResponse
+
+if TYPE_CHECKING:
+    import control
 
 HIGHEST_ORDER = 8  # of a polynomial over the poses, and one degree of freedom is left
 
@@ -76,13 +79,15 @@ class ModalModel:
         a0, a1 = (np.array([f(x) for f in family]) for family in (self.a0, self.a1))
         d0, d1 = (np.array([f.deviation(x) for f in family]) for family in (self.a0, self.a1))
         omega = np.sqrt(np.where(a0 > 0.0, a0, np.nan))
-        factor = stats.norm.ppf(0.5 + probability / 2)
+        factor = special.ndtri(0.5 + probability / 2)
         zeta = a1 / (2 * omega)
         half_zeta = np.hypot(d1 / (2 * omega), zeta * d0 / (2 * omega**2))
         return omega / (2 * np.pi), zeta, factor * d0 / (4 * np.pi * omega), factor * half_zeta
 
     def state_space(self, pose: float) -> control.StateSpace:
         """Continuous model from the effort as applied to the outputs; a vibrating pair takes two states, others two per input."""
+        import control  # takes half a second to load, and only this needs it
+
         a0, a1, N0, N1, D = self._values(pose)
         n_u = D.shape[1]
         blocks_A, blocks_B, blocks_C = [], [], []
@@ -124,7 +129,7 @@ class ModalModel:
         n_u = len(self.input_names)
         value = np.array([[family[i * n_u + j](x) for i, j in collocated] for family in self.N0])
         deviation = np.array([[family[i * n_u + j].deviation(x) for i, j in collocated] for family in self.N0])
-        return value >= -stats.norm.ppf(0.975) * deviation
+        return value >= -special.ndtri(0.975) * deviation
 
     def _scaled(self, pose: float) -> float:
         low, high = self.pose_range
