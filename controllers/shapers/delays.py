@@ -58,6 +58,13 @@ class DelayFilter:
         """dG/ds at complex s, same shape."""
         return basis(np.asarray(s, dtype=complex), self.delays_s, self.tail)[1] @ self.gains
 
+    def ending(self, poles: np.ndarray) -> np.ndarray:
+        """G(p) exp(p d_n), same shape as `poles`: what a mode holds when the last tap acts, for unit amplitude at the first."""
+        decayed = np.exp(poles[..., None] * (self.delays_s[-1] - self.delays_s))
+        if self.tail is not None:
+            decayed[..., -1] = decayed[..., -1] * self.tail.response(poles)
+        return decayed @ self.gains
+
     def then(self, other: DelayFilter) -> DelayFilter:
         """Both, one after the other: the zeros of both (multi-mode shapers). Taps at the same instant are joined."""
         if self.tail is not None or other.tail is not None:

@@ -64,7 +64,9 @@ class Dynamics:
     sample_period_s: float | None = None
 
     @classmethod
-    def from_polynomials(cls, numerator: np.ndarray | Sequence[float], denominator: np.ndarray | Sequence[float], sample_period_s: float | None = None) -> Dynamics:
+    def from_polynomials(
+        cls, numerator: np.ndarray | Sequence[float], denominator: np.ndarray | Sequence[float], sample_period_s: float | None = None
+    ) -> Dynamics:
         """From a transfer function's coefficients, highest power first (of z for a sampled system).
 
         Raises

@@ -25,7 +25,7 @@ BLEND_S = 0.5
 def _tap_sample(
     history: np.ndarray, newest: int, delays: np.ndarray, gains: np.ndarray, positions: np.ndarray, at: float, oldest: float
 ) -> float:
-    """One sample of one axis: `history` (rows,) is a ring of raw references, `newest` the row of this sample, `oldest` what is on the last tap."""
+    """One sample of one axis: `history` (rows,) is a ring of raw references, `newest` this sample's row, `oldest` the last tap's value."""
     rows, last, points = len(history), len(delays) - 1, len(positions)
     lower, share = 0, 0.0
     if points > 1:

@@ -47,7 +47,7 @@ def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | N
         return None, 0.0
     edge = chosen.real / np.maximum(np.abs(chosen), 1e-300) if period is None else np.abs(chosen) - 1.0
     if (np.abs(edge) < 1e-9).any():
-        raise DesignError(f"zero at {chosen[np.argmin(np.abs(edge))]:.4g} on the edge of stability: its inverse would never settle; leave it out")
+        raise DesignError(f"zero at {chosen[np.argmin(np.abs(edge))]:.4g} on the edge of stability: its inverse never settles")
     stable, unstable = chosen[edge < 0.0], chosen[edge > 0.0]
     if period is None:
         mirrored = np.real(np.poly(-unstable))

@@ -1,8 +1,8 @@
 """Harmonic filters with a tap at every sample, that meet their conditions exactly and pass least in a band.
 
-The linear method leaves taps over when the filter is longer than its conditions ask for. Here they keep a whole band quiet, so that a mode
-which moves within it with the pose stays unexcited, and gains stay small. The gains minimise the mean of |G|^2 over the band plus a share of the
-mean over all frequencies, under the conditions: one symmetric linear system.
+The linear method leaves taps over when the filter is longer than its conditions ask for. Here they keep a whole band quiet, so that a
+mode which moves within it with the pose stays unexcited, and gains stay small. The gains minimise the mean of |G|^2 over the band plus a
+share of the mean over all frequencies, under the conditions: one symmetric linear system.
 """
 
 from __future__ import annotations

@@ -26,6 +26,9 @@ GRID_LIMIT = 200_000
 TOUCHING = 1e-1
 """A local minimum of the determinant's size below this, relative to its neighbourhood, may be a root that does not change sign."""
 
+ROUNDING = 1e-13
+"""Size of the determinant, relative to its largest, below which its sign means nothing."""
+
 SAME = 1e-9
 """Two roots closer than this, relatively, are one."""
 
@@ -72,7 +75,7 @@ def shortest_delays(
         if not again and shaper.gain_sum <= gain_sum_limit and shaper.delays_s[1] <= longest_s:
             found.append(shaper)
     if not found:
-        raise DesignError(f"no delay up to {longest_s:.4g} s meets all conditions with {taps} taps and a gain sum up to {gain_sum_limit:.4g}")
+        raise DesignError(f"no delay up to {longest_s:.4g} s meets all conditions with {taps} taps and gains up to {gain_sum_limit:.4g}")
     return found
 
 
@@ -95,18 +98,23 @@ def _polished(conditions: Sequence[Condition], delay_s: float, taps: int, tail: 
 def _candidates(function: Callable[[float], float], grid: np.ndarray) -> list[float]:
     """Roots of a function on a grid, and minima of its size that may be roots that only touch zero, in rising order."""
     values = np.array([function(delay) for delay in grid])
-    crossing = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
-    roots = [scipy.optimize.brentq(function, grid[k], grid[k + 1], xtol=1e-15, rtol=8.9e-16) for k in crossing]
-    roots += [float(grid[k]) for k in np.flatnonzero(values == 0.0)]
     size = np.abs(values)
+    told = size > ROUNDING * size.max()  # as T goes to zero all taps become one and the determinant drowns in rounding
+    crossing = np.flatnonzero((np.sign(values[:-1]) * np.sign(values[1:]) < 0.0) & told[:-1] & told[1:])
+    roots = [_root(function, grid[k], grid[k + 1]) for k in crossing]
+    roots += [float(grid[k]) for k in np.flatnonzero(values == 0.0)]
     for k in np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])) + 1:
-        if size[k] > 0.0 and k not in crossing and k - 1 not in crossing and size[k] < TOUCHING * size[max(0, k - 50) : k + 50].max():
+        if told[k] and k not in crossing and k - 1 not in crossing and size[k] < TOUCHING * size[max(0, k - 50) : k + 50].max():
             side = np.sign(values[k])
             low = scipy.optimize.minimize_scalar(
                 lambda t, side=side: side * function(t), bounds=(grid[k - 1], grid[k + 1]), options={"xatol": 1e-12}
             )
             if low.fun < 0.0:  # two roots between neighbours of the grid
-                roots += [scipy.optimize.brentq(function, end, low.x, xtol=1e-15, rtol=8.9e-16) for end in (grid[k - 1], grid[k + 1])]
+                roots += [_root(function, end, low.x) for end in (grid[k - 1], grid[k + 1])]
             else:
                 roots.append(float(low.x))
     return sorted(roots)
+
+
+def _root(function: Callable[[float], float], start: float, end: float) -> float:
+    return float(scipy.optimize.brentq(function, start, end, xtol=1e-15, rtol=8.9e-16, disp=False))

@@ -105,7 +105,6 @@ def _subjects(
     machine: Machine, axis: str, pose: str, schedule: str, output: str, frf: Path | None
 ) -> tuple[list[Subject], list[float], str]:
     """What to design for, the scheduling positions, and where it comes from in words."""
-    import numpy as np
 
     from hil.errors import UnusableInput
     from hil.experiments.plan import pose_array
