@@ -1,0 +1,1 @@
+"""Observers: where the detector really is, once per sample."""

@@ -1,0 +1,229 @@
+"""The modal model as the filters call it: one state one sample on, and what the sensors would read. (5.2), (5.3) with (5.30)-(5.35).
+
+State: [q_r, q_r', η, η', d_r, d, log frequency ratios of the adapted modes, sensor biases].
+
+What the sensors read is a nonlinear function (rotations, products of rates) of a few signals that are linear in the state, and biases. So a
+deviation is carried to the signals once, and only the function of the signals is asked at both of its ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from controllers.compiled import exactly_inlined
+from controllers.models.chain import chain_motion
+from controllers.models.modal import schedule
+from controllers.models.vectors import cross, minus, plus, row, scaled
+
+SENSOR_SIGNALS = 12
+"""Per inertial sensor: acceleration and velocity by the modes, turn and turning rate by the modes."""
+
+
+class Constants(NamedTuple):
+    """What a compiled observer works with; nothing in it changes while it runs."""
+
+    sizes: np.ndarray  # (7,) int: axes, modes, sensors, adapted modes, states, measurements, noise sources
+    harmonics: np.ndarray  # (axes,) int
+    coefficients: np.ndarray  # (rows, basis)
+    adapted: np.ndarray  # (modes,) int: place of the mode's log frequency ratio in the state, -1 where it is fixed
+    axes: np.ndarray  # (axes, 3)
+    points: np.ndarray  # (axes, 3)
+    revolute: np.ndarray  # (axes,) bool
+    sensors: np.ndarray  # (sensors, 16): body's centre, sensor, rotation by rows, lag
+    source_and_gravity: np.ndarray  # (2, 3)
+    period_s: float
+    decay: np.ndarray  # (axes + modes,) of the disturbances over a sample
+    noise_std: np.ndarray  # (noise sources,): commands, disturbances, adapted, biases
+    measurement_std: np.ndarray  # (measurements,)
+
+
+class Scheduled(NamedTuple):
+    """The model's parameters at the scheduled pose, as the equations want them. Overwritten once per sample."""
+
+    values: np.ndarray  # (rows,)
+    modes: np.ndarray  # (modes, 8): ω², 2ζω, discretisation over the period
+    encoders: np.ndarray  # (modes, 3 axes): motor shapes, link shapes, inputs
+    rigid: np.ndarray  # (axes, axes + 3): B_r, D_r, gains of acceleration on speed and position over the period
+    looks: np.ndarray  # (sensors, modes, 15): what a sensor sees of a mode, see `look`; then its shape at the sensor
+
+
+@exactly_inlined
+def mode_step(stiffness, damping, duration):
+    """Exact discretisation of η'' = -stiffness η - damping η' + f, f held: Φ11, Φ12, Φ21, Φ22, Γ1, Γ2. Backwards for duration < 0."""
+    half = 0.5 * damping
+    root = np.sqrt(max(stiffness - half * half, 1e-12))
+    e = np.exp(-half * duration)
+    c = np.cos(root * duration)
+    s = np.sin(root * duration) / root
+    first = e * (c + half * s)
+    return first, e * s, -stiffness * e * s, e * (c - half * s), (1.0 - first) / stiffness, e * s
+
+
+@exactly_inlined
+def look(stiffness, damping, lag):
+    """Deflection, speed and acceleration of a mode as a sensor shows them, from [η, η', f] now: three rows of three.
+
+    A low pass far above the mode is a lag: the motion `lag` ago, speed and acceleration with the low pass's gain at the mode's frequency.
+    """
+    p11, p12, p21, p22, g1, g2 = mode_step(stiffness, damping, -lag)
+    gain = 1.0 / np.sqrt(1.0 + stiffness * lag * lag)
+    return (
+        p11, p12, g1,
+        gain * p21, gain * p22, gain * g2,
+        -gain * (stiffness * p11 + damping * p21), -gain * (stiffness * p12 + damping * p22), gain * (1.0 - stiffness * g1 - damping * g2),
+    )  # fmt: skip
+
+
+@exactly_inlined
+def prepare(constants, pose, scheduled):
+    """All parameters at a pose (axes,)."""
+    sizes, modes_at, encoders, rigid, looks = constants.sizes, scheduled.modes, scheduled.encoders, scheduled.rigid, scheduled.looks
+    n, modes, sensors = sizes[0], sizes[1], sizes[2]
+    values, period = scheduled.values, constants.period_s
+    schedule(constants.harmonics, constants.coefficients, pose, values)
+    stride = 2 + 3 * n + 6 * sensors
+    for i in range(modes):
+        first = i * stride
+        stiffness, damping = values[first], values[first + 1]
+        modes_at[i, 0], modes_at[i, 1] = stiffness, damping
+        modes_at[i, 2], modes_at[i, 3], modes_at[i, 4], modes_at[i, 5], modes_at[i, 6], modes_at[i, 7] = mode_step(stiffness, damping, period)
+        for k in range(2 * n):
+            encoders[i, k] = values[first + 2 + k]
+        for k in range(n):
+            encoders[i, 2 * n + k] = values[first + stride - n + k]
+        for s in range(sensors):
+            rows = look(stiffness, damping, constants.sensors[s, 15])
+            for j in range(9):
+                looks[s, i, j] = rows[j]
+            place = first + 2 + 2 * n + 6 * s
+            shift = values[place], values[place + 1], values[place + 2]
+            turn = values[place + 3], values[place + 4], values[place + 5]
+            at = constants.sensors
+            arm = at[s, 3] - at[s, 0], at[s, 4] - at[s, 1], at[s, 5] - at[s, 2]
+            shift = plus(shift, cross(turn, arm))
+            for j in range(3):
+                looks[s, i, 9 + j] = shift[j]
+                looks[s, i, 12 + j] = turn[j]
+    first = modes * stride
+    for i in range(n):
+        for k in range(n):
+            rigid[i, k] = values[first + i * n + k]
+        damping = values[first + n * n + i]
+        d = damping * period
+        rigid[i, n] = damping
+        rigid[i, n + 1] = period * (1.0 - d / 2.0 * (1.0 - d / 3.0 * (1.0 - d / 4.0)))
+        rigid[i, n + 2] = period * period * (0.5 - d / 6.0 * (1.0 - d / 4.0 * (1.0 - d / 5.0)))
+
+
+@exactly_inlined
+def rigid_acceleration(scheduled, n, modes, x, u, i):
+    """Of axis i, from state and inputs; u None-like zeros for a deviation."""
+    total = x[2 * n + 2 * modes + i] - scheduled.rigid[i, n] * x[n + i]
+    for k in range(n):
+        total += scheduled.rigid[i, k] * u[k]
+    return total
+
+
+@exactly_inlined
+def modal_force(scheduled, n, modes, x, u, i):
+    """On mode i, from disturbance and inputs."""
+    total = x[3 * n + 2 * modes + i]
+    for k in range(n):
+        total += scheduled.encoders[i, 2 * n + k] * u[k]
+    return total
+
+
+@exactly_inlined
+def transition(constants, scheduled, x, u, out):
+    """State one sample later under the held input u (axes,). Linear in x where no mode is adapted."""
+    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    period, adapted, decay, at = constants.period_s, constants.adapted, constants.decay, scheduled.modes
+    for i in range(n):
+        acceleration = rigid_acceleration(scheduled, n, modes, x, u, i)
+        out[i] = x[i] + period * x[n + i] + scheduled.rigid[i, n + 2] * acceleration
+        out[n + i] = x[n + i] + scheduled.rigid[i, n + 1] * acceleration
+    for i in range(modes):
+        p11, p12, p21, p22, g1, g2 = at[i, 2], at[i, 3], at[i, 4], at[i, 5], at[i, 6], at[i, 7]
+        if adapted[i] >= 0:
+            ratio = np.exp(x[adapted[i]])
+            p11, p12, p21, p22, g1, g2 = mode_step(at[i, 0] * ratio * ratio, at[i, 1] * ratio, period)
+        position, speed, force = x[2 * n + i], x[2 * n + modes + i], modal_force(scheduled, n, modes, x, u, i)
+        out[2 * n + i] = p11 * position + p12 * speed + g1 * force
+        out[2 * n + modes + i] = p21 * position + p22 * speed + g2 * force
+    push = 2 * n + 2 * modes
+    for i in range(n + modes):
+        out[push + i] = decay[i] * x[push + i]
+    for i in range(push + n + modes, states):
+        out[i] = x[i]
+
+
+@exactly_inlined
+def signals(constants, scheduled, x, u, out):
+    """Motor sides, link sides; per sensor the axes' position, speed and acceleration `lag` ago and `SENSOR_SIGNALS`, into out.
+
+    Linear in x and u where no mode is adapted.
+    """
+    n, modes, sensors = constants.sizes[0], constants.sizes[1], constants.sizes[2]
+    encoders, looks, adapted = scheduled.encoders, scheduled.looks, constants.adapted
+    for i in range(n):
+        motor, link = x[i], x[i]
+        for j in range(modes):
+            motor += encoders[j, i] * x[2 * n + j]
+            link += encoders[j, n + i] * x[2 * n + j]
+        out[i], out[n + i] = motor, link
+    for s in range(sensors):
+        lag = constants.sensors[s, 15]
+        place = 2 * n + s * (3 * n + SENSOR_SIGNALS)
+        for i in range(n):
+            a = rigid_acceleration(scheduled, n, modes, x, u, i)
+            out[place + i] = x[i] - lag * (x[n + i] - 0.5 * lag * a)
+            out[place + n + i] = x[n + i] - lag * a
+            out[place + 2 * n + i] = a
+        acceleration, velocity, turn, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for i in range(modes):
+            position, speed, force = x[2 * n + i], x[2 * n + modes + i], modal_force(scheduled, n, modes, x, u, i)
+            if adapted[i] >= 0:
+                ratio = np.exp(x[adapted[i]])
+                rows = look(scheduled.modes[i, 0] * ratio * ratio, scheduled.modes[i, 1] * ratio, lag)
+                past = rows[0] * position + rows[1] * speed + rows[2] * force
+                past_speed = rows[3] * position + rows[4] * speed + rows[5] * force
+                push = rows[6] * position + rows[7] * speed + rows[8] * force
+            else:
+                past = looks[s, i, 0] * position + looks[s, i, 1] * speed + looks[s, i, 2] * force
+                past_speed = looks[s, i, 3] * position + looks[s, i, 4] * speed + looks[s, i, 5] * force
+                push = looks[s, i, 6] * position + looks[s, i, 7] * speed + looks[s, i, 8] * force
+            shift = looks[s, i, 9], looks[s, i, 10], looks[s, i, 11]
+            twist = looks[s, i, 12], looks[s, i, 13], looks[s, i, 14]
+            acceleration, velocity = plus(acceleration, scaled(shift, push)), plus(velocity, scaled(shift, past_speed))
+            turn, rate = plus(turn, scaled(twist, past)), plus(rate, scaled(twist, past_speed))
+        place += 3 * n
+        for j in range(3):
+            out[place + j], out[place + 3 + j] = acceleration[j], velocity[j]
+            out[place + 6 + j], out[place + 9 + j] = turn[j], rate[j]
+
+
+@exactly_inlined
+def readings(constants, seen, z):
+    """What the sensors read (measurements,) without their biases, from the signals."""
+    n, sensors = constants.sizes[0], constants.sizes[2]
+    at = constants.sensors
+    for i in range(2 * n):
+        z[i] = seen[i]
+    for s in range(sensors):
+        place = 2 * n + s * (3 * n + SENSOR_SIGNALS)
+        end = at[s, 3], at[s, 4], at[s, 5]
+        omega, _, force = chain_motion(
+            constants.axes, constants.points, constants.revolute, constants.source_and_gravity[1], seen[place : place + 3 * n], end
+        )
+        place += 3 * n
+        acceleration, velocity = (seen[place], seen[place + 1], seen[place + 2]), (seen[place + 3], seen[place + 4], seen[place + 5])
+        turn, rate = (seen[place + 6], seen[place + 7], seen[place + 8]), (seen[place + 9], seen[place + 10], seen[place + 11])
+        # (I - [ρ]x) of what the chain feels, the modes' own acceleration, and what turning makes of their velocity
+        felt = plus(minus(force, cross(turn, force)), plus(acceleration, scaled(cross(omega, velocity), 2.0)))
+        turned = plus(minus(omega, cross(turn, omega)), rate)
+        place = 2 * n + 6 * s
+        for j in range(3):
+            z[place + j] = at[s, 6 + j] * felt[0] + at[s, 9 + j] * felt[1] + at[s, 12 + j] * felt[2]
+            z[place + 3 + j] = at[s, 6 + j] * turned[0] + at[s, 9 + j] * turned[1] + at[s, 12 + j] * turned[2]

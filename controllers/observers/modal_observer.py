@@ -1,0 +1,235 @@
+"""The observer of Chapter 5 in the loop: one `step` per sample, the estimate in a preallocated array."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.models.modal import ModalModel
+from controllers.observers.consistency import InnovationMonitor
+from controllers.observers.modal_equations import SENSOR_SIGNALS, Constants, Scheduled
+from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_step
+from controllers.observers.publish import GEOMETRY, estimate_channels, publish
+from controllers.observers.settings import ObserverNoise
+
+FilterKind = Literal["kf", "ekf", "ukf"]
+KINDS: dict[str, int] = {"kf": KALMAN, "ekf": EXTENDED, "ukf": UNSCENTED}
+
+START_SPEED = 1e-3
+"""Standard deviation [rad/s or m/s] of an axis's speed at the start: a recording starts at standstill."""
+
+
+class ModalObserver:
+    """Filter on a modal model.
+
+    Parameters
+    ----------
+    model : ModalModel
+    noise : ObserverNoise
+    kind : "kf", "ekf" or "ukf"
+    adapted : sequence of int
+        Modes whose frequency is a state.
+    isocenter_m : (3,) array
+
+    Attributes
+    ----------
+    channels : list of (name, unit)
+        Of `estimate`, in order.
+    estimate : (channels,) array
+        What the last `step` found; NaN before the first one.
+    innovation : (measurements,) array
+        z - ẑ of the last step; NaN where nothing was measured.
+
+    Raises
+    ------
+    DesignError
+        Noise that does not fit the model, or an adapted mode that does not exist.
+    """
+
+    def __init__(
+        self, model: ModalModel, noise: ObserverNoise, kind: FilterKind = "ukf", adapted: Sequence[int] = (), isocenter_m: np.ndarray | None = None
+    ) -> None:
+        if kind not in KINDS:
+            raise DesignError(f"observer {kind!r}: must be one of {', '.join(KINDS)}")
+        self.model, self.noise, self.kind, self.adapted = model, noise, kind, tuple(adapted)
+        self._kind = KINDS[kind]
+        self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
+        self._constants = _constants(model, noise, self.adapted)
+        self._scheduled, self._memory = _memory(self._constants)
+        self._monitor = InnovationMonitor()
+        n = len(model.axes)
+        self.channels = estimate_channels(model.axes, model.position_unit)
+        self.estimate = np.full(len(self.channels), np.nan)
+        self._values = 2 * n + 12 + GEOMETRY
+        self._measured = np.full(self._constants.sizes[5], np.nan)
+        self._summary = np.zeros(2)
+        self._held = np.zeros(n)  # the command that acts until the next sample
+        self._start = self._initial_factor()
+        self.restart()
+
+    @property
+    def innovation(self) -> np.ndarray:
+        return self._memory.innovation
+
+    @property
+    def state(self) -> np.ndarray:
+        """(states,) estimate of the state, see `state_names`."""
+        return self._memory.x
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(states, states) of the state's error."""
+        return self._memory.factor.T @ self._memory.factor
+
+    @property
+    def state_names(self) -> list[str]:
+        """What each state is."""
+        model = self.model
+        modes = [f"mode_{i + 1}" for i in range(model.modes)]
+        names = [f"position_{axis}" for axis in model.axes] + [f"speed_{axis}" for axis in model.axes]
+        names += modes + [f"{mode}_speed" for mode in modes]
+        names += [f"disturbance_{axis}" for axis in model.axes] + [f"disturbance_{mode}" for mode in modes]
+        names += [f"log_frequency_ratio_{modes[i]}" for i in self.adapted]
+        return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
+
+    def restart(self) -> None:
+        """Forget everything; the next step is a first one."""
+        self._memory.x[:] = 0.0
+        self._memory.factor[:] = self._start
+        self._memory.innovation[:] = np.nan
+        self._is_first = True
+        self._has_command = False
+        self._monitor.reset()
+        self.estimate[:] = np.nan
+
+    def step(self, position: np.ndarray, link_position: np.ndarray, imu: np.ndarray, command: np.ndarray) -> None:
+        """One sample, before the feedback makes its command of this row.
+
+        Parameters
+        ----------
+        position, link_position : (n_axes,) arrays
+            As measured; NaN for what is missing.
+        imu : (6 sensors or fewer,) array
+            As measured; NaN for what is missing.
+        command : (n_axes,) array
+            The previous row's command, on the wire now: it acts from this sample to the next. On the first row it is not looked at.
+        """
+        n, z = len(self.model.axes), self._measured
+        z[:n] = position
+        z[n : 2 * n] = link_position
+        z[2 * n :] = np.nan
+        z[2 * n : 2 * n + len(imu)] = imu
+        self.step_measured(z, command)
+
+    def step_measured(self, z: np.ndarray, command: np.ndarray) -> None:
+        """The same with all measurements in one array (measurements,), in the order of `model.channels()`."""
+        memory = self._memory
+        if self._is_first:
+            self._stand_at(z)
+            acting = self._held
+            acting[:] = 0.0
+        else:
+            if not self._has_command:  # what acted before row 0 is not recorded; at standstill it is what row 0 commands
+                self._held[:] = command
+                self._has_command = True
+            acting = self._held
+        filter_step(self._constants, self._scheduled, memory, self._kind, self._is_first, acting, z, self._summary)
+        if not self._is_first:
+            self._held[:] = command
+        self._is_first = False
+        publish(self._constants, self._scheduled.values, memory, self._isocenter, self.estimate)
+        mean, is_alarm = self._monitor.step(self._summary[0], self._summary[1])
+        tail = 2 * self._values
+        self.estimate[tail] = self._summary[0]
+        self.estimate[tail + 1] = self._summary[1]
+        self.estimate[tail + 2] = mean
+        self.estimate[tail + 3] = is_alarm
+
+    def _stand_at(self, z: np.ndarray) -> None:
+        n = len(self.model.axes)
+        for i in range(n):
+            for known in (z[n + i], z[i]):
+                if known == known:
+                    self._memory.x[i] = known
+
+    def _initial_factor(self) -> np.ndarray:
+        """Standstill somewhere near the encoders, bent and pushed by no more than the drives could."""
+        model, noise, n = self.model, self.noise, len(self.model.axes)
+        values = model.at(np.zeros(n))
+        table = values[: model.modes * model.mode_stride].reshape(model.modes, model.mode_stride)
+        rigid = values[model.modes * model.mode_stride :][: n * n].reshape(n, n)
+        modal = np.abs(table[:, -n:]) @ model.effort_limit
+        deflection = modal / table[:, 0]
+        push = np.concatenate((np.abs(rigid) @ model.effort_limit, modal))
+        bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
+        std = np.concatenate((
+            np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
+            np.full(len(self.adapted), noise.initial_adapted), noise.initial_bias,
+        ))  # fmt: skip
+        return np.diag(std)
+
+
+def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]) -> Constants:
+    n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
+    if not sensors:
+        raise DesignError("observer: the model has no inertial sensor, and nothing else sees the detector")
+    if any(not 0 <= mode < modes for mode in adapted):
+        raise DesignError(f"observer: adapted modes {adapted}: the model has modes 0 to {modes - 1}")
+    measurements = 2 * n + 6 * sensors
+    period = 1.0 / model.sample_rate_Hz
+    lengths = {
+        "command": n, "disturbance": n + modes, "disturbance_time_s": n + modes, "bias_walk": 6 * sensors, "measurement": measurements,
+        "initial_bias": 6 * sensors,
+    }  # fmt: skip
+    for name, length in lengths.items():
+        values = np.asarray(getattr(noise, name), float)
+        if values.shape != (length,) or np.isnan(values).any() or (values < 0.0).any():
+            raise DesignError(f"observer noise: {name} must be {length} numbers, none negative, not {values}")
+    if not (np.asarray(noise.measurement) > 0.0).all():
+        raise DesignError("observer noise: measurement must be above zero for every channel; an encoder has its step / sqrt(12)")
+    time = np.asarray(noise.disturbance_time_s, float)
+    decay = np.where(np.isinf(time), 1.0, np.exp(-period / np.maximum(time, 1e-9)))
+    drive = np.where(np.isinf(time), np.sqrt(period), np.sqrt(np.maximum(1.0 - decay**2, 0.0))) * noise.disturbance
+    root = np.sqrt(period)
+    std = np.concatenate((noise.command, drive, np.full(len(adapted), root * noise.adapted_walk), root * noise.bias_walk))
+    states = 2 * (n + modes) + n + modes + 6 * sensors + len(adapted)
+    chain = model.chain
+    return Constants(
+        sizes=np.array([n, modes, sensors, len(adapted), states, measurements, len(std)], dtype=np.int64),
+        harmonics=np.array(model.harmonics, dtype=np.int64),
+        coefficients=np.ascontiguousarray(model.coefficients, dtype=float),
+        adapted=np.array([3 * (n + modes) + adapted.index(i) if i in adapted else -1 for i in range(modes)], dtype=np.int64),
+        axes=np.ascontiguousarray(chain.axes, dtype=float),
+        points=np.ascontiguousarray(chain.points, dtype=float),
+        revolute=np.ascontiguousarray(chain.revolute, dtype=bool),
+        sensors=np.array([np.concatenate((s.body_end_m, s.sensor_end_m, np.ravel(s.rotation), [s.lag_s])) for s in model.sensors]),
+        source_and_gravity=np.array([model.source_end_m, chain.gravity_m_s2], dtype=float),
+        period_s=period,
+        decay=decay,
+        noise_std=std,
+        measurement_std=np.array(noise.measurement, dtype=float),
+    )
+
+
+def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
+    n, modes, sensors, _, states, measurements, sources = (int(size) for size in constants.sizes)
+    scheduled = Scheduled(
+        values=np.zeros(len(constants.coefficients)),
+        modes=np.zeros((modes, 8)),
+        encoders=np.zeros((modes, 3 * n)),
+        rigid=np.zeros((n, n + 3)),
+        looks=np.zeros((sensors, modes, 15)),
+    )
+    memory = Memory(
+        x=np.zeros(states),
+        factor=np.zeros((states, states)),
+        innovation=np.full(measurements, np.nan),
+        points=np.zeros((2 * states, states)),
+        seen=np.zeros((2 * states, measurements)),
+        array=np.zeros((2 * states + measurements + sources, measurements + states)),
+        lines=np.zeros((6, max(states, measurements, 2 * n + sensors * (3 * n + SENSOR_SIGNALS)))),
+    )
+    return scheduled, memory

@@ -1,0 +1,164 @@
+"""From the observer's state to what is published: the detector's displacement and velocity, and the geometric parameters (2.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+import controllers.models.chain
+import controllers.models.vectors
+from controllers.compiled import exactly_compiled, sources_digest
+from controllers.models.chain import axis_screw, direction_in_world, point_in_world
+from controllers.models.vectors import dot, minus, plus, row
+
+GEOMETRY = 9
+GEOMETRY_STEP = 1e-6
+"""Difference step [rad, m] for the variances of the geometric parameters: error 1e-10 of the gradient."""
+
+
+def estimate_channels(axes: tuple[str, ...], units: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Names and units of the published values, in order; variances follow as `<name>_variance`, then the consistency's four numbers."""
+    values = [(f"estimate_position_{axis}", unit) for axis, unit in zip(axes, units, strict=True)]
+    values += [(f"estimate_link_position_{axis}", unit) for axis, unit in zip(axes, units, strict=True)]
+    values += [(f"estimate_detector_{name}", "m") for name in "xyz"] + [(f"estimate_detector_r{name}", "rad") for name in "xyz"]
+    values += [(f"estimate_detector_v{name}", "m/s") for name in "xyz"] + [(f"estimate_detector_w{name}", "rad/s") for name in "xyz"]
+    values += [(f"estimate_source_{name}", "m") for name in "xyz"] + [(f"estimate_isocenter_{name}", "m") for name in "xyz"]
+    values += [(f"estimate_orientation_{name}", "rad") for name in "xyz"]
+    variances = [(f"{name}_variance", squared(unit)) for name, unit in values]
+    return values + variances + [("estimate_nis", ""), ("estimate_measured", ""), ("estimate_nis_window", ""), ("estimate_alarm", "")]
+
+
+def squared(unit: str) -> str:
+    """The unit of a variance."""
+    return {"m": "m^2", "rad": "rad^2", "m/s": "m^2/s^2", "rad/s": "rad^2/s^2"}[unit]
+
+
+@exactly_compiled
+def geometric_parameters(constants, motion, isocenter, out):
+    """Focal spot and isocentre in the detector's frame [m], and the detector's orientation in the world as extrinsic x, y, z angles (2.2).
+
+    `motion` (2 axes + 6,) is motor side, link side and the displacement: the source follows the link side, the detector its displacement
+    from where the motor side puts it.
+    """
+    n = constants.sizes[0]
+    chain = (constants.axes, constants.points, constants.revolute)
+    motor, link = motion[:n], motion[n : 2 * n]
+    shift = motion[2 * n], motion[2 * n + 1], motion[2 * n + 2]
+    turn = motion[2 * n + 3], motion[2 * n + 4], motion[2 * n + 5]
+    end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
+    center = point_in_world(*chain, motor, plus(end, shift))
+    source = point_in_world(*chain, link, row(constants.source_and_gravity, 0))
+    # columns of R (I + [ρ]x)
+    x = direction_in_world(constants.axes, constants.revolute, motor, (1.0, turn[2], -turn[1]))
+    y = direction_in_world(constants.axes, constants.revolute, motor, (-turn[2], 1.0, turn[0]))
+    z = direction_in_world(constants.axes, constants.revolute, motor, (turn[1], -turn[0], 1.0))
+    to_source, to_isocenter = minus(source, center), minus((isocenter[0], isocenter[1], isocenter[2]), center)
+    out[0], out[1], out[2] = dot(x, to_source), dot(y, to_source), dot(z, to_source)
+    out[3], out[4], out[5] = dot(x, to_isocenter), dot(y, to_isocenter), dot(z, to_isocenter)
+    out[6] = np.arctan2(y[2], z[2])
+    out[7] = np.arctan2(-x[2], np.sqrt(y[2] ** 2 + z[2] ** 2))
+    out[8] = np.arctan2(x[1], x[0])
+
+
+@exactly_compiled
+def displacement_rows(constants, values, motor, rows):
+    """rows (2 axes + 6, axes + modes): motor side, link side and displacement from [q_r, η], the displacement relative to the motor side."""
+    n, modes = constants.sizes[0], constants.sizes[1]
+    stride = 2 + 3 * n + 6 * constants.sizes[2]
+    end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
+    rows[:] = 0.0
+    for k in range(n):
+        shift, turn = axis_screw(constants.axes, constants.points, constants.revolute, motor, end, k)
+        rows[k, k] = 1.0
+        rows[n + k, k] = 1.0
+        for i in range(modes):
+            motor_shape = values[i * stride + 2 + k]
+            rows[k, n + i] = motor_shape
+            rows[n + k, n + i] = values[i * stride + 2 + n + k]
+            for j in range(3):
+                rows[2 * n + j, n + i] -= shift[j] * motor_shape
+                rows[2 * n + 3 + j, n + i] -= turn[j] * motor_shape
+    for i in range(modes):
+        for j in range(6):
+            rows[2 * n + j, n + i] += values[i * stride + 2 + 2 * n + j]
+
+
+def _compile(version: int) -> Any:
+    @njit(cache=True, fastmath=False, error_model="numpy")
+    def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-untyped-def]
+        if version < 0:
+            return
+        n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+        stride = 2 + 3 * n + 6 * constants.sizes[2]
+        offset = modes * stride + n * (n + 1)
+        x, factor = memory.x, memory.factor
+        count = 2 * n + 12 + GEOMETRY
+        wide = 2 * n + 6
+        rows = np.zeros((wide, n + modes))
+        displacement_rows(constants, values, x[:n], rows)
+        motion = np.zeros(wide)
+        deviations = np.zeros((states, wide))
+        for r in range(wide):
+            for i in range(n):
+                motion[r] += rows[r, i] * x[i]
+            for i in range(modes):
+                motion[r] += rows[r, n + i] * x[2 * n + i]
+        for s in range(states):
+            for r in range(wide):
+                total = 0.0
+                for i in range(n):
+                    total += rows[r, i] * factor[s, i]
+                for i in range(modes):
+                    total += rows[r, n + i] * factor[s, 2 * n + i]
+                deviations[s, r] = total
+        for r in range(wide):
+            shift = values[offset + r - 2 * n] if r >= 2 * n else 0.0  # the quasi-static part of (5.37)
+            motion[r] += shift
+            variance = 0.0
+            for s in range(states):
+                variance += deviations[s, r] ** 2
+            estimate[r] = motion[r]
+            estimate[count + r] = variance
+        for r in range(6):
+            speed, variance = 0.0, 0.0
+            for i in range(modes):
+                speed += rows[2 * n + r, n + i] * x[2 * n + modes + i]
+            for s in range(states):
+                total = 0.0
+                for i in range(modes):
+                    total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i]
+                variance += total * total
+            estimate[wide + r] = speed
+            estimate[count + wide + r] = variance
+        place = wide + 6
+        geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
+        gradient = np.zeros((GEOMETRY, wide))
+        geometric_parameters(constants, motion, isocenter, geometry)
+        for r in range(wide):
+            kept = motion[r]
+            motion[r] = kept + GEOMETRY_STEP
+            geometric_parameters(constants, motion, isocenter, upper)
+            motion[r] = kept - GEOMETRY_STEP
+            geometric_parameters(constants, motion, isocenter, lower)
+            motion[r] = kept
+            for g in range(GEOMETRY):
+                difference = upper[g] - lower[g]
+                if g >= 6:  # an angle may wrap between the two
+                    difference -= 2.0 * np.pi * np.round(difference / (2.0 * np.pi))
+                gradient[g, r] = difference / (2.0 * GEOMETRY_STEP)
+        for g in range(GEOMETRY):
+            variance = 0.0
+            for s in range(states):
+                total = 0.0
+                for r in range(wide):
+                    total += gradient[g, r] * deviations[s, r]
+                variance += total * total
+            estimate[count + place + g] = variance
+
+    return publish
+
+
+publish = _compile(sources_digest(controllers.models.chain, controllers.models.vectors))
+"""publish(constants, values, memory, isocenter, estimate): values and variances into estimate[: 2 (2 axes + 21)]."""

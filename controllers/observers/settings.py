@@ -1,0 +1,41 @@
+"""What an observer believes about noise, as frozen values in SI and the drives' units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ObserverNoise:
+    """Standard deviations of everything random.
+
+    Parameters
+    ----------
+    command : (n_axes,) array
+        Of what acts beside the command, white from sample to sample: quantisation, ripple [drive's unit].
+    disturbance : (n_axes + modes,) array
+        Of the disturbing accelerations d_r, d in steady state: rad/s^2 on the axes, the modes' own unit on the modes.
+    disturbance_time_s : (n_axes + modes,) array
+        Their correlation time: first-order coloured noise. Infinite: a random walk, with `disturbance` per sqrt(s).
+    bias_walk : (6 sensors,) array
+        Of the sensors' biases, per sqrt(s).
+    adapted_walk : float
+        Of the adapted modes' log frequency ratio, per sqrt(s).
+    measurement : (measurements,) array
+        White, of every measured channel.
+    initial_bias : (6 sensors,) array
+        Of the biases when the observer starts.
+    initial_adapted : float
+        Of the log frequency ratios when it starts.
+    """
+
+    command: np.ndarray
+    disturbance: np.ndarray
+    disturbance_time_s: np.ndarray
+    bias_walk: np.ndarray
+    measurement: np.ndarray
+    initial_bias: np.ndarray
+    adapted_walk: float = 0.0
+    initial_adapted: float = 0.1
