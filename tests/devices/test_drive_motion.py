@@ -352,6 +352,7 @@ def test_a_reset_of_the_node_starts_counting_at_zero() -> None:
         master.tick({2: 0x07}, {})
     assert shown(master) > 100
     master.send(0x000, b"\x81\x02")
+    master.tick({}, {})
     assert master.read(2, 0x6064, signed=True) == 0
 
 
