@@ -50,9 +50,9 @@ def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | N
         raise DesignError(f"zero at {chosen[np.argmin(np.abs(edge))]:.4g} on the edge of stability: its inverse never settles")
     stable, unstable = chosen[edge < 0.0], chosen[edge > 0.0]
     if period is None:
-        mirrored = np.real(np.poly(-unstable))
+        mirrored = _polynomial(-unstable)
         numerator = mirrored if method == "zpetc" else np.ones(1)
-        denominator = np.real(np.poly(stable))
+        denominator = _polynomial(stable)
         ahead = 0.0
         if method == "zmetc":
             denominator = np.polymul(denominator, mirrored)
@@ -63,9 +63,9 @@ def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | N
             )
     else:
         # in powers of 1/z: N(z) = prod(1 - zero/z), mirrored prod(1/z - zero), which is prod(1 - zero z) as many samples late
-        late = np.real(np.poly(unstable))[::-1] if unstable.size else np.ones(1)
+        late = _polynomial(unstable)[::-1]
         numerator = late if method == "zpetc" else np.ones(1)
-        denominator = np.real(np.poly(stable)) if stable.size else np.ones(1)
+        denominator = _polynomial(stable)
         if method == "zmetc":
             denominator = np.polymul(denominator, late / late[0])
         width = max(len(numerator), len(denominator))
@@ -84,3 +84,8 @@ def invertible(dynamics: Dynamics) -> np.ndarray:
     """
     zeros = dynamics.zeros
     return zeros if dynamics.sample_period_s is None else zeros[zeros.real > 0.0]
+
+
+def _polynomial(roots: np.ndarray) -> np.ndarray:
+    """Real coefficients, highest power first; 1 for no roots."""
+    return np.atleast_1d(np.real(np.poly(roots)))

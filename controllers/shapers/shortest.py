@@ -71,12 +71,12 @@ def shortest_delays(
             shaper = _polished(conditions, delay, taps, tail)
         except DesignError:
             continue  # the taps are dependent there, and the right-hand side is not in their span
-        again = found and abs(found[-1].delays_s[1] / shaper.delays_s[1] - 1.0) < SAME
+        again = any(abs(each.delays_s[1] / shaper.delays_s[1] - 1.0) < SAME for each in found)
         if not again and shaper.gain_sum <= gain_sum_limit and shaper.delays_s[1] <= longest_s:
             found.append(shaper)
     if not found:
         raise DesignError(f"no delay up to {longest_s:.4g} s meets all conditions with {taps} taps and gains up to {gain_sum_limit:.4g}")
-    return found
+    return sorted(found, key=lambda shaper: shaper.transient_s)
 
 
 def _polished(conditions: Sequence[Condition], delay_s: float, taps: int, tail: Dynamics | None) -> DelayFilter:

@@ -12,7 +12,7 @@ from controllers.shapers.conditions import LIGHTLY_DAMPED, Condition, cancelling
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics, Mode
 from controllers.shapers.harmonic import harmonic, harmonic_conditions, tap_count
-from controllers.shapers.point_to_point import ei, two_hump_ei, zv, zvd
+from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, zvd
 from controllers.shapers.quiet import quiet
 from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
 from hil.shaping.aim import Aim
@@ -153,6 +153,7 @@ def design_all(
     ]
     found = [tuple(_named(DelayFilter(np.zeros(1), np.ones(1)), "none") for _ in subjects)]
     found += [_common(subjects, cancelled, make, name, period_s) for make, name in _POINT_TO_POINT]
+    found.append(_common(subjects, cancelled, zv, "ZV all", period_s, every_mode=True))
     found.append(tuple(_notch(poles, period_s) for poles in cancelled))
     refused = []
     for each, name in ((conditions, "hTDF"), (robust, "hTDF robust")):
@@ -184,15 +185,22 @@ _POINT_TO_POINT: tuple[tuple[_Maker, str], ...] = ((zv, "ZV"), (zvd, "ZVD"), (ei
 
 
 def _common(
-    subjects: Sequence[Subject], cancelled: Sequence[Sequence[complex]], make: _Maker, name: str, period_s: float
+    subjects: Sequence[Subject],
+    cancelled: Sequence[Sequence[complex]],
+    make: _Maker,
+    name: str,
+    period_s: float,
+    every_mode: bool = False,
 ) -> tuple[DelayFilter, ...]:
-    """A point-to-point shaper of the mode that rings most, on samples, for the middle pose: its delays cannot be scheduled."""
+    """A point-to-point shaper of the mode that rings most (or of all), on samples, for the middle pose: its delays cannot be scheduled."""
     middle = len(subjects) // 2
     weight = {mode.pole: mode.step_share * mode.frequency_rad_s**2 for mode in subjects[middle].ringing}
-    pole = max(cancelled[middle], key=lambda p: weight[min(weight, key=lambda q: abs(q - p))])
-    shaper = make(abs(pole), -pole.real / abs(pole))
+    poles = list(cancelled[middle])
+    if not every_mode:
+        poles = [max(poles, key=lambda p: weight[min(weight, key=lambda q: abs(q - p))])]
+    shaper = multi_mode(make, [(abs(pole), -pole.real / abs(pole)) for pole in poles])
     conditions = [Condition(0.0, 1.0, 0, "DC gain")]
-    conditions += [Condition(c.s, complex(shaper.response(c.s)), 0, c.what) for c in cancelling([pole])]
+    conditions += [Condition(c.s, complex(shaper.response(c.s)), 0, c.what) for c in cancelling(poles)]
     return tuple(_named(on_samples(shaper, conditions, period_s), name) for _ in subjects)
 
 
