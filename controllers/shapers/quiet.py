@@ -28,9 +28,8 @@ def quiet(conditions: Sequence[Condition], sample_period_s: float, transient_s: 
     DesignError
         Fewer taps than equations, or an empty band.
     """
+    check_band(band_Hz, sample_period_s)
     low, high = 2.0 * np.pi * band_Hz[0], 2.0 * np.pi * band_Hz[1]
-    if not 0.0 <= low < high <= np.pi / sample_period_s:
-        raise DesignError(f"quiet band {band_Hz[0]:g} to {band_Hz[1]:g} Hz: takes 0 <= low < high <= {0.5 / sample_period_s:g} Hz")
     delays = sample_period_s * np.arange(round(transient_s / sample_period_s) + 1)
     matrix, right = equations(conditions, delays, None)
     if len(delays) < len(right):
@@ -51,3 +50,10 @@ def quiet(conditions: Sequence[Condition], sample_period_s: float, transient_s: 
     if not missed <= SOLVED * max(1.0, np.abs(right).max()):
         raise DesignError(f"no quiet filter of {transient_s:.4g} s meets its conditions (residual {missed:.1e}): allow a longer transient")
     return DelayFilter(delays, gains, None, "hTDF quiet")
+
+
+def check_band(band_Hz: tuple[float, float], sample_period_s: float) -> None:
+    """Refuse a band that is empty or beyond half the sample rate: DesignError."""
+    low, high = band_Hz
+    if not 0.0 <= low < high <= 0.5 / sample_period_s:
+        raise DesignError(f"quiet band {low:g} to {high:g} Hz: takes 0 <= low < high <= {0.5 / sample_period_s:g} Hz")

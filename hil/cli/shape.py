@@ -62,12 +62,13 @@ def shape(
     subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
     answer.say(f"{axis} of {machine.name}, {aim.kind}, from {source}")
     band = _band(quiet)
-    designs = design_all(subjects, aim, machine.sample_rate_Hz, band)
-    chosen = designs[0] if not take else next((design for design in designs if design.name == take), None)
-    if chosen is None:
-        raise UnusableInput(f"--take {take}: must be one of {', '.join(design.name for design in designs)}")
+    candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
+    designs = candidates.designs
+    chosen = candidates.named(take) if take else designs[0]
     for design in designs:
         answer.say(f"{'*' if design is chosen else ' '} {design.verdict.line}")
+    for name, reason in candidates.refused.items():
+        answer.say(f"  {name:12s} none: {reason}")
     for line in _left_out_lines(chosen):
         answer.say(line)
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
@@ -85,7 +86,8 @@ def shape(
 
         design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}").savefig(figure, dpi=130)
         answer.say(f"{figure}: figure")
-    answer.write({"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes, "designs": verdicts})
+    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes}
+    answer.write(document | {"designs": verdicts, "refused": candidates.refused})
 
 
 def _aim(period: float, harmonics: str, longest: float) -> Aim:

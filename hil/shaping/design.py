@@ -13,7 +13,7 @@ from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics, Mode
 from controllers.shapers.harmonic import harmonic, harmonic_conditions, tap_count
 from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, zvd
-from controllers.shapers.quiet import quiet
+from controllers.shapers.quiet import check_band, quiet
 from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
 from hil.shaping.aim import Aim
 from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
@@ -26,6 +26,8 @@ SEEN = 1e-3
 
 NOTCH_DAMPING = 0.7
 """Damping of the notch's poles: as wide as a notch can be without ringing itself."""
+
+HARMONIC = ("hTDF", "hTDF robust", "hTDF quiet")
 
 QUIET_BAND_Hz = (4.0, 20.0)
 """Where the C-arm's structure rings: 8 Hz and 14 Hz, and what moves between them."""
@@ -42,6 +44,27 @@ class Design:
     @property
     def name(self) -> str:
         return self.verdict.name
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Designs, the recommended one first, and those there are none of: name and why."""
+
+    designs: tuple[Design, ...]
+    refused: dict[str, str]
+
+    def named(self, name: str) -> Design:
+        """One of them.
+
+        Raises
+        ------
+        DesignError
+            There is none of that name; says which there are, or why not.
+        """
+        for design in self.designs:
+            if design.name == name:
+                return design
+        raise DesignError(self.refused.get(name) or f"design {name!r}: must be one of {', '.join(each.name for each in self.designs)}")
 
 
 @dataclass(frozen=True)
@@ -131,7 +154,7 @@ def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
 
 def design_all(
     subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz
-) -> list[Design]:
+) -> Candidates:
     """Point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with something against them last.
 
     Raises
@@ -140,6 +163,7 @@ def design_all(
         An unstable plant, no ringing mode, a forcing frequency on a pole, or no harmonic filter that fits the time there is.
     """
     period_s = 1.0 / sample_rate_Hz
+    check_band(quiet_band_Hz, period_s)
     cancelled = poles_to_cancel(subjects, sample_rate_Hz)
     if not cancelled[0]:
         raise DesignError(f"nothing rings below {FAST * sample_rate_Hz:.3g} Hz: there is nothing to shape away")
@@ -155,22 +179,22 @@ def design_all(
     found += [_common(subjects, cancelled, make, name, period_s) for make, name in _POINT_TO_POINT]
     found.append(_common(subjects, cancelled, zv, "ZV all", period_s, every_mode=True))
     found.append(tuple(_notch(poles, period_s) for poles in cancelled))
-    refused = []
-    for each, name in ((conditions, "hTDF"), (robust, "hTDF robust")):
+    refused: dict[str, str] = {}
+    for each, name in zip((conditions, robust), HARMONIC, strict=False):
         try:
             row = choose_delay(delay_map(each, subjects, period_s, aim.longest_transient_s), aim.longest_transient_s)
             found.append(tuple(_named(shaper, name) for shaper in row.filters))
         except DesignError as error:
-            refused.append(error)
+            refused[name] = str(error)
     longest = _whole(aim.longest_transient_s, sample_rate_Hz)
     try:
         found.append(tuple(quiet(each, period_s, longest, quiet_band_Hz) for each in robust))
     except DesignError as error:
-        refused.append(error)
-        if len(refused) == 3:
-            raise error from None
+        refused["hTDF quiet"] = str(error)
+        if len(refused) == len(HARMONIC):
+            raise
     designs = [Design(filters, judge(filters, subjects, aim, cancelled), tuple(cancelled)) for filters in found]
-    return sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))
+    return Candidates(tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))), refused)
 
 
 def shaper_of(
