@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
 import scipy.signal
 
 from controllers.errors import DesignError
-from controllers.settings import AxisController
 from controllers.shapers.dynamics import Dynamics
 from hil.machine import Machine
 from virtual_bus.physics import Physics
@@ -77,40 +76,71 @@ def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "li
         if encoder is None:
             raise DesignError(f"{machine.name} has no encoder {name}")
         row = np.array([float(joint.name in encoder.joints) for joint in machine.plant.tree.joints])
-    loop = _loops(machine, physics, pose, index, row[None, :])[0]
-    return loop.scaled(1.0 / complex(loop.response(0.0)).real)
+    return unit_gain(_of_joints(machine, physics, pose, index, row[None, :])[0])
+
+
+def unit_gain(path: Dynamics) -> Dynamics:
+    """The same path with a DC gain of 1."""
+    return path.scaled(1.0 / complex(path.response(0.0)).real)
 
 
 def detector_paths(machine: Machine, pose: np.ndarray, axis: str, physics: Physics) -> tuple[Dynamics, ...]:
     """From the reference of an axis to the x, y and z displacement of the detector's centre [m]; of the link where there is no detector."""
     if machine.geometry is None or machine.geometry.detector_body not in machine.plant.watched_bodies:
         return (closed_loop(machine, pose, axis, "motor", physics),)
-    return tuple(_loops(machine, physics, pose, machine.axis_index(axis), _detector_jacobian(machine, physics, pose)))
+    return tuple(_of_joints(machine, physics, pose, machine.axis_index(axis), _detector_jacobian(machine, physics, pose)))
 
 
-def _loops(machine: Machine, physics: Physics, pose: np.ndarray, axis: int, rows: np.ndarray) -> list[Dynamics]:
+def loops_around(machine: Machine, plant: control.StateSpace, axis: str, outputs: Sequence[str]) -> list[Dynamics]:
+    """Closed loops from one axis's reference to named outputs of a continuous plant model, an identified one for instance.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its controllers close the loop.
+    plant : control.StateSpace
+        From the commands as the drives apply them, `command_<axis>`, to at least the motor positions `position_<axis>`.
+    axis : str
+    outputs : sequence of str
+
+    Raises
+    ------
+    DesignError
+        A command or output is missing.
+    """
+    inputs = [_index(plant.input_labels, f"command_{name}", "input") for name in machine.axes]
+    positions = [_index(plant.output_labels, f"position_{name}", "output") for name in machine.axes]
+    wanted = [_index(plant.output_labels, name, "output") for name in outputs]
+    rows = np.hstack([plant.C, plant.D[:, inputs]])
+    return _loops(machine, plant.A, plant.B[:, inputs], rows[positions], machine.axis_index(axis), rows[wanted])
+
+
+def _of_joints(machine: Machine, physics: Physics, pose: np.ndarray, axis: int, joints: np.ndarray) -> list[Dynamics]:
     """Closed loops from one axis's reference to combinations of joint positions, rows (k, joints)."""
-    n, period_s = physics.plant.joints, 1.0 / machine.sample_rate_Hz
+    n, axes = physics.plant.joints, len(machine.axes)
     plant = physics.linearise(pose)
-    motion = (plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n])  # the IMU's low passes hang behind it
-    a, b, _, _, _ = scipy.signal.cont2discrete((*motion, np.zeros((1, 2 * n)), np.zeros((1, len(machine.axes)))), period_s)
     measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
-    speeds_too = np.hstack([rows, np.zeros_like(rows)])
-    return [_loop(a, b, measured, row, machine.controllers, axis, period_s) for row in speeds_too]
+    held = np.zeros((axes, axes))
+    # the IMU's low passes hang behind the motion
+    rows = np.hstack([joints, np.zeros((len(joints), n + axes))])
+    return _loops(machine, plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n], np.hstack([measured, held]), axis, rows)
 
 
-def _loop(
-    a: np.ndarray, b: np.ndarray, measured: np.ndarray, row: np.ndarray, controllers: tuple[AxisController, ...], axis: int, period_s: float
-) -> Dynamics:
-    """Plant states, the command that the drives hold for a sample, then the states of C_y and of C_r where that is another filter."""
+def _loops(machine: Machine, a: np.ndarray, b: np.ndarray, measured: np.ndarray, axis: int, rows: np.ndarray) -> list[Dynamics]:
+    """Plant states, the command that the drives hold for a sample, then the states of C_y and of C_r where that is another filter.
+
+    `measured` (axes, n + axes) and `rows` (k, n + axes) are positions and outputs over plant states and held commands.
+    """
+    period_s = 1.0 / machine.sample_rate_Hz
+    n, axes = b.shape
+    a, b, _, _, _ = scipy.signal.cont2discrete((a, b, np.zeros((1, n)), np.zeros((1, axes))), period_s)
     filters = []  # (axis fed, from reference, from position, a, b, c, d)
-    for number, controller in enumerate(controllers):
+    for number, controller in enumerate(machine.controllers):
         shared = controller.reference_sections is None
         filters.append((number, 1.0 if shared else 0.0, -1.0, *_state_space(controller.position_sections)))
         if controller.reference_sections is not None:
             filters.append((number, 1.0, 0.0, *_state_space(controller.reference_sections)))
-    n, axes = len(a), b.shape[1]
-    sizes = [len(entry[3]) for entry in filters]
+    plant, sizes = slice(0, n + axes), [len(entry[3]) for entry in filters]
     total = n + axes + sum(sizes)
     loop, entering = np.zeros((total, total)), np.zeros(total)
     loop[:n, :n], loop[:n, n : n + axes] = a, b
@@ -118,16 +148,15 @@ def _loop(
     for (number, from_reference, from_position, f, g, h, d), size in zip(filters, sizes, strict=True):
         own = slice(start, start + size)
         loop[own, own] = f
-        loop[own, :n] = from_position * np.outer(g, measured[number])
+        loop[own, plant] = from_position * np.outer(g, measured[number])
         loop[n + number, own] += h
-        loop[n + number, :n] += from_position * d * measured[number]
+        loop[n + number, plant] += from_position * d * measured[number]
         if number == axis:
             entering[own] = from_reference * g
             entering[n + number] += from_reference * d
         start += size
-    seen = np.zeros(total)
-    seen[:n] = row
-    return Dynamics(loop, entering, seen, 0.0, period_s)
+    seen = np.hstack([rows, np.zeros((len(rows), total - n - axes))])
+    return [Dynamics(loop, entering, row, 0.0, period_s) for row in seen]
 
 
 def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> np.ndarray:

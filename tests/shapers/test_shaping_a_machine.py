@@ -17,7 +17,7 @@ from hil.identification.result import FrequencyResponse
 from hil.machine import load_machine
 from hil.shaping.aim import periodic, sweep
 from hil.shaping.design import choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
-from hil.shaping.from_frf import subject_from_frf
+from hil.shaping.identified import subject_from_frf
 from hil.shaping.plans import BeyondLimits, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at

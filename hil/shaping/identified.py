@@ -1,17 +1,24 @@
-"""A shaper's subject from an identified frequency response: the loop is closed on paper and its poles are found by a rational fit."""
+"""A shaper's subject from what was identified: a model with the loop closed around it, or a frequency response, closed and fitted."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from controllers.errors import DesignError
 from controllers.sections import response as sections_response
-from controllers.shapers.dynamics import Dynamics
+from controllers.shapers.dynamics import FORGOTTEN, Dynamics
 from hil.identification.result import FrequencyResponse
 from hil.machine import Machine
 from hil.shaping.design import subject
+from hil.shaping.plants import loops_around, unit_gain
 from hil.shaping.rational import fit
 from hil.shaping.verdict import Subject
+
+if TYPE_CHECKING:
+    import control
 
 WORST_FIT = 0.1
 """Relative rms error of the fit beyond which its poles are not believed."""
@@ -33,9 +40,7 @@ def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output
     """
     if abs(frf.sample_rate_Hz / machine.sample_rate_Hz - 1.0) > 1e-6:
         raise DesignError(f"the frequency response is of {frf.sample_rate_Hz:g} Hz; {machine.name} runs at {machine.sample_rate_Hz:g} Hz")
-    tracked = {"link": f"link_position_{axis}", "motor": f"position_{axis}"}.get(output)
-    if tracked is None:
-        raise DesignError(f"output {output!r}: a frequency response has link or motor")
+    tracked = _measured(axis, output)
     needed = [*(f"position_{name}" for name in machine.axes), tracked]
     for names, there in (([f"command_{name}" for name in machine.axes], frf.input_names), (needed, frf.output_names)):
         for name in names:
@@ -47,9 +52,33 @@ def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output
     found = fit(loop[:, columns], frf.frequencies_Hz, frf.sample_rate_Hz)
     if found.error > WORST_FIT:
         raise DesignError(f"no rational function fits the closed loop: {found.error:.0%} off; identify with more lines or less noise")
-    path = found.systems[0]
-    path = path.scaled(1.0 / complex(path.response(0.0)).real)
-    return subject(path, [_displacement(system) for system in found.systems[1:]] or [path]), found.error
+    return _subject(found.systems), found.error
+
+
+def subject_from_model(machine: Machine, plant: control.StateSpace, axis: str, output: str = "link") -> Subject:
+    """Subject from an identified plant model at one pose (`ModalModel.state_space`), the loop closed around it.
+
+    Raises
+    ------
+    DesignError
+        A command or position is not in the model, or the closed loop is not stable.
+    """
+    rung = [name for name in plant.output_labels if name.startswith("imu_")]
+    return _subject(loops_around(machine, plant, axis, [_measured(axis, output), *rung]))
+
+
+def _measured(axis: str, output: str) -> str:
+    """Channel that shall track."""
+    tracked = {"link": f"link_position_{axis}", "motor": f"position_{axis}"}.get(output)
+    if tracked is None:
+        raise DesignError(f"output {output!r}: what is identified has link or motor")
+    return tracked
+
+
+def _subject(systems: Sequence[Dynamics]) -> Subject:
+    """The first path tracks; the accelerations after it say what rings."""
+    path = unit_gain(systems[0])
+    return subject(path, [_displacement(system) for system in systems[1:]] or [path])
 
 
 def _closed(machine: Machine, frf: FrequencyResponse, axis: str) -> np.ndarray:
@@ -70,6 +99,7 @@ def _closed(machine: Machine, frf: FrequencyResponse, axis: str) -> np.ndarray:
 def _displacement(acceleration: Dynamics) -> Dynamics:
     """The same modes weighted as displacements: each residue over its pole squared, so that ringing compares with paths of positions."""
     values, right = np.linalg.eig(acceleration.a)
-    s = np.log(values.astype(complex)) * (1.0 / (acceleration.sample_period_s or 1.0))
-    c = (acceleration.c @ right / s**2) @ np.linalg.inv(right)
+    s = np.log(np.where(values == 0.0, 1.0, values).astype(complex)) / (acceleration.sample_period_s or 1.0)
+    share = np.where(np.abs(values) > FORGOTTEN, 1.0 / np.where(values == 0.0, 1.0, s) ** 2, 0.0)
+    c = (acceleration.c @ right * share) @ np.linalg.inv(right)
     return Dynamics(acceleration.a, acceleration.b, np.real(c), 0.0, acceleration.sample_period_s)
