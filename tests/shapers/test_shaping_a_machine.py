@@ -7,17 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from controllers.errors import DesignError
 from controllers.shapers.filter import ReferenceShaper
+from hil.bench import BenchOptions, open_bench
 from hil.cli import main
 from hil.errors import ExperimentError, UnusableInput
 from hil.experiments import Scan
 from hil.identification.result import FrequencyResponse
 from hil.machine import load_machine
+from hil.recording import read_recording
 from hil.shaping.aim import periodic, sweep
 from hil.shaping.design import choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
-from hil.shaping.identified import subject_from_frf
+from hil.shaping.identified import subject_from_frf, subject_from_model
 from hil.shaping.plans import BeyondLimits, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at
@@ -249,6 +252,40 @@ def test_the_shaped_machine_rings_less_after_a_sweep(machine, exact, nominal):
         spectrum = np.fft.rfft((after - after.mean(axis=0)) * np.hanning(256)[:, None], axis=0)
         swing.append(float(np.sqrt((np.abs(spectrum[6:13]) ** 2).sum())))
     assert swing[0] > 5.0 * swing[1]
+
+
+def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_less(machine, nominal, tmp_path):
+    """Closed loop over every CAN frame in lockstep: detector acceleration between 4 and 20 Hz from the emulator's truth."""
+    gentle = replace(machine, limits=tuple(replace(e, acceleration=0.5 * e.acceleration, jerk=0.5 * e.jerk) for e in machine.limits))
+    raw = Scan("propeller", -0.17, 0.17, speed=0.24, dwell_s=0.0, sweeps=6).plans(gentle)[0]
+    period = int(raw.metadata["period_samples"])
+    design = design_all([nominal["propeller"]], periodic(period / RATE), RATE).named("hTDF quiet")
+    plan = shape_plan(raw, ShaperFile((shaper_of(design, "propeller", RATE),), RATE), machine)
+    assert plan.metadata["settle_periods"] == 1
+    vibration, error = [], []
+    for number, each in enumerate((raw, plan)):
+        path, truth = tmp_path / f"{number}.csv", tmp_path / f"{number}.truth.csv"
+        with open_bench(machine, BenchOptions("lockstep:", noise=False, truth=truth), each.start_pose) as bench:
+            bench.run(each, path)
+        recording = read_recording(path)
+        assert recording["reference_raw_propeller"] == pytest.approx(each.reference_raw[:, 0], abs=1e-12)
+        assert recording["reference_propeller"] == pytest.approx(each.reference[:, 0], abs=1e-12)
+        columns = [truth.read_text().split("\n", 1)[0].split(",").index(f"pose_detector_{axis} [m]") for axis in "xyz"]
+        centre = np.loadtxt(truth, delimiter=",", skiprows=1, usecols=columns)
+        sections = scipy.signal.butter(6, (4.0, 20.0), "bandpass", fs=RATE, output="sos")
+        accelerations = scipy.signal.sosfiltfilt(sections, np.diff(centre, 2, axis=0) * RATE**2, axis=0)
+        rows = slice(period, 2 * period)
+        vibration.append(np.sqrt(np.mean(accelerations[rows] ** 2)))
+        error.append(np.std((recording["link_position_propeller"] - each.reference_raw[:, 0])[rows]))
+    assert vibration[0] > 5.0 * vibration[1]
+    assert error[0] > 3.0 * error[1]
+
+
+def test_an_identified_model_closes_the_same_loop(machine, physics, nominal):
+    found = subject_from_model(machine, physics.linearise(np.zeros(2)), "roll")
+    s = 2j * np.pi * np.array([0.3, 3.0, 12.0])
+    assert found.dynamics.response(s) == pytest.approx(nominal["roll"].dynamics.response(s), rel=1e-9)
+    assert len(poles_to_cancel([found], RATE)[0]) == len(poles_to_cancel([nominal["roll"]], RATE)[0])
 
 
 def test_the_command_judges_writes_and_answers(tmp_path, capsys):
