@@ -236,6 +236,8 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
             row_layout(machine),
             guard_io=io is not None,
             io_stale_s=io.stale_after_s if io is not None else np.inf,
+            overrun_ticks=machine.overrun_ticks,
+            stale_ticks=machine.stale_ticks,
             stop_request=stop_request,
         )
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(wiring, len(machine.axes)))

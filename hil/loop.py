@@ -18,12 +18,6 @@ from drivers.interface import MachineLink, Sample
 from hil.errors import LoopAborted
 from hil.layout import RowLayout
 
-STALE_TICKS = 3
-"""A position that did not arrive is bridged with the last good one for so many ticks (12 ms at 256 Hz), then the motors are stopped."""
-
-OVERRUN_TICKS = 8
-"""More ticks lost at once (31 ms at 256 Hz) mean that the loop no longer controls the machine: stop. Fewer are skipped and counted."""
-
 PROGRESS_TICKS = 128
 """How often the progress callback is told: twice a second at 256 Hz."""
 
@@ -106,6 +100,8 @@ class SampleLoop:
         Hold-to-run, door and the age of the I/O are watched (False for a machine without I/O).
     io_stale_s : float
         Age of the I/O's state at which the motors are stopped.
+    overrun_ticks, stale_ticks : int
+        Ticks lost at once, and ticks in a row without a position, that are bridged; more stop the motors.
     """
 
     link: MachineLink
@@ -115,6 +111,8 @@ class SampleLoop:
     layout: RowLayout
     guard_io: bool
     io_stale_s: float
+    overrun_ticks: int
+    stale_ticks: int
     stop_request: StopRequest = field(default_factory=StopRequest)
 
     def __post_init__(self) -> None:
@@ -150,8 +148,8 @@ class SampleLoop:
                 reason = self._step(sample, plan, k)
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
-                if lost > OVERRUN_TICKS:
-                    reason = reason or f"the loop lost {lost} ticks in a row; more than {OVERRUN_TICKS} are not bridged"
+                if lost > self.overrun_ticks:
+                    reason = reason or f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 handed_over_s = time.perf_counter()
                 lateness[k] = sample.lateness_s
                 work[k] = handed_over_s - self.clock.tick_began_s + tail_s
@@ -187,8 +185,8 @@ class SampleLoop:
         if sample.fault:
             return sample.fault
         for axis, limit in enumerate(self.limits):
-            if self._stale[axis] > STALE_TICKS:
-                return f"{limit.axis}: no position for {self._stale[axis]} ticks, {STALE_TICKS} are bridged"
+            if self._stale[axis] > self.stale_ticks:
+                return f"{limit.axis}: no position for {self._stale[axis]} ticks, timing.stale_ticks bridges {self.stale_ticks}"
             position = self._position[axis]
             if not self._lower[axis] <= position <= self._upper[axis]:
                 return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"

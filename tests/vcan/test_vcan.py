@@ -16,16 +16,33 @@ ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 600.0
 
 
-def test_two_processes_over_vcan0(pytestconfig: pytest.Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)
-    command = [sys.executable, "-m", "pytest", "-m", "vcan", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-v", str(INSIDE)]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-m",
+        "vcan",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-o",
+        "addopts=",
+        "-v",
+        str(INSIDE),
+    ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
     here, kernel = vcan_here(), ""
     if here:
         kernel = kernel_missing()
         if kernel:
-            line = f"not proven: the stack over a real vcan0 ({here}; {kernel}). To prove it: sudo apt-get install {PACKAGES}, then run the tests as root."
+            line = (
+                f"not proven: the stack over a real vcan0 ({here}; {kernel}). "
+                f"To prove it: sudo apt-get install {PACKAGES}, then run the tests as root."
+            )
             if os.environ.get("CI"):
                 pytest.fail(line)
             pytest.skip(line)

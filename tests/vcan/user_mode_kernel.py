@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
 import tempfile
@@ -23,6 +24,9 @@ PACKAGES = "user-mode-linux can-utils kmod iproute2"
 MEMORY = "2G"
 BOOT_ALLOWANCE_S = 60.0
 """Booting takes four to eight seconds on a shared machine; the rest is for a loaded one."""
+
+PRIORITY = -15
+"""Before other tests that run beside it: the kernel inside has the clock outside, and time-outs that mean it."""
 
 _INIT = """#!/bin/sh
 mount -t proc proc /proc
@@ -112,13 +116,27 @@ def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, st
             encoding="utf-8",
         )
         script.chmod(0o755)
-        boot = [KERNEL, f"mem={MEMORY}", "rootfstype=hostfs", "rootflags=/", "rw", f"init={script}", "con=null", "con0=fd:0,fd:1"]
-        try:
-            console = subprocess.run(
-                boot, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=timeout_s + BOOT_ALLOWANCE_S, check=False
-            ).stdout.decode(errors="replace")
-        except subprocess.TimeoutExpired as late:
-            console = (late.stdout or b"").decode(errors="replace") + f"\nstill running after {timeout_s:.0f} s"
+        boot = [
+            "nice",
+            "-n",
+            str(PRIORITY),
+            KERNEL,
+            f"mem={MEMORY}",
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "rw",
+            f"init={script}",
+            "con=null",
+            "con0=fd:0,fd:1",
+        ]
+        with subprocess.Popen(
+            boot, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+        ) as kernel:
+            try:
+                console = kernel.communicate(timeout=timeout_s + BOOT_ALLOWANCE_S)[0].decode(errors="replace")
+            except subprocess.TimeoutExpired:
+                os.killpg(kernel.pid, signal.SIGKILL)  # the kernel's own processes are processes here, and would go on
+                console = kernel.communicate()[0].decode(errors="replace") + f"\nstill running after {timeout_s:.0f} s"
         status, output = Path(folder) / "status", Path(folder) / "output"
         return Outcome(
             int(status.read_text()) if status.exists() else None,

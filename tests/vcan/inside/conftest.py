@@ -7,41 +7,55 @@ import os
 import select
 import subprocess
 import threading
+import time
 import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import can
 import pytest
 
-LISTENING_PROBE = 0x7FF
+PROBE = 0x7FF
 """An identifier nobody on a CANopen bus uses; seen in candump's output, it proves that candump listens."""
 
+START, END = b"\x01", b"\x02"
 DEADLINE_S = 30.0
+POLL_S = 0.05
 
 
 @dataclass
 class Candump:
-    """A running candump, the independent witness of the frames on an interface."""
+    """A running candump, the independent witness of the frames on an interface. It writes to a file, so nobody has to keep reading."""
 
-    process: subprocess.Popen[str]
+    process: subprocess.Popen[bytes]
     interface: str
+    log: Path
 
     def frames(self) -> list[str]:
         """Stop listening; every frame since the start as `ID#DATA`, in order."""
-        with can.Bus(self.interface, interface="socketcan") as bus:
-            bus.send(can.Message(arbitration_id=LISTENING_PROBE, data=b"\x02", is_extended_id=False))
-        assert self.process.stdout is not None
-        seen = []
-        for line in self.process.stdout:
-            frame = line.split()[2]
-            if frame == f"{LISTENING_PROBE:03X}#02":
-                break
-            if not frame.startswith(f"{LISTENING_PROBE:03X}#"):
-                seen.append(frame)
+        _send_probe(self.interface, END)
+        self.wait_for(END)
         self.process.terminate()
         self.process.wait(DEADLINE_S)
-        return seen
+        seen = [line.split()[2] for line in self.log.read_text().splitlines()]
+        return [frame for frame in seen if not frame.startswith(f"{PROBE:03X}#")]
+
+    def wait_for(self, mark: bytes) -> None:
+        """Wait until a probe with this mark stands in the log."""
+        text = f"{PROBE:03X}#{mark.hex().upper()}"
+        deadline = time.monotonic() + DEADLINE_S
+        while text not in self.log.read_text():
+            if time.monotonic() > deadline:
+                pytest.fail(f"candump has not seen {text} on {self.interface} within {DEADLINE_S:.0f} s")
+            if mark == START:
+                _send_probe(self.interface, mark)
+            select.select([], [], [], POLL_S)
+
+
+def _send_probe(interface: str, mark: bytes) -> None:
+    with can.Bus(interface, interface="socketcan") as bus:
+        bus.send(can.Message(arbitration_id=PROBE, data=mark, is_extended_id=False))
 
 
 @pytest.fixture
@@ -51,22 +65,18 @@ def interface() -> str:
 
 
 @pytest.fixture
-def candump() -> Iterator[Callable[[str], Candump]]:
+def candump(tmp_path: Path) -> Iterator[Callable[[str], Candump]]:
     """Start candump on an interface; it is known to listen when this returns."""
     running: list[Candump] = []
 
     def start(interface: str) -> Candump:
-        process = subprocess.Popen(["candump", "-L", interface], stdout=subprocess.PIPE, text=True, bufsize=1)
-        assert process.stdout is not None
-        with can.Bus(interface, interface="socketcan") as bus:
-            for _ in range(1000):
-                bus.send(can.Message(arbitration_id=LISTENING_PROBE, data=b"\x01", is_extended_id=False))
-                if select.select([process.stdout], [], [], 0.05)[0]:
-                    break
-            else:
-                pytest.fail(f"candump saw nothing on {interface}")
-        running.append(Candump(process, interface))
-        return running[-1]
+        log = tmp_path / f"candump_{len(running)}.log"
+        with log.open("wb") as output:
+            process = subprocess.Popen(["candump", "-L", interface], stdout=output)
+        witness = Candump(process, interface, log)
+        running.append(witness)
+        witness.wait_for(START)
+        return witness
 
     yield start
     for witness in running:
@@ -90,7 +100,9 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
     for terminal in (laptop_slave, kernel_slave, laptop_master, kernel_master):
         with contextlib.suppress(OSError):
             tty.setraw(terminal)
-    attach = subprocess.Popen(["slcand", "-F", os.ttyname(kernel_slave), "slcan0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    attach = subprocess.Popen(
+        ["slcand", "-F", os.ttyname(kernel_slave), "slcan0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     stop_read, stop_write = os.pipe()
 
     def bridge() -> None:
@@ -111,7 +123,9 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
                 break
             select.select([], [], [], 0.05)
         else:
-            pytest.fail("slcan0 did not appear: " + (attach.stdout.read() if attach.stdout and attach.poll() is not None else "slcand is silent"))
+            pytest.fail(
+                "slcan0 did not appear: " + (attach.stdout.read() if attach.stdout and attach.poll() is not None else "slcand is silent")
+            )
         yield SlcanAdapter(os.ttyname(laptop_slave), "slcan0")
     finally:
         attach.terminate()

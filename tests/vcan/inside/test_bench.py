@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import select
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -18,9 +21,9 @@ from hil.recording import read_recording
 pytestmark = pytest.mark.vcan
 
 ISOCENTER = [sys.executable, "-m", "hil"]
-TIMEOUT_S = 240.0
+TIMEOUT_S = 100.0
 ATTEMPTS = 5
-"""A user-mode kernel stalls now and then for longer than an answer may take; a run in which that happened is no repetition of the lockstep run."""
+"""A user-mode kernel stalls now and then for so long that the emulated machine's time goes on: then it is not the same run."""
 
 
 @pytest.fixture
@@ -31,7 +34,9 @@ def emulate() -> Iterator[Callable[..., dict[str, str]]]:
     def start(*arguments: str) -> dict[str, str]:
         for process in running:
             _end(process)
-        process = subprocess.Popen([*ISOCENTER, "emulate", "--no-real-time", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [*ISOCENTER, "emulate", "--no-real-time", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         running.append(process)
         assert process.stdout is not None and process.stderr is not None
         line = process.stdout.readline()
@@ -63,8 +68,16 @@ def patient(tmp_path: Path, *, can_only: bool = False) -> str:
     With `can_only` without Modbus I/O and serial IMU: what is left is on the CAN bus, where every frame is ordered.
     """
     text = load_machine("carm").text
-    for key, seconds in (("heartbeat_s", 2.0), ("master_heartbeat_s", 2.0), ("boot_timeout_s", 20.0), ("stale_after_s", 10.0), ("answer_timeout_s", 0.0038)):
-        text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {seconds}", text)
+    relaxed = {
+        "heartbeat_s": 1.0,
+        "master_heartbeat_s": 0.5,
+        "boot_timeout_s": 20.0,
+        "stale_after_s": 10.0,
+        "answer_timeout_s": '0.5\nanswers = "awaited"',
+        "overrun_ticks": 512,
+    }
+    for key, value in relaxed.items():
+        text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
         assert found, key
     if can_only:
         text = re.sub(r"(?ms)^\[bus\.(io|imu)\].*?(?=^\[|\Z)", "", text)
@@ -78,7 +91,19 @@ def test_multisine_with_jog_runs_and_is_recorded(interface, emulate, tmp_path):
     emulate(machine, "--bus", f"socketcan:{interface}", "--pose", "roll=30")
     path = tmp_path / "run.mf4"
     done = run(
-        *("multisine", "--machine", machine, "--bus", f"socketcan:{interface}", "--pose", "roll=30", "--experiments", "single", "--axes", "roll"),
+        *(
+            "multisine",
+            "--machine",
+            machine,
+            "--bus",
+            f"socketcan:{interface}",
+            "--pose",
+            "roll=30",
+            "--experiments",
+            "single",
+            "--axes",
+            "roll",
+        ),
         *("--amplitude", "0.5", "--period", "4", "--jog", "0.2", "--periods", "1", "-o", str(path)),
     )
     assert done.returncode == 0, done.stderr
@@ -106,7 +131,11 @@ def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, ca
         if seen == lockstep:
             break
         first = next((i for i, (a, b) in enumerate(zip(seen, lockstep, strict=False)) if a != b), min(len(seen), len(lockstep)))
-        print(f"attempt {attempt}: {len(seen)} and {len(lockstep)} frames, {done.stderr} differ at {first}:", seen[first - 3 : first + 6], lockstep[first - 3 : first + 6])
+        print(
+            f"attempt {attempt}: {len(seen)} and {len(lockstep)} frames, {done.stderr} differ at {first}:",
+            seen[first - 3 : first + 6],
+            lockstep[first - 3 : first + 6],
+        )
     else:
         pytest.fail("no run on vcan0 had the frames of the lockstep run")
     assert len(lockstep) > 2 * 256 * 7
@@ -117,13 +146,24 @@ def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_
     emulate(machine, "--bus", f"socketcan:{interface}")
     path = tmp_path / "killed.mf4"
     loop = subprocess.Popen(
-        [*ISOCENTER, "run", "static", "--machine", machine, "--bus", f"socketcan:{interface}", "--seconds", "60", "-o", str(path), "--no-real-time"],
+        [
+            *ISOCENTER,
+            "run",
+            "static",
+            "--machine",
+            machine,
+            "--bus",
+            f"socketcan:{interface}",
+            "--seconds",
+            "60",
+            "-o",
+            str(path),
+            "--no-real-time",
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
     part = path.with_name(path.name + ".part")
-    import can
-
     with can.Bus(interface, interface="socketcan") as bus:
         while not (part.exists() and part.stat().st_size > 200_000):
             assert loop.poll() is None, loop.stderr.read() if loop.stderr else ""
@@ -136,6 +176,8 @@ def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_
             assert frame is not None, "the drives did not say that their master is gone"
             if frame.arbitration_id in (0x81, 0x82) and frame.data[:2] == b"\x30\x81":
                 emergencies.add(frame.arbitration_id)
+    deadline = time.monotonic() + TIMEOUT_S
     while part.exists():
-        pass
+        assert time.monotonic() < deadline, "the recorder did not finish the recording of a dead loop"
+        select.select([], [], [], 0.05)
     assert read_recording(path).rows > 256
