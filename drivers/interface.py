@@ -1,6 +1,6 @@
 """The one interface the sample loop sees: exchange a command for a sample, and stop.
 
-Timing (docs/notation.md): `exchange(command_k)` puts command k on the wire at once, waits for tick k+1, sends SYNC k+1 and returns sample k+1.
+Timing (docs/notation.md): `exchange(command_k)` puts command k on the wire at once, waits for tick k+1, sends SYNC k+1, returns sample k+1.
 The drives apply command k at SYNC k+1, so the effort in sample k+1 already answers to it.
 """
 

@@ -109,13 +109,17 @@ class CanMachine:
             self.resume_ticks()
             self._await_first_answers()
 
-    def home(self, holding_effort: np.ndarray | None = None, *, check_first_move: bool = True) -> tuple[str, ...]:
+    def home(
+        self, holding_effort: np.ndarray | None = None, windup: np.ndarray | None = None, *, check_first_move: bool = True
+    ) -> tuple[str, ...]:
         """Per axis: first-move check, homing, encoder agreement. All drives are disabled and all brakes closed before and after.
 
         Parameters
         ----------
         holding_effort : (n_axes,) array, optional
             Effort that holds each axis where it is, in the drives' units; none where the machine is balanced.
+        windup : (n_axes,) array, optional
+            By how much each gear's deflection puts the link ahead of the motor side where the machine stands [rad or m].
         check_first_move : bool
             Whether each axis is pushed a little to see that it moves the right way.
 
@@ -136,7 +140,7 @@ class CanMachine:
             self._check_permission()
             for axis, homing in enumerate(self.settings.homings):
                 alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
-                found += commission_axis(self, axis, homing, alone, push=check_first_move)
+                found += commission_axis(self, axis, homing, alone, 0.0 if windup is None else float(windup[axis]), push=check_first_move)
         return tuple(found)
 
     def enable(self, hold: motion.Hold | None = None) -> None:

@@ -142,8 +142,8 @@ class Bench:
             self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
             stack.callback(link.close)
             link.start()
-            holding = self.model.holding_effort(_measured_pose(link.exchange(self._still)))
-            found = link.home(holding, check_first_move=not self.commissioning)
+            pose, windup = standing(self.machine, self.model, link.exchange(self._still))
+            found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
             self.commissioning = self.commissioning or tuple(found)
             yield
 
@@ -151,7 +151,8 @@ class Bench:
         """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
         link = self.wiring.link
         link.enable()
-        self.pose = _measured_pose(link.exchange(self._still))
+        measured = link.exchange(self._still).position
+        self.pose = np.where(np.isfinite(measured), measured, self.pose)
         effort = self.model.holding_effort(self.pose)
         self.loop.feedback.preload(effort, self.pose, self._feedforward())
         self.loop.command[:] = effort
@@ -240,16 +241,41 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
             stale_ticks=machine.stale_ticks,
             stop_request=stop_request,
         )
-        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(wiring, len(machine.axes)))
+        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(machine, model, wiring))
 
 
-def _look(wiring: Wiring, axes: int) -> np.ndarray:
+def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
     """Where the machine stands (n_axes,), before anything is planned: the nodes are started, asked, and reset."""
     try:
         wiring.link.start()
-        return _measured_pose(wiring.link.exchange(np.zeros(axes)))
+        return standing(machine, model, wiring.link.exchange(np.zeros(len(machine.axes))))[0]
     finally:
         wiring.link.close()
+
+
+def standing(machine: Machine, model: Physics, sample: Sample) -> tuple[np.ndarray, np.ndarray]:
+    """Where a braked machine stands before it has been homed: motor-side positions and gear windups, (n_axes,) each [rad or m].
+
+    A link encoder sees the joint behind its gear, and the gear is wound up by what hangs on it: the machine file says by how much. Axes
+    without a link encoder are taken to stand where their motor side says, from zero at power-on.
+    """
+    link = sample.link_position
+    pose = np.where(np.isfinite(link), link, np.nan_to_num(sample.position))
+    windup = np.where(np.isfinite(link), _windup(machine, model, pose), 0.0)
+    return pose - windup, windup
+
+
+def _windup(machine: Machine, model: Physics, pose: np.ndarray) -> np.ndarray:
+    """How far each link encoder is ahead of its motor side with the motor sides braked at `pose`, (n_axes,)."""
+    model.place(pose)
+    deflection = model.truth()["joint_position"]
+    tree = machine.plant.tree
+    ahead = np.zeros(len(machine.axes))
+    for encoder in machine.plant.encoders:
+        kind, _, axis = encoder.channel.rpartition("position_")
+        sign = 1.0 if kind == "link_" else -1.0
+        ahead[machine.axis_index(axis)] += sign * sum(deflection[tree.joint_index(name)] for name in encoder.joints)
+    return ahead
 
 
 def _warm(feedback: Feedback) -> Feedback:
@@ -279,11 +305,6 @@ def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
     return [
         out.with_name(f"{out.stem}_r{plan.metadata['realisation'] + 1}_e{plan.metadata['experiment'] + 1}{out.suffix}") for plan in plans
     ]
-
-
-def _measured_pose(sample: Sample) -> np.ndarray:
-    """Where the machine stands: its motor side; the link encoder before homing has given that a meaning."""
-    return np.where(np.isfinite(sample.link_position), sample.link_position, np.nan_to_num(sample.position))
 
 
 @contextlib.contextmanager

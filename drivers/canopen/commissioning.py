@@ -19,7 +19,7 @@ HOMING_AT_PRESENT_POSITION = frozenset({35, 37})
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 
-def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, *, push: bool) -> list[str]:
+def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float, *, push: bool) -> list[str]:
     """First-move check (if `push`), homing, encoder agreement of one axis, all others braked and without voltage.
 
     Parameters
@@ -30,6 +30,8 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
         Of this axis.
     holding : (n_axes,) array
         Effort that holds this axis where it is; zero for the others.
+    windup : float
+        By how much the gear's deflection puts the link ahead of the motor side, brake closed [rad or m].
     push : bool
         Whether the axis is moved a little first.
 
@@ -51,8 +53,8 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
         found.append(check_first_move(machine, axis, settings, holding))
         motion.close_brakes(machine, [axis], lambda _: holding)
         motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
-    home_drive(machine, axis, settings, holding)
-    found.append(check_agreement(machine, axis, settings, holding))
+    home_drive(machine, axis, settings, holding, windup)
+    found.append(check_agreement(machine, axis, settings, holding, windup))
     return found
 
 
@@ -115,11 +117,12 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
             )
 
 
-def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> None:
+def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float = 0.0) -> None:
     """Run the drive's own homing and take its counter's zero, or the absolute link encoder's, as the joint's.
 
-    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link encoder says
-    where the joint is. Methods that move open the brake for as long as they last; their home offset (607Ch) is the machine file's affair.
+    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link encoder, less
+    the gear's windup, says where the motor side is. Methods that move open the brake for as long as they last; their home offset (607Ch) is
+    the machine file's affair.
 
     Raises
     ------
@@ -143,11 +146,11 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     source.offset = 0.0
     position, link = _mean_positions(machine, axis, holding)
     if not moves and np.isfinite(link):
-        source.offset = link - position
+        source.offset = link - windup - position
 
 
-def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> str:
-    """Motor side and link encoder must tell the same position.
+def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray, windup: float = 0.0) -> str:
+    """Motor side and link encoder must tell the same position, the gear's windup between them taken off.
 
     Returns
     -------
@@ -161,6 +164,7 @@ def check_agreement(machine: Machine, axis: int, settings: HomingSettings, comma
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
     position, link = _mean_positions(machine, axis, command)
+    link -= windup
     if np.isfinite(link) and abs(position - link) > settings.agreement_tolerance:
         raise MotionRefused(
             f"{name}: motor side {position:+.5f} {unit}, link encoder {link:+.5f} {unit}: "

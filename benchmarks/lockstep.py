@@ -1,0 +1,63 @@
+"""How many times faster than real time the C-arm runs on lockstep, over the full CANopen stack, with serial IMU and Modbus I/O.
+
+    python benchmarks/lockstep.py --json lockstep.json
+
+The run is `isocenter run static`: emulated devices, drivers, loop, feedback and journal in one process; every frame, serial byte and Modbus message
+is encoded and decoded. Wall time and processor time of the sample loop alone, several runs; quote the median on a quiet machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hil.bench import BenchOptions, open_bench
+from hil.experiments import Static
+from hil.machine import load_machine
+
+
+def measure(seconds: float, runs: int) -> dict[str, object]:
+    """Times real time of `runs` runs of `seconds` of machine time each."""
+    machine = load_machine("carm")
+    plan = Static(seconds).plans(machine)[0]
+    wall, processor, ticks = [], [], []
+    with tempfile.TemporaryDirectory() as folder, open_bench(machine, BenchOptions("lockstep:"), plan.start_pose) as bench:
+        for run in range(runs):
+            marks: list[tuple[float, float]] = []
+            timing = bench.run(plan, Path(folder) / f"{run}.mf4", lambda row, marks=marks: marks.append((time.perf_counter(), time.process_time())))
+            rows = (len(marks) - 1) * 128 / machine.sample_rate_Hz
+            wall.append(rows / (marks[-1][0] - marks[0][0]))
+            processor.append(rows / (marks[-1][1] - marks[0][1]))
+            ticks.append(float(np.median(timing.work_time_s)) * 1e6)
+    return {
+        "machine": machine.name,
+        "sample_rate_Hz": machine.sample_rate_Hz,
+        "seconds_per_run": seconds,
+        "times_real_time_wall": {"median": float(np.median(wall)), "runs": wall},
+        "times_real_time_processor": {"median": float(np.median(processor)), "runs": processor},
+        "tick_median_us": float(np.median(ticks)),
+    }
+
+
+def main() -> None:
+    """Print or write the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="machine time per run")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
+    arguments = parser.parse_args()
+    text = json.dumps(measure(arguments.seconds, arguments.runs), indent=2)
+    if arguments.json == "-":
+        sys.stdout.write(text + "\n")
+    else:
+        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
