@@ -106,6 +106,7 @@ def test_the_shortest_delay_of_a_second_order_plant_is_the_closed_form():
     assert found[0].gains == pytest.approx(closed.gains, abs=1e-9)
     second = second_order(NATURAL, DAMPING, 0.7, half_periods=2)  # its determinant touches zero next to another root
     assert any(np.allclose(each.gains, second.gains, atol=1e-8) for each in found)
+    assert len([each for each in found if 4.44 < each.delays_s[1] < 4.45]) == 2
 
 
 def test_every_delay_found_is_a_solution_and_no_shorter_one_exists():

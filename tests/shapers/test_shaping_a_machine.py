@@ -10,6 +10,7 @@ import pytest
 import scipy.signal
 
 from controllers.errors import DesignError
+from controllers.shapers.delays import DelayFilter
 from controllers.shapers.filter import ReferenceShaper
 from hil.bench import BenchOptions, open_bench
 from hil.cli import main
@@ -25,7 +26,7 @@ from hil.shaping.plans import BeyondLimits, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at
 from hil.shaping.shaper_file import ShaperFile, read_shaper, write_shaper
-from hil.shaping.verdict import tracking_error, vibration_left
+from hil.shaping.verdict import judge, tracking_error, vibration_left
 from hil.simulation import Inputs, Simulator
 from hil.simulation.linear import sampled_response
 from virtual_bus.physics import Physics
@@ -105,6 +106,19 @@ def test_designs_come_with_the_recommended_one_first(sweep_designs):
     assert "lags" in by_name["ZVD"].against
     assert abs(by_name["hTDF robust"].lag_s) < 1e-9
     assert by_name["hTDF robust"].vibration_at_10 < by_name["ZV"].vibration_at_10
+
+
+def test_what_speaks_against_a_shaper_is_said(nominal):
+    subject, aim = nominal["roll"], sweep(0.5)
+    cases = {
+        "gains sum to more than 3": [5.0, -4.0],
+        "H(0) = 0.9": [0.5, 0.4],
+        "the scan has time for 0.5 s": [0.6] + [0.0] * 199 + [0.4],
+        "a ramp lags": [0.5, 0.5],
+    }
+    for text, gains in cases.items():
+        shaper = DelayFilter(np.arange(len(gains)) / RATE, np.array(gains), None, "made")
+        assert text in judge([shaper], [subject], aim, [()]).against
 
 
 def test_what_is_left_out_is_listed(sweep_designs):
@@ -199,7 +213,7 @@ def test_a_file_that_is_no_shaper_is_one_line(tmp_path, roll_file, damage):
 
 
 def test_a_shaped_plan_is_the_raw_one_through_the_loops_filter(machine, roll_file):
-    plan = Shaped(Scan("roll", -0.8, 0.8, speed=np.radians(30)), roll_file).plans(machine)[0]
+    plan = Shaped(Scan("roll", -0.8, 0.8, speed=np.radians(30), dwell_s=0.0), roll_file).plans(machine)[0]
     running = ReferenceShaper(machine.axes, roll_file.shapers, machine.limits, RATE)
     running.start(plan.start_pose)
     out = np.empty(2)
