@@ -145,7 +145,12 @@ class Bench:
             pose, windup = standing(self.machine, self.model, link.exchange(self._still))
             found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
             self.commissioning = self.commissioning or tuple(found)
-            yield
+            try:
+                yield
+            except Exception as error:
+                for trouble in link.stop_trouble:  # `close` will stop once more and have no trouble with what is stopped by then
+                    error.add_note(f"stopping the motors ran into {trouble}")
+                raise
 
     def _take_hold(self) -> None:
         """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
@@ -227,7 +232,9 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
     stop_request = StopRequest()
     with contextlib.ExitStack() as stack:
         stack.enter_context(_stopping_on_signals(stop_request))
-        wiring = stack.enter_context(lockstep_wiring(machine, options, start_pose) if lockstep else wall_wiring(machine, options))
+        wiring = stack.enter_context(
+            lockstep_wiring(machine, options, start_pose, stop_request) if lockstep else wall_wiring(machine, options, stop_request)
+        )
         io = machine.bus.io
         loop = SampleLoop(
             wiring.link,

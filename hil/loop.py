@@ -118,7 +118,7 @@ class SampleLoop:
     def __post_init__(self) -> None:
         axes = len(self.limits)
         self.command = np.zeros(axes)
-        self._position = np.zeros(axes)
+        self._position = np.full(axes, np.nan)  # the newest there is; none yet
         self._stale = np.zeros(axes, dtype=np.int64)
         self._lower = np.array([limit.lower for limit in self.limits])
         self._upper = np.array([limit.upper for limit in self.limits])
@@ -159,7 +159,8 @@ class SampleLoop:
                     self.layout.fill(self._row, k, sample, plan, self.command, (lateness[k], work[k], answer[k]))
                     sink.put(self._row)
                 if reason:
-                    raise LoopAborted(f"row {k}: {reason}; the motors were stopped and {done} rows are kept")
+                    kept = f"row {k}: {reason}; the motors were stopped and {done} rows are kept"
+                    raise LoopAborted(kept if sink is not None else f"{reason}; the motors were stopped before anything was recorded")
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
         except BaseException:
@@ -188,6 +189,8 @@ class SampleLoop:
             if self._stale[axis] > self.stale_ticks:
                 return f"{limit.axis}: no position for {self._stale[axis]} ticks, timing.stale_ticks bridges {self.stale_ticks}"
             position = self._position[axis]
+            if position != position:  # bridged from the first tick on: the feedback holds its last command
+                continue
             if not self._lower[axis] <= position <= self._upper[axis]:
                 return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
             error = abs(reference[axis] - position)

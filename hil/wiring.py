@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import can
 import numpy as np
 
 from drivers.errors import BusUnavailable
+from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
 from drivers.modbus.io_process import IoProcess
@@ -20,7 +22,8 @@ from drivers.serial.stream import SerialStream
 from drivers.settings import BusSettings
 from hil.clock import LockstepClock, WallClock
 from hil.emulation import build_emulated, opened_bus
-from hil.errors import UnusableInput
+from hil.errors import LoopAborted, UnusableInput
+from hil.loop import StopRequest
 from hil.machine import Machine
 from hil.rendezvous import find
 from hil.truth import TruthLog
@@ -28,6 +31,23 @@ from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 
 if TYPE_CHECKING:
     from hil.bench import BenchOptions
+
+
+class HeedingMachine(CanMachine):
+    """A machine that heeds a stop request in the ticks it makes by itself, too: booting, homing, brakes."""
+
+    def __init__(
+        self, stop_request: StopRequest, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None, io: Io | None
+    ) -> None:
+        super().__init__(settings, bus, clock, imu, io)
+        self._stop_request = stop_request
+
+    def exchange(self, command: np.ndarray) -> Sample:
+        """One tick, unless somebody has asked to stop: then the motors are, and LoopAborted says who asked."""
+        if self._stop_request.reason:
+            self.stop()
+            raise LoopAborted(f"{self._stop_request.reason}; the motors were stopped")
+        return super().exchange(command)
 
 
 @dataclass
@@ -51,7 +71,7 @@ class Wiring:
 
 
 @contextlib.contextmanager
-def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None) -> Iterator[Wiring]:
+def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None, stop_request: StopRequest) -> Iterator[Wiring]:
     """The emulated machine in this process, standing at `start_pose` (n_axes,), and its drivers on virtual time."""
     settings = machine.bus
     assert settings is not None
@@ -75,11 +95,11 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
 
             io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
-        yield Wiring(CanMachine(settings, bus, clock, imu, io), clock, True, truth)
+        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, True, truth)
 
 
 @contextlib.contextmanager
-def wall_wiring(machine: Machine, options: BenchOptions) -> Iterator[Wiring]:
+def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopRequest) -> Iterator[Wiring]:
     """A machine on a bus outside this process, real or emulated, on wall time.
 
     Raises
@@ -107,7 +127,7 @@ def wall_wiring(machine: Machine, options: BenchOptions) -> Iterator[Wiring]:
             stack.callback(io.close)
             io.start()
         clock = WallClock()
-        yield Wiring(CanMachine(settings, bus, clock, imu, io), clock, False)
+        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, False)
 
 
 def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) -> BusSettings:

@@ -1,0 +1,125 @@
+"""The two clocks: absolute ticks that never come in a burst, and virtual time that passes only when it is told to."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.clock import SPIN_S, LockstepClock, WallClock
+
+PERIOD_S = 1 / 256
+
+
+class Watch:
+    """Stands in for the module `time`: sleeping takes exactly as long as asked, plus what `oversleep_s` says; looking takes 1 us."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s, self.oversleep_s = 1000.0, 0.0
+        self.slept: list[float] = []
+        monkeypatch.setattr("hil.clock.time", self)
+
+    def perf_counter(self) -> float:
+        self.now_s += 1e-6
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds >= 0.0
+        self.slept.append(seconds)
+        self.now_s += seconds + self.oversleep_s
+        self.oversleep_s = 0.0
+
+    def work(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def watch(monkeypatch):
+    return Watch(monkeypatch)
+
+
+def ticking(watch: Watch) -> tuple[WallClock, float]:
+    clock = WallClock()
+    clock.start_ticks(PERIOD_S)
+    return clock, watch.now_s
+
+
+def test_ticks_are_at_absolute_times_so_that_work_does_not_shift_them(watch):
+    clock, start_s = ticking(watch)
+    for k in range(1, 2001):
+        assert clock.wait_tick() == pytest.approx(0.0, abs=2e-6)
+        assert watch.now_s == pytest.approx(start_s + k * PERIOD_S, abs=2e-6)  # the last like the first: nothing adds up
+        watch.work((k * 7 % 30) * 1e-4)  # up to 2.9 ms of 3.9
+    assert clock.missed == 0
+
+
+def test_it_sleeps_most_of_the_time_and_spins_the_last_stretch(watch):
+    clock, start_s = ticking(watch)
+    clock.wait_tick()
+    assert watch.slept == [pytest.approx(PERIOD_S - SPIN_S, abs=5e-6)]
+
+
+def test_a_tick_that_is_a_little_late_is_served_at_once_says_so_and_the_next_is_on_time(watch):
+    clock, start_s = ticking(watch)
+    clock.wait_tick()
+    watch.work(1.5 * PERIOD_S)
+    assert clock.wait_tick() == pytest.approx(0.5 * PERIOD_S, abs=5e-6)
+    assert clock.missed == 0
+    assert clock.wait_tick() == pytest.approx(0.0, abs=2e-6)
+    assert watch.now_s == pytest.approx(start_s + 3 * PERIOD_S, abs=5e-6)
+
+
+@pytest.mark.parametrize("periods", [2.25, 3.5, 40.75])
+def test_ticks_whose_time_has_gone_by_are_skipped_counted_and_never_come_in_a_burst(watch, periods):
+    clock, start_s = ticking(watch)
+    clock.wait_tick()
+    watch.work(periods * PERIOD_S)
+    moments = []
+    for _ in range(5):
+        clock.wait_tick()
+        moments.append((watch.now_s - start_s) / PERIOD_S)
+    assert clock.missed == int(periods) - 1
+    assert moments[0] == pytest.approx(1 + periods, abs=0.01)  # at once
+    assert moments[1:] == pytest.approx([int(periods) + 2 + n for n in range(4)], abs=0.01)  # one per period from then on
+
+
+def test_a_tick_overslept_by_the_system_is_late_and_what_it_cost_is_counted(watch):
+    clock, _ = ticking(watch)
+    watch.oversleep_s = 4.5 * PERIOD_S
+    assert clock.wait_tick() == pytest.approx(4.5 * PERIOD_S - SPIN_S, abs=1e-5)
+    clock.wait_tick()
+    assert clock.missed == 3  # ticks 2, 3 and 4; the fifth is served, late
+
+
+def test_starting_anew_forgets_what_was_missed(watch):
+    clock, _ = ticking(watch)
+    watch.work(10.5 * PERIOD_S)
+    clock.wait_tick()
+    assert clock.missed == 9
+    clock.start_ticks(PERIOD_S)
+    assert clock.missed == 0 and clock.wait_tick() == pytest.approx(0.0, abs=2e-6)
+
+
+def test_work_can_be_told_from_waiting_by_the_two_time_stamps(watch):
+    clock, _ = ticking(watch)
+    clock.wait_tick()
+    watch.work(1e-3)
+    clock.wait_tick()
+    assert clock.tick_began_s - clock.idle_began_s == pytest.approx(PERIOD_S - 1e-3, abs=5e-6)
+
+
+def test_waiting_is_sleeping(watch):
+    WallClock().wait(0.125)
+    assert watch.slept == [0.125]
+
+
+def test_in_lockstep_time_is_the_machines_and_passes_only_when_somebody_waits():
+    machine = {"time_s": 5.0}
+
+    def advance(seconds: float) -> None:
+        machine["time_s"] += seconds
+
+    clock = LockstepClock(advance, lambda: machine["time_s"])
+    clock.start_ticks(PERIOD_S)
+    assert [clock.wait_tick() for _ in range(1000)] == [0.0] * 1000
+    assert clock.now() == 5.0 and clock.missed == 0
+    clock.wait(2.5)
+    assert clock.now() == 7.5
