@@ -7,7 +7,7 @@ The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
     motor side  m = q_r + Φ_m η,    link side  l = q_r + Φ_l η
     twist of an observed body about where q_r alone would put it: Ψ η, at the body's centre and in its frame
 
-d_r and d_i are what else pushes: gravity, friction, hands. Centrifugal and Coriolis terms of the axes are in the inertial sensors' rows, those
+d_r and d_i are what else pushes: gravity as a function of the pose, and as disturbances friction and hands. Centrifugal and Coriolis terms of the axes are in the inertial sensors' rows, those
 of the modes are neglected (Sec. 5.4.1). Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`).
 """
 
@@ -20,6 +20,9 @@ import numpy as np
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.models.chain import Chain, chain_motion
+
+DIFFERENCE = 1e-4
+"""Step [rad or m] of differences over position."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,9 @@ class ModalModel:
     harmonics : tuple of int
         Order of the trigonometric polynomial in each axis position; 0: no dependence on it.
     coefficients : (rows, basis) array
-        Rows as `rows_of_mode` and `rigid_rows` say, columns as `basis_values`.
+        Rows: per mode ω², 2ζω, its shape on the motor sides, the link sides and the observed bodies' twists, its input; then B_r by rows,
+        D_r, the pushes of gravity on axes and modes, and the quasi-static offset of the detector's twist that no mode has (5.37). Columns
+        as `basis_values`.
     sample_rate_Hz : float
     effort_limit : (n_axes,) array
         Largest command [drive's unit].
@@ -82,7 +87,7 @@ class ModalModel:
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        expected = (self.modes * self.mode_stride + len(self.axes) * (len(self.axes) + 1) + 6, basis_size(self.harmonics))
+        expected = (self.modes * self.mode_stride + self._rest_rows + self.modes, basis_size(self.harmonics))
         if self.modes < 0 or self.coefficients.shape != expected:
             raise DesignError(f"modal model: coefficients have shape {self.coefficients.shape}, {expected} fits")
         if not np.isfinite(self.coefficients).all():
@@ -95,8 +100,13 @@ class ModalModel:
 
     @property
     def modes(self) -> int:
+        return (len(self.coefficients) - self._rest_rows) // (self.mode_stride + 1)
+
+    @property
+    def _rest_rows(self) -> int:
+        """Rows that are not a mode's: B_r, D_r, gravity's push on the axes, six quasi-static offsets."""
         n = len(self.axes)
-        return (len(self.coefficients) - n * (n + 1) - 6) // self.mode_stride
+        return n * (n + 1) + n + 6
 
     def at(self, pose: np.ndarray) -> np.ndarray:
         """All rows' values (rows,) at a pose (n_axes,)."""
@@ -134,55 +144,66 @@ class ModalModel:
         a[size:, size:] = -np.diag(np.concatenate((rigid[n * n : n * n + n], table[:, 1])))
         b[size : size + n] = rigid[: n * n].reshape(n, n)
         b[size + n :] = table[:, stride - n :]
+        rest = chain_at_rest(self.chain, self.sensors, np.asarray(pose, float))
         rows, direct = [], []
         for first in (2, 2 + n):  # motor side, link side
-            shape = np.hstack((np.eye(n), table[:, first : first + n].T))
-            rows.append(np.hstack((shape, np.zeros((n, size)))))
+            rows.append(np.hstack((np.eye(n), table[:, first : first + n].T, np.zeros((n, size)))))
             direct.append(np.zeros((n, n)))
         for index, sensor in enumerate(self.sensors):
-            twist = table[:, 2 + 2 * n + 6 * index : 8 + 2 * n + 6 * index].T
-            position, speed, acceleration = _sensor_gradients(self.chain, sensor, twist, np.asarray(pose, float))
+            place = slice(6 * index, 6 * index + 6)
+            twist = table[:, 2 + 2 * n + 6 * index : 8 + 2 * n + 6 * index]
+            shift = (twist[:, :3] + np.cross(twist[:, 3:], sensor.sensor_end_m - sensor.body_end_m)) @ sensor.rotation
+            turn, tilt = twist[:, 3:] @ sensor.rotation, np.cross(twist[:, 3:], rest.down) @ sensor.rotation  # f = a - (I - [ρ]x) g
+            nothing = np.zeros_like(shift)
+            position = np.hstack((rest.position[place], np.hstack((tilt, nothing)).T))
+            speed = np.hstack((rest.speed[place], np.hstack((nothing, turn)).T))
+            acceleration = np.hstack((rest.acceleration[place], np.hstack((shift, nothing)).T))
             rows.append(np.hstack((position, speed)) + acceleration @ a[size:])
             direct.append(acceleration @ b[size:])
         return a, b, np.vstack(rows), np.vstack(direct)
 
 
-def _sensor_gradients(chain: Chain, sensor: InertialSensor, twist: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradients (6, n + modes) of one sensor's channels with positions, speeds and accelerations of [q_r, η], at rest."""
-    n, arm = len(pose), sensor.sensor_end_m - sensor.body_end_m
-    to_sensor = sensor.rotation.T
-    zero, end = np.zeros(n), tuple(float(value) for value in sensor.sensor_end_m)
-    position, speed, acceleration = (np.zeros((6, n + twist.shape[1])) for _ in range(3))
+@dataclass(frozen=True)
+class RestGradients:
+    """What inertial sensors read changes with the axes' positions, speeds and accelerations at rest: (6 sensors, n_axes) each.
 
-    def motion(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        omega, _, force = _chain_motion(chain, np.concatenate((q, v, a)), end)
-        return np.array(force), np.array(omega)
+    `down` (3,) is gravity in the chain's last frame.
+    """
 
-    step = 1e-5
-    for i in range(n):
-        unit = np.zeros(n)
-        unit[i] = 1.0
-        position[:3, i] = (motion(pose + step * unit, zero, zero)[0] - motion(pose - step * unit, zero, zero)[0]) / (2.0 * step)
-        acceleration[:3, i] = motion(pose, zero, unit)[0] - motion(pose, zero, zero)[0]
-        speed[3:, i] = motion(pose, unit, zero)[1]
-    down = -motion(pose, zero, zero)[0]
-    for i in range(twist.shape[1]):
-        shift, turn = twist[:3, i], twist[3:, i]
-        acceleration[:3, n + i] = shift + np.cross(turn, arm)
-        position[:3, n + i] = np.cross(turn, down)  # f = a - (I - [ρ]x) g
-        speed[3:, n + i] = turn
-    for gradient in (position, speed, acceleration):
-        gradient[:3], gradient[3:] = to_sensor @ gradient[:3], to_sensor @ gradient[3:]
-    return position, speed, acceleration
+    position: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    down: np.ndarray
+
+
+def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.ndarray) -> RestGradients:
+    """Gradients at a pose (n_axes,), by differences: exact for speeds and accelerations, to 1e-9 for positions."""
+    n = len(pose)
+    gradients = [np.zeros((6 * len(sensors), n)) for _ in range(3)]
+    zero = np.zeros(n)
+
+    def read(sensor: InertialSensor, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        end = tuple(float(value) for value in sensor.sensor_end_m)
+        motion = np.concatenate((q, v, a))
+        omega, force = _motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, end)
+        return np.concatenate((np.array(force) @ sensor.rotation, np.array(omega) @ sensor.rotation))
+
+    for index, sensor in enumerate(sensors):
+        place = slice(6 * index, 6 * index + 6)
+        still = read(sensor, pose, zero, zero)
+        for i, unit in enumerate(np.eye(n)):
+            step = DIFFERENCE * unit
+            gradients[0][place, i] = (read(sensor, pose + step, zero, zero) - read(sensor, pose - step, zero, zero)) / (2.0 * DIFFERENCE)
+            gradients[1][place, i] = (read(sensor, pose, unit, zero) - read(sensor, pose, -unit, zero)) / 2.0
+            gradients[2][place, i] = read(sensor, pose, zero, unit) - still
+    down = -sensors[0].rotation @ read(sensors[0], pose, zero, zero)[:3] if sensors else np.zeros(3)
+    return RestGradients(*gradients, down)
 
 
 @exactly_compiled
-def _compiled_motion(axes, points, revolute, gravity, motion, end):
-    return chain_motion(axes, points, revolute, gravity, motion, end)
-
-
-def _chain_motion(chain: Chain, motion: np.ndarray, end: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-    return _compiled_motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, end)
+def _motion(axes, points, revolute, gravity, motion, end):
+    omega, _, force = chain_motion(axes, points, revolute, gravity, motion, end)
+    return omega, force
 
 
 def basis_size(harmonics: tuple[int, ...]) -> int:

@@ -46,6 +46,7 @@ class Scheduled(NamedTuple):
     modes: np.ndarray  # (modes, 8): ω², 2ζω, discretisation over the period
     encoders: np.ndarray  # (modes, 3 axes): motor shapes, link shapes, inputs
     rigid: np.ndarray  # (axes, axes + 3): B_r, D_r, gains of acceleration on speed and position over the period
+    acting: np.ndarray  # (2 axes + modes,): the command that acts, then what gravity pushes at this pose
     looks: np.ndarray  # (sensors, modes, 15): what a sensor sees of a mode, see `look`; then its shape at the sensor
 
 
@@ -115,21 +116,24 @@ def prepare(constants, pose, scheduled):
         rigid[i, n] = damping
         rigid[i, n + 1] = period * (1.0 - d / 2.0 * (1.0 - d / 3.0 * (1.0 - d / 4.0)))
         rigid[i, n + 2] = period * period * (0.5 - d / 6.0 * (1.0 - d / 4.0 * (1.0 - d / 5.0)))
+    first += n * (n + 1)
+    for i in range(n + modes):
+        scheduled.acting[n + i] = values[first + i]
 
 
 @exactly_inlined
-def rigid_acceleration(scheduled, n, modes, x, u, i):
-    """Of axis i, from state and inputs; u None-like zeros for a deviation."""
-    total = x[2 * n + 2 * modes + i] - scheduled.rigid[i, n] * x[n + i]
+def rigid_acceleration(scheduled, n, x, u, disturbance, i):
+    """Of axis i, from state and what acts; zeros act on a deviation."""
+    total = disturbance + u[n + i] - scheduled.rigid[i, n] * x[n + i]
     for k in range(n):
         total += scheduled.rigid[i, k] * u[k]
     return total
 
 
 @exactly_inlined
-def modal_force(scheduled, n, modes, x, u, i):
-    """On mode i, from disturbance and inputs."""
-    total = x[3 * n + 2 * modes + i]
+def modal_force(scheduled, n, u, disturbance, i):
+    """On mode i, from what acts."""
+    total = disturbance + u[2 * n + i]
     for k in range(n):
         total += scheduled.encoders[i, 2 * n + k] * u[k]
     return total
@@ -137,11 +141,15 @@ def modal_force(scheduled, n, modes, x, u, i):
 
 @exactly_inlined
 def transition(constants, scheduled, x, u, out):
-    """State one sample later under the held input u (axes,). Linear in x where no mode is adapted."""
+    """State one sample later while u acts, laid out as `Scheduled.acting`. Linear in x where no mode is adapted.
+
+    A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, as it is then seen by the sensors.
+    """
     n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
     period, adapted, decay, at = constants.period_s, constants.adapted, constants.decay, scheduled.modes
+    push = 2 * n + 2 * modes
     for i in range(n):
-        acceleration = rigid_acceleration(scheduled, n, modes, x, u, i)
+        acceleration = rigid_acceleration(scheduled, n, x, u, decay[i] * x[push + i], i)
         out[i] = x[i] + period * x[n + i] + scheduled.rigid[i, n + 2] * acceleration
         out[n + i] = x[n + i] + scheduled.rigid[i, n + 1] * acceleration
     for i in range(modes):
@@ -149,10 +157,10 @@ def transition(constants, scheduled, x, u, out):
         if adapted[i] >= 0:
             ratio = np.exp(x[adapted[i]])
             p11, p12, p21, p22, g1, g2 = mode_step(at[i, 0] * ratio * ratio, at[i, 1] * ratio, period)
-        position, speed, force = x[2 * n + i], x[2 * n + modes + i], modal_force(scheduled, n, modes, x, u, i)
+        position, speed = x[2 * n + i], x[2 * n + modes + i]
+        force = modal_force(scheduled, n, u, decay[n + i] * x[push + n + i], i)
         out[2 * n + i] = p11 * position + p12 * speed + g1 * force
         out[2 * n + modes + i] = p21 * position + p22 * speed + g2 * force
-    push = 2 * n + 2 * modes
     for i in range(n + modes):
         out[push + i] = decay[i] * x[push + i]
     for i in range(push + n + modes, states):
@@ -166,7 +174,7 @@ def signals(constants, scheduled, x, u, out):
     Linear in x and u where no mode is adapted.
     """
     n, modes, sensors = constants.sizes[0], constants.sizes[1], constants.sizes[2]
-    encoders, looks, adapted = scheduled.encoders, scheduled.looks, constants.adapted
+    encoders, looks, adapted, push = scheduled.encoders, scheduled.looks, constants.adapted, 2 * n + 2 * modes
     for i in range(n):
         motor, link = x[i], x[i]
         for j in range(modes):
@@ -177,26 +185,27 @@ def signals(constants, scheduled, x, u, out):
         lag = constants.sensors[s, 15]
         place = 2 * n + s * (3 * n + SENSOR_SIGNALS)
         for i in range(n):
-            a = rigid_acceleration(scheduled, n, modes, x, u, i)
+            a = rigid_acceleration(scheduled, n, x, u, x[push + i], i)
             out[place + i] = x[i] - lag * (x[n + i] - 0.5 * lag * a)
             out[place + n + i] = x[n + i] - lag * a
             out[place + 2 * n + i] = a
         acceleration, velocity, turn, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(modes):
-            position, speed, force = x[2 * n + i], x[2 * n + modes + i], modal_force(scheduled, n, modes, x, u, i)
+            position, speed = x[2 * n + i], x[2 * n + modes + i]
+            force = modal_force(scheduled, n, u, x[push + n + i], i)
             if adapted[i] >= 0:
                 ratio = np.exp(x[adapted[i]])
                 rows = look(scheduled.modes[i, 0] * ratio * ratio, scheduled.modes[i, 1] * ratio, lag)
                 past = rows[0] * position + rows[1] * speed + rows[2] * force
                 past_speed = rows[3] * position + rows[4] * speed + rows[5] * force
-                push = rows[6] * position + rows[7] * speed + rows[8] * force
+                felt = rows[6] * position + rows[7] * speed + rows[8] * force
             else:
                 past = looks[s, i, 0] * position + looks[s, i, 1] * speed + looks[s, i, 2] * force
                 past_speed = looks[s, i, 3] * position + looks[s, i, 4] * speed + looks[s, i, 5] * force
-                push = looks[s, i, 6] * position + looks[s, i, 7] * speed + looks[s, i, 8] * force
+                felt = looks[s, i, 6] * position + looks[s, i, 7] * speed + looks[s, i, 8] * force
             shift = looks[s, i, 9], looks[s, i, 10], looks[s, i, 11]
             twist = looks[s, i, 12], looks[s, i, 13], looks[s, i, 14]
-            acceleration, velocity = plus(acceleration, scaled(shift, push)), plus(velocity, scaled(shift, past_speed))
+            acceleration, velocity = plus(acceleration, scaled(shift, felt)), plus(velocity, scaled(shift, past_speed))
             turn, rate = plus(turn, scaled(twist, past)), plus(rate, scaled(twist, past_speed))
         place += 3 * n
         for j in range(3):

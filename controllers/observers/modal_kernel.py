@@ -43,7 +43,7 @@ class Memory(NamedTuple):
 
 @exactly_compiled
 def process_noise(constants, scheduled, array, first):
-    """Rows of deviations that one sample adds, into array[first:]: command noise through the model, then one state each."""
+    """Rows of deviations that one sample adds, into array[first:]: through the model from commands and disturbances, then one state each."""
     n, modes, states, sources = constants.sizes[0], constants.sizes[1], constants.sizes[4], constants.sizes[6]
     std, rigid = constants.noise_std, scheduled.rigid
     for i in range(sources):
@@ -59,10 +59,17 @@ def process_noise(constants, scheduled, array, first):
             array[first + k, 2 * n + modes + i] = scheduled.modes[i, 7] * gain
     for source in range(n, sources):
         array[first + source, 2 * n + 2 * modes + source - n] = std[source]
+    for i in range(n):
+        array[first + n + i, i] = rigid[i, n + 2] * std[n + i]
+        array[first + n + i, n + i] = rigid[i, n + 1] * std[n + i]
+    for i in range(modes):
+        source = 2 * n + i
+        array[first + source, 2 * n + i] = scheduled.modes[i, 6] * std[source]
+        array[first + source, 2 * n + modes + i] = scheduled.modes[i, 7] * std[source]
 
 
 @exactly_compiled
-def predict(constants, scheduled, memory, kind, u):
+def predict(constants, scheduled, memory, kind):
     """Time update to the next sample: (5.7), (5.9) or (5.17)-(5.19) with Q.
 
     Without adapted modes the transition is linear: deviations go through it by themselves, and sigma points would find the same.
@@ -70,6 +77,7 @@ def predict(constants, scheduled, memory, kind, u):
     states = constants.sizes[4]
     x, factor, points, array, after, nothing = memory.x, memory.factor, memory.points, memory.array, memory.lines[0], memory.lines[1]
     prepare(constants, x, scheduled)
+    u = scheduled.acting
     rows = states
     transition(constants, scheduled, x, u, after)
     if constants.sizes[3] == 0:
@@ -106,10 +114,10 @@ def predict(constants, scheduled, memory, kind, u):
 
 
 @exactly_compiled
-def look_at_rest(constants, scheduled, memory, u):
+def look_at_rest(constants, scheduled, memory):
     """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both from the machine at rest in the estimated pose."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    x, factor, seen, lines = memory.x, memory.factor, memory.seen, memory.lines
+    x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.acting
     rest, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
     biases = states - (measurements - 2 * n)
     rest[:] = 0.0
@@ -140,13 +148,13 @@ def look_at_rest(constants, scheduled, memory, u):
 
 
 @exactly_compiled
-def look_around(constants, scheduled, memory, kind, u):
+def look_around(constants, scheduled, memory, kind):
     """Rows of EKF and UKF: ẑ into lines[5], half the difference of a pair into seen[i], how its mean strays from ẑ into seen[states + i].
 
     The last deviations move biases alone, which only shift what is read.
     """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    x, factor, seen, lines, array = memory.x, memory.factor, memory.seen, memory.lines, memory.array
+    x, factor, seen, lines, array, u = memory.x, memory.factor, memory.seen, memory.lines, memory.array, scheduled.acting
     point, here, moved, sensed, nothing, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
     is_linear = constants.sizes[3] == 0
     biases = states - (measurements - 2 * n)
@@ -193,20 +201,20 @@ def look_around(constants, scheduled, memory, kind, u):
 
 
 @exactly_compiled
-def correct(constants, scheduled, memory, kind, u, z):
+def correct(constants, scheduled, memory, kind, z):
     """Measurement update with whatever of z (measurements,) is a number: (5.5), (5.6) or (5.21)-(5.26).
 
     Returns
     -------
-    (nis, measured)
-        Normalised innovation squared and its degrees of freedom.
+    (nis, measured, log_volume)
+        Normalised innovation squared, its degrees of freedom, and the logarithm of the innovation covariance's determinant.
     """
     states, measurements = constants.sizes[4], constants.sizes[5]
     factor, seen, array, mean, whitened = memory.factor, memory.seen, memory.array, memory.lines[5], memory.lines[0]
     if kind == KALMAN:
-        look_at_rest(constants, scheduled, memory, u)
+        look_at_rest(constants, scheduled, memory)
     else:
-        look_around(constants, scheduled, memory, kind, u)
+        look_around(constants, scheduled, memory, kind)
     measured = 0
     for j in range(measurements):
         measured += z[j] == z[j]
@@ -225,7 +233,7 @@ def correct(constants, scheduled, memory, kind, u, z):
         whitened[column] = memory.innovation[j]
         column += 1
     if measured == 0:
-        return 0.0, 0
+        return 0.0, 0, 0.0
     if extra:
         triangularise(array, measured + extra, measured)  # curvature counts as noise of z alone
     for i in range(states):
@@ -237,26 +245,41 @@ def correct(constants, scheduled, memory, kind, u, z):
         for k in range(states):
             array[measured + i, measured + k] = factor[i, k]
     triangularise(array, measured + states, measured + states)
-    return update(array, measured, states, whitened, memory.x, factor), measured
+    log_volume = 0.0
+    for j in range(measured):
+        log_volume += 2.0 * np.log(array[j, j])
+    return update(array, measured, states, whitened, memory.x, factor), measured, log_volume
+
+
+@exactly_compiled
+def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
+    """One sample. `u` (axes,) acted since the last one; `summary` (3,) gets what `correct` returns."""
+    for i in range(constants.sizes[0]):
+        scheduled.acting[i] = u[i]
+    if is_first:
+        prepare(constants, memory.x, scheduled)
+    else:
+        predict(constants, scheduled, memory, kind)
+    summary[0], summary[1], summary[2] = correct(constants, scheduled, memory, kind, z)
 
 
 def _compile(version: int) -> Any:
     @njit(cache=True, fastmath=False, error_model="numpy")
     def step(constants, scheduled, memory, kind, is_first, u, z, summary):  # type: ignore[no-untyped-def]
-        if version < 0:
-            return
-        if is_first:
-            prepare(constants, memory.x, scheduled)
-        else:
-            predict(constants, scheduled, memory, kind, u)
-        nis, measured = correct(constants, scheduled, memory, kind, u, z)
-        summary[0] = nis
-        summary[1] = measured
+        if version >= 0:
+            one_step(constants, scheduled, memory, kind, is_first, u, z, summary)
 
-    return step
+    @njit(cache=True, fastmath=False, error_model="numpy")
+    def rows(constants, scheduled, memory, kind, commands, measured, summaries):  # type: ignore[no-untyped-def]
+        if version >= 0:
+            for k in range(len(measured)):
+                u = commands[max(k - 2, 0)]  # command k-2 acts from k-1 to k; what acted before row 0 is taken for command 0
+                one_step(constants, scheduled, memory, kind, k == 0, u, measured[k], summaries[k])
+
+    return step, rows
 
 
-filter_step = _compile(
+filter_step, filter_rows = _compile(
     sources_digest(
         controllers.models.vectors,
         controllers.models.chain,
@@ -265,5 +288,5 @@ filter_step = _compile(
         controllers.observers.square_root,
     )
 )
-"""filter_step(constants, scheduled, memory, kind, is_first, u, z, summary): one sample. `u` (axes,) acted since the last one; `summary` (2,)
-gets the normalised innovation squared and its degrees of freedom."""
+"""filter_step(constants, scheduled, memory, kind, is_first, u, z, summary): see `one_step`.
+filter_rows(constants, scheduled, memory, kind, commands, measured, summaries): N rows at once, for tuning."""

@@ -11,7 +11,7 @@ from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.modal_equations import SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_step
+from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step
 from controllers.observers.publish import GEOMETRY, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
@@ -65,7 +65,7 @@ class ModalObserver:
         self.estimate = np.full(len(self.channels), np.nan)
         self._values = 2 * n + 12 + GEOMETRY
         self._measured = np.full(self._constants.sizes[5], np.nan)
-        self._summary = np.zeros(2)
+        self._summary = np.zeros(3)
         self._held = np.zeros(n)  # the command that acts until the next sample
         self._start = self._initial_factor()
         self.restart()
@@ -148,6 +148,18 @@ class ModalObserver:
         self.estimate[tail + 2] = mean
         self.estimate[tail + 3] = is_alarm
 
+    def likelihood(self, measured: np.ndarray, commands: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the log likelihood of N rows (N, measurements), (N, n_axes) from a restart, and (N, 2) NIS with its degrees of freedom.
+
+        Leaves the observer restarted.
+        """
+        self.restart()
+        self._stand_at(measured[0])
+        summaries = np.zeros((len(measured), 3))
+        filter_rows(self._constants, self._scheduled, self._memory, self._kind, commands, measured, summaries)
+        self.restart()
+        return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
+
     def _stand_at(self, z: np.ndarray) -> None:
         n = len(self.model.axes)
         for i in range(n):
@@ -221,6 +233,7 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         modes=np.zeros((modes, 8)),
         encoders=np.zeros((modes, 3 * n)),
         rigid=np.zeros((n, n + 3)),
+        acting=np.zeros(2 * n + modes),
         looks=np.zeros((sensors, modes, 15)),
     )
     memory = Memory(

@@ -92,7 +92,7 @@ def _compile(version: int) -> Any:
             return
         n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
         stride = 2 + 3 * n + 6 * constants.sizes[2]
-        offset = modes * stride + n * (n + 1)
+        offset = modes * stride + n * (n + 1) + n + modes
         x, factor = memory.x, memory.factor
         count = 2 * n + 12 + GEOMETRY
         wide = 2 * n + 6

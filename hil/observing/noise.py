@@ -1,0 +1,88 @@
+"""Where the observer's noise covariances come from: sensor records, the machine file's lattices, and the responses' covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from controllers.models.modal import ModalModel
+from controllers.observers.settings import ObserverNoise
+from hil.identification import FrequencyResponse
+from hil.machine import Machine
+from hil.recording import Recording
+
+LATTICE = 1.0 / np.sqrt(12.0)
+"""Standard deviation of rounding, in steps."""
+
+ACCELEROMETER_WALK = 1e-5
+"""m/s^2 per sqrt(s): a bias that strays 0.1 mg in ten thousand seconds, as good MEMS sensors do."""
+
+GYRO_WALK = 1e-6
+"""rad/s per sqrt(s), likewise."""
+
+UNSURE_BIAS = np.array([2e-3] * 3 + [2e-4] * 3)
+"""What is left of the biases once standing records have told them (m/s^2, rad/s)."""
+
+UNKNOWN_BIAS = np.array([0.05] * 3 + [0.005] * 3)
+"""What biases may be before anything is known of them."""
+
+START_TIME_s = 0.1
+"""Correlation time of disturbances to start from: the tuning moves it."""
+
+START_SHARE = 0.05
+"""Disturbances to start from, as a share of what the drives could do: the tuning moves it."""
+
+
+def measurement_noise(model: ModalModel, machine: Machine, records: Sequence[Recording]) -> np.ndarray:
+    """Standard deviations (measurements,) of white noise, from recordings at rest, never below a sensor's lattice.
+
+    Third differences take out whatever moves slowly against the sample rate; of white noise they have twenty times its variance.
+    """
+    channels = model.channels()
+    steps = {encoder.channel: encoder.resolution for encoder in machine.plant.encoders}
+    variances = np.zeros((len(records), len(channels)))
+    for row, record in zip(variances, records, strict=True):
+        rough = np.diff(record.matrix(channels), n=3, axis=0)
+        row[:] = np.nanmean(rough**2, axis=0) / 20.0
+    lattice = np.array([steps.get(name, 0.0) * LATTICE for name in channels])
+    smallest = np.where(np.arange(len(channels)) < 2 * len(model.axes), 1e-9, 1e-7)
+    return np.maximum(np.sqrt(np.min(variances, axis=0)) if len(records) else 0.0, np.maximum(lattice, smallest))
+
+
+def command_noise(machine: Machine, responses: Sequence[FrequencyResponse], records: Sequence[Recording]) -> np.ndarray:
+    """Standard deviations (n_axes,) of what acts beside the command: its rounding, and the responses' own uncertainty times what was sent."""
+    rounding = np.array([drive.resolution * LATTICE for drive in machine.plant.drives])
+    if not responses or not records:
+        return np.maximum(rounding, 1e-6)
+    sent = np.mean([[np.nanstd(np.diff(record[f"command_{axis}"])) for axis in machine.axes] for record in records], axis=0)
+    shares = []
+    for response in responses:
+        kind = "noise" if response.total_covariance is None else "total"
+        deviation = response.standard_deviation(kind)  # type: ignore[arg-type]
+        trusted = np.array([np.argmax(np.abs(response.G[:, :, u]).sum(axis=0)) for u in range(response.G.shape[2])])
+        shares.append([np.median(deviation[:, j, u] / np.abs(response.G[:, j, u])) for u, j in enumerate(trusted)])
+    return np.sqrt(rounding**2 + (np.median(shares, axis=0) * sent) ** 2)
+
+
+def starting_noise(
+    model: ModalModel,
+    machine: Machine,
+    responses: Sequence[FrequencyResponse],
+    records: Sequence[Recording],
+    is_bias_known: bool,
+) -> ObserverNoise:
+    """Noise before tuning: measured where it can be measured, and disturbances of a share of the drives' strength."""
+    n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
+    values = model.at(np.zeros(n))
+    table = values[: modes * model.mode_stride].reshape(modes, model.mode_stride)
+    rigid = values[modes * model.mode_stride :][: n * n].reshape(n, n)
+    strength = np.concatenate((np.abs(rigid) @ model.effort_limit, np.abs(table[:, -n:]) @ model.effort_limit))
+    return ObserverNoise(
+        command=command_noise(machine, responses, records),
+        disturbance=START_SHARE * np.maximum(strength, 1e-3 * strength.max()),
+        disturbance_time_s=np.full(n + modes, START_TIME_s),
+        bias_walk=np.tile(np.repeat([ACCELEROMETER_WALK, GYRO_WALK], 3), sensors),
+        measurement=measurement_noise(model, machine, records),
+        initial_bias=np.tile(UNSURE_BIAS if is_bias_known else UNKNOWN_BIAS, sensors),
+    )

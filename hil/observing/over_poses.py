@@ -1,0 +1,143 @@
+"""From modal fits at several poses to parameters that vary with pose: Sec. 5.4.2, smooth functions of θ with static parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from controllers.models.chain import Chain
+from controllers.models.modal import InertialSensor, ModalModel, basis_size, basis_values
+from hil.errors import BadAnswer
+from hil.identification import FrequencyResponse
+from hil.machine import Machine
+from hil.observing.geometry import observed_chain
+from hil.observing.modal_fit import PoseFit, fit_pose
+
+HIGHEST_HARMONIC = 3
+"""Of an axis position: inertias vary with the second harmonic, frequencies and shapes with what division makes of it."""
+
+APART_rad = np.radians(2.0)
+"""Positions closer than this are one position."""
+
+
+def fit_modal_model(
+    machine: Machine, responses: Sequence[FrequencyResponse], modes: int = 4
+) -> tuple[ModalModel, tuple[PoseFit, ...]]:
+    """The modal model of a machine from frequency responses at one pose or more.
+
+    Parameters
+    ----------
+    machine : Machine
+        For the geometry, the axes' units and limits, and the sensors' bandwidth.
+    responses : sequence of FrequencyResponse
+        One per pose, outputs as `observed_channels`.
+    modes : int
+
+    Raises
+    ------
+    BadAnswer
+        A mode cannot be followed from pose to pose.
+    """
+    chain, sensors, source_end, _ = observed_chain(machine)
+    fits = _fits(responses, chain, sensors, modes)
+    harmonics = harmonics_for(np.array([fit.pose for fit in fits]))
+    basis = np.zeros((len(fits), basis_size(harmonics)))
+    for row, fit in zip(basis, fits, strict=True):
+        basis_values(np.array(harmonics, dtype=np.int64), fit.pose, row)
+    rows = np.array([_rows(fit) for fit in fits])
+    coefficients = np.linalg.lstsq(basis, rows, rcond=1e-8)[0].T
+    left = rows - basis @ coefficients.T
+    model = ModalModel(
+        axes=machine.axes,
+        chain=chain,
+        sensors=sensors,
+        source_end_m=source_end,
+        harmonics=harmonics,
+        coefficients=np.ascontiguousarray(coefficients),
+        sample_rate_Hz=machine.sample_rate_Hz,
+        effort_limit=np.array([drive.limit for drive in machine.plant.drives]),
+        position_unit=tuple(units.position for units in machine.units),
+        notes=_notes(fits, left, modes),
+    )
+    return model, fits
+
+
+def observed_channels(machine: Machine) -> tuple[str, ...]:
+    """Channels a frequency response must have as outputs: motor sides, link sides, inertial sensors."""
+    _, sensors, _, _ = observed_chain(machine)
+    encoders = [f"position_{axis}" for axis in machine.axes] + [f"link_position_{axis}" for axis in machine.axes]
+    return (*encoders, *(channel for sensor in sensors for channel in sensor.channels))
+
+
+def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
+    """Order of the trigonometric polynomial in each axis that poses (P, n_axes) can tell."""
+    orders = []
+    for positions in poses.T:
+        distinct = 1 + int(np.sum(np.diff(np.sort(positions)) > APART_rad))
+        orders.append(min((distinct - 1) // 2, HIGHEST_HARMONIC))
+    while basis_size(tuple(orders)) > len(poses):
+        orders[int(np.argmax(orders))] -= 1
+    return tuple(orders)
+
+
+def _fits(
+    responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[InertialSensor, ...], modes: int
+) -> tuple[PoseFit, ...]:
+    """Fits in the order of the poses' distance from the middle one, every mode followed from the nearest pose fitted before."""
+    poses = np.array([response.pose for response in responses])
+    order = np.argsort(np.linalg.norm(poses - np.median(poses, axis=0), axis=1), kind="stable")
+    done: list[PoseFit] = []
+    for index in order:
+        fit = fit_pose(responses[index], chain, sensors, modes)
+        if done:
+            near = min(done, key=lambda other: float(np.linalg.norm(other.pose - fit.pose)))
+            fit = _aligned(fit, near)
+        done.append(fit)
+    return tuple(sorted(done, key=lambda fit: tuple(fit.pose)))
+
+
+def _aligned(fit: PoseFit, near: PoseFit) -> PoseFit:
+    """The same fit with its shapes' signs as the neighbour's; the order of frequencies is the order of modes.
+
+    Raises
+    ------
+    BadAnswer
+        A shape has nothing in common with its neighbour's: modes crossed between the poses.
+    """
+    n = len(fit.pose)
+    shapes, inputs = fit.shapes.copy(), fit.inputs.copy()
+    for i in range(len(shapes)):
+        here, there = shapes[i, 2 * n : 2 * n + 6], near.shapes[i, 2 * n : 2 * n + 6]
+        likeness = float(here @ there / (np.linalg.norm(here) * np.linalg.norm(there)))
+        if abs(likeness) < 0.3:
+            raise BadAnswer(
+                f"mode {i + 1} at {np.degrees(fit.pose).round(1).tolist()} deg is not the one at {np.degrees(near.pose).round(1).tolist()}"
+                " deg: identify poses between them, or fewer modes"
+            )
+        if likeness < 0.0:
+            shapes[i], inputs[i] = -shapes[i], -inputs[i]
+    return PoseFit(fit.pose, fit.stiffness, fit.damping, shapes, inputs, fit.rigid, fit.rigid_damping, fit.misfit)
+
+
+def _rows(fit: PoseFit) -> np.ndarray:
+    """One pose's parameters in the order of `ModalModel.coefficients`; nothing pushes and nothing is offset yet."""
+    modes = [
+        np.concatenate(([stiffness, damping], shape, given))
+        for stiffness, damping, shape, given in zip(fit.stiffness, fit.damping, fit.shapes, fit.inputs, strict=True)
+    ]
+    return np.concatenate((*modes, fit.rigid.ravel(), fit.rigid_damping, np.zeros(len(fit.pose) + len(modes) + 6)))
+
+
+def _notes(fits: Sequence[PoseFit], left: np.ndarray, modes: int) -> tuple[str, ...]:
+    n = len(fits[0].pose)
+    worst = max(float(np.sqrt(np.mean(fit.misfit**2))) for fit in fits)
+    notes = [f"{len(fits)} poses; responses are met to {100.0 * worst:.1f} % rms or better"]
+    stride = 2 + len(fits[0].shapes[0]) + n if modes else 0
+    for i in range(modes):
+        frequency = np.sqrt([fit.stiffness[i] for fit in fits]) / (2.0 * np.pi)
+        spread = float(np.abs(left[:, i * stride]).max() / np.mean([fit.stiffness[i] for fit in fits]) / 2.0)
+        notes.append(
+            f"mode {i + 1}: {frequency.min():.2f} to {frequency.max():.2f} Hz over the poses, met to {100.0 * spread:.2f} %"
+        )
+    return tuple(notes)

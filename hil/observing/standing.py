@@ -1,0 +1,124 @@
+"""What gravity does to a machine at rest, from recordings in which it stood or swung about a pose: the quasi-static part of (5.37).
+
+At rest a mode is bent by gravity's push on it and by the command that holds the axes. Link sides against motor sides and the accelerometer's
+tilt against the encoders tell how far; the accelerometer's biases, the same in every pose, are told apart by the poses' difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controllers.models.modal import ModalModel, basis_size, basis_values, chain_at_rest
+from hil.errors import RecordingError
+from hil.recording import Recording
+
+ENCODER_TRUST_rad = 2e-6
+"""Weight of encoders' differences: some counts."""
+
+TILT_TRUST_m_s2 = 2e-3
+"""Weight of mean specific forces: what is left of noise and of vibration about the mean."""
+
+EXPECTED_BIAS_m_s2 = 0.05
+"""How far an accelerometer's bias may be from zero before it costs anything: ten times what better sensors promise."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Means of one recording about one pose: (n_axes,), (n_axes,), (n_axes,), (6 sensors,)."""
+
+    motor: np.ndarray
+    link: np.ndarray
+    command: np.ndarray
+    inertial: np.ndarray
+
+
+def standing_mean(recording: Recording, model: ModalModel) -> Standing:
+    """Means over whole periods of a periodic recording, else over all of it.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks a channel.
+    """
+    rows = slice(None)
+    if recording.experiment.get("period_samples"):
+        slices = recording.period_slices
+        rows = slice(slices[0].start, slices[-1].stop)
+
+    def mean(names: Sequence[str]) -> np.ndarray:
+        values = recording.matrix(names)[rows]
+        if np.isnan(values).all(axis=0).any():
+            raise RecordingError(f"{names[int(np.isnan(values).all(axis=0).argmax())]} has no sample at all")
+        return np.nanmean(values, axis=0)
+
+    channels, n = model.channels(), len(model.axes)
+    return Standing(mean(channels[:n]), mean(channels[n : 2 * n]), mean([f"command_{axis}" for axis in model.axes]), mean(channels[2 * n :]))
+
+
+def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray]:
+    """The model with gravity's pushes as functions of the pose, and the inertial sensors' biases (6 sensors,).
+
+    Gyro biases are the mean rates. Three poses or more on an axis tell an accelerometer's bias from tilt; with fewer the bias stays zero.
+    """
+    n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
+    width = basis_size(model.harmonics)
+    unknowns = modes * width + 3 * sensors
+    system, target = [], []
+    basis = np.zeros(width)
+    harmonics = np.array(model.harmonics, dtype=np.int64)
+    bends, pushes = [], []
+    table = model.at(np.zeros(n))[: modes * model.mode_stride].reshape(modes, model.mode_stride)
+    strength = np.abs(table[:, -n:]) @ model.effort_limit / table[:, 0]  # gravity bends a mode about as far as the drives could
+    for each in standing:
+        values = model.at(each.motor)
+        table = values[: modes * model.mode_stride].reshape(modes, model.mode_stride)
+        basis_values(harmonics, each.motor, basis)
+        rest = chain_at_rest(model.chain, model.sensors, each.motor)
+        bends.append((basis.copy(), table[:, 0], table[:, -n:] @ each.command))
+        first = modes * model.mode_stride
+        pushes.append(-values[first : first + n * n].reshape(n, n) @ each.command)
+        for k in range(n):
+            row = np.zeros(unknowns)
+            row[: modes * width] = np.outer(table[:, 2 + n + k] - table[:, 2 + k], basis).ravel()
+            system.append(row / ENCODER_TRUST_rad)
+            target.append((each.link[k] - each.motor[k]) / ENCODER_TRUST_rad)
+        for s, sensor in enumerate(model.sensors):
+            twist = table[:, 2 + 2 * n + 6 * s : 8 + 2 * n + 6 * s]
+            tilt = np.cross(twist[:, 3:], rest.down) @ sensor.rotation  # (modes, 3)
+            # the chain stands at q_r = motor side less what the modes bend there
+            by_chain = -table[:, 2 : 2 + n] @ rest.position[6 * s : 6 * s + 3].T
+            upright = -rest.down @ sensor.rotation
+            for j in range(3):
+                row = np.zeros(unknowns)
+                row[: modes * width] = np.outer(tilt[:, j] + by_chain[:, j], basis).ravel()
+                row[modes * width + 3 * s + j] = 1.0
+                system.append(row / TILT_TRUST_m_s2)
+                target.append((each.inertial[6 * s + j] - upright[j]) / TILT_TRUST_m_s2)
+    for i in range(modes):
+        for k in range(width):
+            row = np.zeros(unknowns)
+            row[i * width + k] = 1.0 / strength[i]
+            system.append(row)
+            target.append(0.0)
+    for b in range(3 * sensors):
+        row = np.zeros(unknowns)
+        row[modes * width + b] = 1.0 / EXPECTED_BIAS_m_s2
+        system.append(row)
+        target.append(0.0)
+    solution = np.linalg.lstsq(np.array(system), np.array(target), rcond=1e-9)[0]
+    bend = solution[: modes * width].reshape(modes, width)
+    # the push that bends a mode so far: ω² η = b u + d
+    modal = np.array([stiffness * (bend @ b) - given for b, stiffness, given in bends])
+    table = np.array([b for b, _, _ in bends])
+    rows = np.linalg.lstsq(table, np.hstack((np.array(pushes), modal)), rcond=1e-8)[0].T
+    coefficients = model.coefficients.copy()
+    first = modes * model.mode_stride + n * (n + 1)
+    coefficients[first : first + n + modes] = rows
+    biases = np.zeros(6 * sensors)
+    for s in range(sensors):
+        biases[6 * s : 6 * s + 3] = solution[modes * width + 3 * s :][:3]
+        biases[6 * s + 3 : 6 * s + 6] = np.mean([each.inertial[6 * s + 3 : 6 * s + 6] for each in standing], axis=0)
+    return replace(model, coefficients=coefficients), biases
