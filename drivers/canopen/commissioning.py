@@ -120,9 +120,9 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
 def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float = 0.0) -> None:
     """Run the drive's own homing and take its counter's zero, or the absolute link encoder's, as the joint's.
 
-    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link encoder, less
-    the gear's windup, says where the motor side is. Methods that move open the brake for as long as they last; their home offset (607Ch) is
-    the machine file's affair.
+    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link
+    encoder, less the gear's windup, says where the motor side is. Methods that move open the brake for as long as they last; their
+    home offset (607Ch) is the machine file's affair.
 
     Raises
     ------

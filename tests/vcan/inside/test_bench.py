@@ -130,12 +130,11 @@ def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, ca
         seen = witness.frames()
         if seen == lockstep:
             break
-        first = next((i for i, (a, b) in enumerate(zip(seen, lockstep, strict=False)) if a != b), min(len(seen), len(lockstep)))
-        print(
-            f"attempt {attempt}: {len(seen)} and {len(lockstep)} frames, {done.stderr} differ at {first}:",
-            seen[first - 3 : first + 6],
-            lockstep[first - 3 : first + 6],
-        )
+        both = zip(seen, lockstep, strict=False)
+        first = next((i for i, (ours, theirs) in enumerate(both) if ours != theirs), min(len(seen), len(lockstep)))
+        near = slice(max(0, first - 3), first + 5)
+        print(f"attempt {attempt}: {len(seen)} frames on {interface}, {len(lockstep)} in lockstep, {done.stderr}", flush=True)
+        print(f"  from frame {near.start}: {seen[near]} and {lockstep[near]}", flush=True)
     else:
         pytest.fail("no run on vcan0 had the frames of the lockstep run")
     assert len(lockstep) > 2 * 256 * 7
