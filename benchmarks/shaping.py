@@ -163,6 +163,15 @@ def jerk_limited(machine: Machine, axis: str) -> dict[str, dict[str, float]]:
     return periodic_scan(machine, plan, axis, {"hTDF quiet": file_of(designs["hTDF quiet"], machine, axis)})
 
 
+def keeps_limits(machine: Machine, plan: Plan, file: ShaperFile) -> bool:
+    """Whether the shaped plan keeps every limit of the machine file, jerk included."""
+    try:
+        shape_plan(plan, file, machine)
+    except ExperimentError:
+        return False
+    return True
+
+
 def periodic_scan(machine: Machine, plan: Plan, axis: str, files: dict[str, ShaperFile]) -> dict[str, dict[str, float]]:
     """Every shaper on one periodic scan, over whole periods."""
     period = int(plan.metadata["period_samples"])
@@ -195,7 +204,11 @@ def main() -> None:
         designs = designs_of(machine, axis, aim, nominal)
         files = {name: file_of(designs[name], machine, axis) for name in NAMES}
         title = f"{axis} ±{np.degrees(amplitude):g} deg, period {period_s:g} s, harmonics {HARMONICS} tracked"
-        document["rasters"][title] = periodic_scan(lifted, raster(lifted, axis, nominal[0]), axis, files)
+        plan = raster(lifted, axis, nominal[0])
+        table = periodic_scan(lifted, plan, axis, files)
+        for name in set(table) & set(files):
+            table[name]["keeps_the_machines_own_limits"] = keeps_limits(machine, plan, files[name])
+        document["rasters"][title] = table
         document["jerk_limited_rasters"][axis] = jerk_limited(machine, axis)
         document["raster_over_poses"][axis] = over_poses(lifted, axis, aim)
     text = json.dumps(document, indent=2)
