@@ -63,6 +63,7 @@ class CanMachine:
     def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None = None, io: Io | None = None) -> None:
         self.settings = settings
         self.clock = clock
+        self.period_s = settings.sync_period_s
         self.network = PolledNetwork(bus, clock)
         self.supervision = Supervision(self.network, settings.nodes)
         self._cyclic = CyclicExchange(self.network, settings, self.supervision)

@@ -96,10 +96,10 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
     """Raise the effort until the axis has moved; return the effort above holding that it took."""
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
     ramp_s = RAMP_SHARE * settings.direction_check_timeout_s
-    begin = machine.clock.now()
     command = holding.copy()
+    elapsed = 0.0
     while True:
-        elapsed = machine.clock.now() - begin
+        elapsed += machine.period_s
         push = settings.direction_check_effort * min(1.0, elapsed / ramp_s)
         command[axis] = holding[axis] + push
         moved = motion.tick(machine, command).position[axis] - start
@@ -192,10 +192,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
 
 def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
     """The same, averaged at a standstill in which the structure may still swing."""
-    rows = [_positions(machine, axis, command)]
-    end = machine.clock.now() + AVERAGING_S
-    while machine.clock.now() < end:
-        rows.append(_positions(machine, axis, command))
+    rows = [_positions(machine, axis, command) for _ in range(motion.ticks_in(machine, AVERAGING_S))]
     position, link = np.mean(rows, axis=0)
     return float(position), float(link)
 

@@ -6,6 +6,7 @@ refuses in words. The bench's methods in `drivers.machine_link` string them toge
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -38,6 +39,7 @@ class Machine(Protocol):
     """What the procedures need of the machine: its ticks, its drives by axis number, its brakes."""
 
     clock: Clock
+    period_s: float  # of the ticks
     supervision: Supervision
     axes: tuple[str, ...]
     drives: tuple[Node, ...]
@@ -187,9 +189,13 @@ def close_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
 
 def run_for(machine: Machine, seconds: float, hold: Hold) -> None:
     """Tick for that long under a holding command."""
-    end = machine.clock.now() + seconds
-    while machine.clock.now() < end:
+    for _ in range(ticks_in(machine, seconds)):
         tick(machine, hold(machine.sample))
+
+
+def ticks_in(machine: Machine, seconds: float) -> int:
+    """Whole ticks, counted and not timed, so that a procedure is the same frame by frame on every bus."""
+    return max(1, math.ceil(seconds / machine.period_s))
 
 
 def tick(machine: Machine, command: np.ndarray) -> Sample:
