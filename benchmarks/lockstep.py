@@ -2,8 +2,8 @@
 
     python benchmarks/lockstep.py --json lockstep.json
 
-The run is `isocenter run static`: emulated devices, drivers, loop, feedback and journal in one process; every frame, serial byte and Modbus message
-is encoded and decoded. Wall time and processor time of the sample loop alone, several runs; quote the median on a quiet machine.
+The run is `isocenter run static`: emulated devices, drivers, loop, feedback and journal in one process; every frame, serial byte and
+Modbus message is encoded and decoded. Wall time and processor time of the sample loop alone, several runs; quote the median on a quiet machine.
 """
 
 from __future__ import annotations
@@ -13,13 +13,20 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from hil.bench import BenchOptions, open_bench
 from hil.experiments import Static
+from hil.loop import PROGRESS_TICKS
 from hil.machine import load_machine
+
+
+def marking(marks: list[tuple[float, float]]) -> Callable[[int], None]:
+    """A progress callback that notes wall and processor time."""
+    return lambda row: marks.append((time.perf_counter(), time.process_time()))
 
 
 def measure(seconds: float, runs: int) -> dict[str, object]:
@@ -30,8 +37,8 @@ def measure(seconds: float, runs: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder, open_bench(machine, BenchOptions("lockstep:"), plan.start_pose) as bench:
         for run in range(runs):
             marks: list[tuple[float, float]] = []
-            timing = bench.run(plan, Path(folder) / f"{run}.mf4", lambda row, marks=marks: marks.append((time.perf_counter(), time.process_time())))
-            rows = (len(marks) - 1) * 128 / machine.sample_rate_Hz
+            timing = bench.run(plan, Path(folder) / f"{run}.mf4", marking(marks))
+            rows = (len(marks) - 1) * PROGRESS_TICKS / machine.sample_rate_Hz
             wall.append(rows / (marks[-1][0] - marks[0][0]))
             processor.append(rows / (marks[-1][1] - marks[0][1]))
             ticks.append(float(np.median(timing.work_time_s)) * 1e6)

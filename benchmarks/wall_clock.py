@@ -4,7 +4,8 @@
     python benchmarks/wall_clock.py --bus socketcan:vcan0 --json -
 
 The scheduler that was granted stands in the result: figures without SCHED_FIFO say more about the machine's other work than about the loop.
-`work_time` runs from the SYNC until the loop is ready to wait again; `answer_time` is the part of it spent waiting for the devices' answers.
+`work_time` runs from the SYNC until the loop is ready to wait again; `answer_time` is the part of it spent waiting for the devices'
+answers.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ def measure(bus: str, seconds: float) -> dict[str, object]:
         try:
             assert emulator.stdout is not None and emulator.stdout.readline(), "the emulator did not start"
             answer = Path(folder) / "answer.json"
-            arguments = ["run", "static", "-m", "carm", "-b", bus, "--seconds", str(seconds), "-o", f"{folder}/run.mf4", "--json", str(answer)]
-            subprocess.run([*ISOCENTER, *arguments], check=True)
+            run_static = ["run", "static", "-m", "carm", "-b", bus, "--seconds", str(seconds), "-o", f"{folder}/run.mf4"]
+            subprocess.run([*ISOCENTER, *run_static, "--json", str(answer)], check=True)
             run = json.loads(answer.read_text())
         finally:
             emulator.terminate()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 JsonOption = Annotated[
     str | None,
@@ -58,6 +58,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value
+
+
+def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], None]:
+    """A callback that moves a bar to `done` plus what it is told."""
+
+    def follow(row: int) -> None:
+        bars.update(task, completed=done + row)
+
+    return follow
 
 
 @contextmanager

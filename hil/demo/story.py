@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import BenchOptions, open_bench, recording_paths
-from hil.cli.output import Answer, progress
+from hil.cli.output import Answer, follower, progress
 from hil.demo.page import write_page
 from hil.experiments import Jog, Multisine
 from hil.identification import FrequencyResponse, identify, write_frf
@@ -109,7 +109,7 @@ def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], fl
             done = 0
             for plan, path in zip(plans, paths, strict=True):
                 start = time.perf_counter()
-                bench.run(plan, path, lambda row, done=done: bars.update(task, completed=done + row))
+                bench.run(plan, path, follower(bars, task, done))
                 running_s += time.perf_counter() - start
                 recorded_s += plan.rows / machine.sample_rate_Hz
                 done += plan.rows

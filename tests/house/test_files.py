@@ -23,7 +23,8 @@ def tracked_texts() -> list[Path]:
     if listing.returncode:
         return SOURCES
     names = [name for name in listing.stdout.decode().split("\0") if name]
-    return [ROOT / name for name in names if Path(name).suffix in {".py", ".md", ".toml", ".sh", ".html", ".eds", ""} and (ROOT / name).is_file()]
+    text = {".py", ".md", ".toml", ".sh", ".html", ".eds", ""}
+    return [ROOT / name for name in names if Path(name).suffix in text and (ROOT / name).is_file()]
 
 
 def test_no_file_is_longer_than_a_sitting():

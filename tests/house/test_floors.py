@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 FLOORS = ("hil", "virtual_bus", "controllers", "drivers")
 
 WIRE_AGREEMENTS = ("drivers.canopen.eds", "drivers.canopen.objects", "drivers.serial.xbus", "drivers.modbus.registers")
-"""What both ends of a wire must agree on: object dictionaries and frame codecs. Nothing else of `drivers` is known to the emulated machine."""
+"""What both ends of a wire must agree on: object dictionaries, frame codecs. The emulated machine knows nothing else of `drivers`."""
 
 MAY_IMPORT = {
     "hil": FLOORS,

@@ -23,4 +23,5 @@ def test_every_data_file_of_a_package_is_declared():
 def test_every_folder_of_a_package_with_modules_is_a_package():
     for package in ("hil", "drivers", "controllers", "virtual_bus"):
         for path in (ROOT / package).rglob("*.py"):
-            assert (path.parent / "__init__.py").exists(), f"{path.parent.relative_to(ROOT)} holds modules and no __init__.py: a wheel would miss it"
+            folder = path.parent
+            assert (folder / "__init__.py").exists(), f"{folder.relative_to(ROOT)} holds modules and no __init__.py: a wheel would miss it"
