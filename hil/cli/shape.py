@@ -114,7 +114,7 @@ def _subjects(
 
     if frf is not None:
         from hil.identification import read_frf
-        from hil.shaping.from_frf import subject_from_frf
+        from hil.shaping.identified import subject_from_frf
 
         if schedule or pose:
             raise UnusableInput("--frf: a frequency response is of one pose; leave out --schedule and --pose")

@@ -16,6 +16,7 @@ from hil.bench import BenchOptions, open_bench
 from hil.cli import main
 from hil.errors import ExperimentError, UnusableInput
 from hil.experiments import Scan
+from hil.identification import write_frf
 from hil.identification.result import FrequencyResponse
 from hil.machine import load_machine
 from hil.recording import read_recording
@@ -160,16 +161,21 @@ def test_the_map_shows_gains_growing_as_the_delay_shrinks(nominal):
     assert chosen.transient_s <= 0.4
 
 
-def test_a_frequency_response_gives_the_same_modes_as_the_machine_file(machine, nominal):
+@pytest.fixture(scope="module")
+def frf(machine):
+    """The machine's response with 0.3 % noise, as an identification would write it."""
     lines = np.arange(3, 800, 2)
     outputs = ("position_propeller", "position_roll", "link_position_propeller", "link_position_roll", "imu_x", "imu_y", "imu_z")
     clean = sampled_response(machine, np.zeros(2), lines * 0.05, outputs)
     noise = np.random.default_rng(1).standard_normal((2, *clean.shape))
     response = clean * (1.0 + 0.003 * (noise[0] + 1j * noise[1]))
-    frf = FrequencyResponse(
+    return FrequencyResponse(
         lines, lines * 0.05, response, response, None, None, None, None, None, np.zeros(len(lines)), np.zeros(len(lines)), outputs,
         ("command_propeller", "command_roll"), ("",) * 7, ("A", "A"), RATE, 5120, "made",
     )  # fmt: skip
+
+
+def test_a_frequency_response_gives_the_same_modes_as_the_machine_file(machine, nominal, frf):
     found, error = subject_from_frf(machine, frf, "propeller")
     assert error < 0.02
     true = nominal["propeller"]
@@ -313,6 +319,15 @@ def test_the_command_judges_writes_and_answers(tmp_path, capsys):
     assert read_shaper(out).shapers[0].name == answer["chosen"]
     assert table.read_text().startswith("name,vibration,")
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_the_command_designs_from_an_identified_response(tmp_path, capsys, frf):
+    write_frf(frf, tmp_path / "carm.frf.npz")
+    with pytest.raises(SystemExit) as left:
+        main(["shape", "carm", "--axis", "propeller", "--frf", str(tmp_path / "carm.frf.npz"), "-o", str(tmp_path / "a.npz")])
+    assert left.value.code == 0
+    assert "fitted to 0." in capsys.readouterr().out
+    assert read_shaper(tmp_path / "a.npz").shapers[0].axis == "propeller"
 
 
 @pytest.mark.parametrize(
