@@ -19,7 +19,7 @@ import numpy as np
 
 from controllers.feedback import Feedback
 from drivers.interface import Sample
-from hil.errors import LoopAborted, UnusableInput
+from hil.errors import LoopAborted, RecordingError, UnusableInput
 from hil.experiments import Move, Plan, Static
 from hil.experiments.safety import gravity_feedforward
 from hil.layout import AxisColumns, RowLayout
@@ -32,6 +32,15 @@ from virtual_bus.physics import Physics
 
 SETTLE_S = 4.0
 """Standstill before row 0, in which what the way there has set swinging dies out."""
+
+SETTLE_MORE_S = 1.0
+"""Standstill goes on by so much at a time while the integrators still bring the machine closer: on the C-arm by e in 1.6 s."""
+
+SETTLE_MOST = 12
+"""And at most so often: an axis that hunts about its stiction never stands."""
+
+STANDING_COUNTS = 2.0
+"""So near to its pose an axis stands there: encoder counts."""
 
 ARRIVED_COUNTS = 20.0
 """Closer than so many encoder counts to a pose no move is made to reach it: two tenths of a milliradian on the C-arm."""
@@ -110,7 +119,7 @@ class Bench:
         LoopAborted, DriverError
             The motors were stopped; the rows up to then are in `path`.
         """
-        way = self._way_to(plan.start_pose)
+        way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}
         try:
@@ -118,6 +127,7 @@ class Bench:
                 self._take_hold()
                 for leg in way:
                     self.loop.run(leg)
+                self._settle(stay)
                 tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states}
                 self.wiring.start_truth()
                 timing = self.loop.run(plan, sink, progress)
@@ -126,13 +136,16 @@ class Bench:
                 self.wiring.link.close_brakes(self._holding())
             tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()
-            return timing
         except BaseException as error:
-            tables["ended"] = {"error": str(error) or type(error).__name__}
-            raise
-        finally:
             self.wiring.pause_truth()
-            sink.close(tables)
+            tables["ended"] = {"error": str(error) or type(error).__name__}
+            try:
+                sink.close(tables)
+            except RecordingError as problem:
+                error.add_note(str(problem))
+            raise
+        sink.close(tables)
+        return timing
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:
@@ -181,14 +194,23 @@ class Bench:
         brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
         return np.zeros(len(self.pose)) if brought is None else brought[0]
 
-    def _way_to(self, pose: np.ndarray) -> list[Plan]:
-        """From where the machine stands to standstill at `pose`, within the limits."""
+    def _settle(self, stay: Plan) -> None:
+        """Hold still until every axis stands where it should, or it takes too long."""
+        standing = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
+        for _ in range(SETTLE_MOST):
+            if (np.abs(self.wiring.link.sample.position - stay.start_pose) <= standing).all():
+                return
+            self.loop.run(stay)
+
+    def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
+        """From where the machine stands to standstill at `pose`, within the limits; and some more of the standstill."""
         axes = self.machine.axes
         start = dict(zip(axes, map(float, self.pose), strict=True))
         goal = dict(zip(axes, map(float, pose), strict=True))
         tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
         legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
-        return legs + Static(SETTLE_S, goal).plans(self.machine)
+        (stay,) = Static(SETTLE_MORE_S, goal).plans(self.machine)
+        return legs + Static(SETTLE_S, goal).plans(self.machine), stay
 
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
         """Where the plan's rows go, ready to take them."""

@@ -52,7 +52,7 @@ def test_ticks_are_at_absolute_times_so_that_work_does_not_shift_them(watch):
 
 
 def test_it_sleeps_most_of_the_time_and_spins_the_last_stretch(watch):
-    clock, start_s = ticking(watch)
+    clock, _ = ticking(watch)
     clock.wait_tick()
     assert watch.slept == [pytest.approx(PERIOD_S - SPIN_S, abs=5e-6)]
 

@@ -260,6 +260,6 @@ def test_progress_is_told_twice_a_second():
 
 def test_what_stops_the_motors_on_the_way_to_a_recording_does_not_speak_of_rows():
     link = ScriptedLink(ScriptedClock(), {5: _released})
-    with pytest.raises(LoopAborted, match="^hold-to-run was released; the motors were stopped before anything was recorded$"):
+    with pytest.raises(LoopAborted, match=r"^hold-to-run was released; the motors were stopped before anything was recorded$"):
         proportional_loop(link).run(still(100))
     assert link.stops >= 1

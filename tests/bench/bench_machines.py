@@ -1,0 +1,85 @@
+"""Variants of the shipped C-arm, and runs of it over `lockstep:`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+
+from controllers import design
+from hil.bench import Bench, BenchOptions, open_bench
+from hil.experiments import Plan
+from hil.machine import Machine, load_machine, machine_from_text
+from hil.recording import Recording, read_recording
+from virtual_bus.lockstep import LockstepBus
+
+CARM = load_machine("carm")
+STOPWATCH = ("work_time", "answer_time")  # read off the wall clock, the only two that are
+
+
+def edited(old: str, new: str, text: str = CARM.text, count: int = 0) -> str:
+    """A machine file's text with a pattern replaced; it must be there."""
+    result, found = re.subn(old, new, text, count=count, flags=re.MULTILINE)
+    assert found, f"the machine file has no {old}"
+    return result
+
+
+def carm_at_1_kHz() -> Machine:
+    """The C-arm sampled at 1 kHz: the controllers of docs/carm.md discretised anew, answers awaited for half a period."""
+    rate = 1000.0
+    controllers = {
+        "propeller": design.cascade(
+            design.gain(1140.0), design.lag(0.0, 0.1, rate), design.lead(3.7, 76.0, rate), design.notch(9.0, 0.375, 0.8, rate)
+        ),
+        "roll": design.cascade(
+            design.gain(820.0), design.lag(0.0, 0.12, rate), design.lead(2.2, 70.0, rate), design.notch(22.0, 0.2, 1.0, rate)
+        ),
+    }
+    text = edited(r"^sample_rate_Hz = 256.0", "sample_rate_Hz = 1000.0")
+    text = edited(r"^answer_timeout_s = [0-9.]+", "answer_timeout_s = 0.0005", text)
+    text = edited(r"^rate_Hz = 256.0", "rate_Hz = 1000.0", text)
+    for axis, sections in controllers.items():
+        text = edited(rf"(\[controller.{axis}\]\nposition_sections = )\[(?:.|\n)*?\n\]", rf"\g<1>{sections.tolist()}", text)
+    return machine_from_text(text)
+
+
+def run_in_lockstep(
+    folder: Path,
+    plans: list[Plan],
+    machine: Machine = CARM,
+    *,
+    name: str = "run",
+    start_pose: np.ndarray | None = None,
+    progress: Callable[[Bench, int], None] | None = None,
+    **options: object,
+) -> list[Recording]:
+    """Run plans one after the other and read what was recorded; frames in `<name>.log`, the truth in `<name>.csv`."""
+    bench_options = BenchOptions("lockstep:", frame_log=folder / f"{name}.log", truth=folder / f"{name}.csv", **options)
+    paths = [folder / f"{name}_{number}.mf4" for number in range(len(plans))]
+    with open_bench(machine, bench_options, plans[0].start_pose if start_pose is None else start_pose) as bench:
+        for plan, path in zip(plans, paths, strict=True):
+            bench.run(plan, path, None if progress is None else lambda row: progress(bench, row))
+    return [read_recording(path) for path in paths]
+
+
+def read_truth(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a truth file by the name in their header cell, unit left out."""
+    with path.open(encoding="utf-8") as file:
+        names = [cell.split(" [")[0] for cell in file.readline().strip().split(",")]
+        table = np.loadtxt(file, delimiter=",", ndmin=2)
+    return dict(zip(names, table.T, strict=True))
+
+
+class LosingBus(LockstepBus):
+    """Loses frames on the way to the bench: those of `lost_ids`, as long as it is told to."""
+
+    lost_ids: tuple[int, ...] = ()
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        while (message := super().recv(timeout)) is not None:
+            if message.arbitration_id not in self.lost_ids:
+                return message
+        return None
