@@ -1,4 +1,4 @@
-"""isocenter simulate | compare | identify | convert: what is computed from recordings."""
+"""isocenter simulate | compare | convert: what is computed from recordings."""
 
 from __future__ import annotations
 
@@ -28,11 +28,6 @@ def register(app: typer.Typer) -> None:
         help="What differs between a recording and its simulation, per channel, in units and as NRMSE."
         "\n\nExample:  isocenter compare run.mf4 sim.mf4",
     )(compare)
-    app.command(
-        short_help="Frequency responses from recordings.",
-        help="Identify the frequency response matrix, with covariances, from recordings of one pose."
-        "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png",
-    )(identify)
     app.command(
         short_help="Convert between recording formats.",
         help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv",
@@ -75,35 +70,6 @@ def compare(
     answer = Answer(json_to)
     answer.say(comparison.table())
     answer.write(comparison.document())
-
-
-def identify(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="All experiments and realisations of one pose.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FRF", help="Where to write the frequency response (.npz).")],
-    method: Annotated[str, typer.Option("--method", help="Estimator; robust_bla is the BLA by averaging of Sec. 3.4.1.")] = "robust_bla",
-    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
-    machine_name: OptionalMachine = None,
-    json_to: JsonOption = None,
-) -> None:
-    """Frequency response, noise and nonlinear variance."""
-    from hil.identification import identify as run_identification
-    from hil.identification import write_frf
-    from hil.identification.report import response_document, response_lines
-    from hil.recording import read_recording
-
-    machine = None if machine_name is None else load(machine_name)
-    response = run_identification([read_recording(path, machine) for path in recordings], method)
-    write_frf(response, out)
-    answer = Answer(json_to)
-    answer.say(f"{out}: {response.method} from {len(recordings)} recordings")
-    for line in response_lines(response):
-        answer.say(line)
-    if figure is not None:
-        from hil.figures.frf import frf_figure
-
-        frf_figure(response).savefig(figure, dpi=130)
-        answer.say(f"{figure}: figure")
-    answer.write({"frf": out, **response_document(response)})
 
 
 def convert(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from hil.cli import answers, bus, machine, physics, run, shape, story
+from hil.cli import answers, bus, identify, machine, physics, run, shape, story
 
 
 def commands(app: typer.Typer) -> None:
@@ -17,4 +17,5 @@ def commands(app: typer.Typer) -> None:
     bus.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)
+    identify.register(app)
     shape.register(app)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from hil.cli.design import designed
 from hil.cli.options import (
     BusOption,
     EffectsOption,
@@ -21,7 +22,7 @@ from hil.cli.options import (
     load,
     parse_pose,
 )
-from hil.cli.output import Answer, JsonOption, progress
+from hil.cli.output import Answer, JsonOption, follower, progress
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -64,7 +65,8 @@ app = typer.Typer(
 @app.command(
     short_help="Random-phase multisine under jog.",
     help="Random-phase multisine under jog: what frequency responses are identified from."
-    "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4",
+    "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4"
+    "\n\nThen, dense where that response changes:  isocenter run multisine -m carm --design carm.frf.npz --period 40 -o dense.mf4",
 )
 def multisine(
     machine_name: MachineOption,
@@ -76,7 +78,17 @@ def multisine(
     band: Annotated[str, typer.Option("--band", metavar="LOW:HIGH", help="Excited band [Hz].")] = "0.15:40",
     lines: Annotated[str, typer.Option("--lines", metavar="N,N,...", help="Excited lines instead of a band.")] = "",
     every_line: Annotated[bool, typer.Option("--every-line", help="Even lines too; forfeits the odd/even split.")] = False,
-    amplitude: Annotated[float, typer.Option("--amplitude", help="Rms of the excitation, in the drive's unit.")] = 0.8,
+    design: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--design", metavar="FRF", help="Lines, weights and amplitude from an identified response; repeat it for several poses."
+        ),
+    ] = None,
+    design_lines: Annotated[int, typer.Option("--design-lines", metavar="N", help="How many lines --design sets.")] = 120,
+    amplitude: Annotated[
+        float | None,
+        typer.Option("--amplitude", help="Rms of the excitation, in the drive's unit; 0.8 unless given or told by --design."),
+    ] = None,
     period: NominalPeriodOption = 20.0,
     periods: Annotated[int, typer.Option("--periods", help="Periods kept.")] = 10,
     settle_periods: Annotated[int, typer.Option("--settle-periods", help="Periods before them, for transients.")] = 1,
@@ -104,12 +116,32 @@ def multisine(
     jog = None
     if jog_amplitude:
         jog = Jog(amplitude_rad=jog_amplitude * scale, line=1 if jog_frequency is None else None, frequency_Hz=jog_frequency)
+    chosen: Any = _lines(band, lines, every_line)
+    weights = None
+    rms: float | dict[str, float] = Multisine.amplitude_A  # type: ignore[assignment]  # the experiment's own default
+    notes: tuple[str, ...] = ()
+    if design:
+        if lines:
+            raise typer.BadParameter("--lines and --design: lines are either given or designed")
+        plan = designed(
+            design,
+            machine,
+            _names(axes),
+            count=design_lines,
+            band_Hz=(chosen.low_Hz, chosen.high_Hz),
+            period_s=period,
+            odd=not every_line,
+            jog_line=None if jog is None else jog.on_line(machine, round(period * machine.sample_rate_Hz)),
+        )
+        chosen, weights, notes = plan.lines, plan.weights, plan.notes
+        rms = rms if plan.amplitude is None else plan.amplitude
     experiment = Multisine(
         pose=parse_pose(pose, machine),
         axes=_names(axes),
         experiments=_one_of(experiments, ("orthogonal", "single"), "--experiments"),
-        lines=_lines(band, lines, every_line),
-        amplitude_A=amplitude,
+        lines=chosen,
+        weights=weights,
+        amplitude_A=rms if amplitude is None else amplitude,
         period_s=period,
         periods=periods,
         settle_periods=settle_periods,
@@ -118,7 +150,7 @@ def multisine(
         jog=jog,
         seed=seed,
     )
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to, notes)
 
 
 @app.command(
@@ -254,12 +286,13 @@ def _run(
     truth: Path | None,
     real_time: bool,
     json_to: str | None,
+    notes: tuple[str, ...] = (),
 ) -> None:
     from hil.bench import BenchOptions, open_bench, recording_paths
 
     plans = experiment.plans(machine)
     answer = Answer(json_to)
-    for note in dict.fromkeys(note for plan in plans for note in plan.notes):
+    for note in dict.fromkeys((*notes, *(note for plan in plans for note in plan.notes))):
         answer.say(note)
     options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, real_time=real_time)
     records: list[dict[str, Any]] = []
@@ -267,7 +300,7 @@ def _run(
         with progress(answer.console) as bars:
             for plan, path in zip(plans, recording_paths(out, plans), strict=True):
                 task = bars.add_task(path.name, total=plan.rows)
-                timing = bench.run(plan, path, lambda row, task=task: bars.update(task, completed=row))
+                timing = bench.run(plan, path, follower(bars, task))
                 bars.update(task, completed=plan.rows)
                 records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary()})
         scheduling = str(bench.scheduling)

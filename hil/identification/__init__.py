@@ -5,7 +5,7 @@ from hil.identification.bla import fast_bla, robust_bla
 from hil.identification.design import ExcitationDesign, design_excitation, frozen_pose_check
 from hil.identification.errors import IdentificationError
 from hil.identification.frf_file import read_frf, write_frf
-from hil.identification.identify import METHODS, POSE_METHODS, identify, identify_poses
+from hil.identification.identify import ARBITRARY_METHODS, METHODS, POSE_METHODS, SELECTABLE, identify, identify_poses
 from hil.identification.local_fast import PoseModel, fast_local, nd_local
 from hil.identification.local_model import LocalModel
 from hil.identification.local_robust import robust_local
@@ -15,8 +15,10 @@ from hil.identification.result import Distortion, FrequencyResponse
 from hil.identification.selection import Candidate, Selection, select_local_model
 
 __all__ = [
+    "ARBITRARY_METHODS",
     "METHODS",
     "POSE_METHODS",
+    "SELECTABLE",
     "ArbitraryRecords",
     "Candidate",
     "Distortion",

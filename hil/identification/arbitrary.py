@@ -17,7 +17,7 @@ from hil.identification.errors import IdentificationError
 from hil.identification.local_fast import ONE_POSE, PoseModel, local_orders
 from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
-from hil.identification.local_regression import local_regression
+from hil.identification.local_regression import check_told, local_regression
 from hil.identification.poses import multi_indices, pose_windows, varying_directions
 from hil.identification.result import FrequencyResponse
 from hil.identification.spectra import record_spectra
@@ -138,6 +138,7 @@ def _fit(
 
 def _response(records: ArbitraryRecords, bins: np.ndarray, T: int, fits: LocalFits, model: LocalModel) -> FrequencyResponse:
     L, n_y, n_u = len(bins), records.outputs.shape[2], records.excitation.shape[2]
+    check_told(fits, bins * records.sample_rate_Hz / T, records.input_names)
     G = plant_from_closed_loop(fits.response, n_y)
     to_plant = np.broadcast_to(np.eye(n_u), (L, n_u, n_u))
     if records.inputs is not None:

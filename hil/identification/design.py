@@ -21,6 +21,7 @@ SIGNIFICANT = 3.0  # standard deviations by which a change from line to line mus
 WEIGHT_RANGE = 3.0  # weights stay within this factor of their mean: beyond it a few lines would take the whole crest
 LEAST_DENSITY = 0.15  # of the mean: lines per hertz left where the response is smooth, which keeps local windows together
 SURROUNDINGS = 1.3  # factor in frequency over which the largest magnitude is what changes are a share of: antiresonances are no peaks
+EXCITATION_RMS = "excitation_rms"  # key in a response's settings, followed by an input's name
 SPREAD = 2  # measured lines to either side over which a change counts: a resonance lies between lines
 
 

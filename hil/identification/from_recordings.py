@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.identification.arbitrary import ArbitraryRecords
 from hil.identification.errors import IdentificationError
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.recording import Recording
@@ -47,11 +48,7 @@ def records_from(
         _same(details, key)
     first = details[0]
     machine_axes = recordings[0].axes
-    chosen_axes = tuple(axes) if axes else tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
-    if not chosen_axes:
-        raise IdentificationError("no axis is excited in any recording: the channels excitation_<axis> are zero or missing")
-    channels = tuple(outputs) if outputs else _default_outputs(recordings[0], machine_axes)
-    inputs = tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen_axes)
+    chosen_axes, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
     excitations = tuple(f"excitation_{axis}" for axis in chosen_axes)
 
     order = _arrangement(details)
@@ -75,6 +72,41 @@ def records_from(
         pose=tuple(float(value) for value in first.get("start_pose") or ()),
         unexcited_reference_lines=(int(jog["line"]),) if "line" in jog else (),
         notes=notes,
+    )
+
+
+def arbitrary_records(
+    recordings: Sequence[Recording],
+    *,
+    axes: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    plant_input: PlantInput = "command",
+) -> ArbitraryRecords:
+    """Arrange recordings of one pose as records of any excitation, as long as the shortest; parameters and errors as `records_from`."""
+    if not recordings:
+        raise IdentificationError("no recordings given")
+    machine_axes = recordings[0].axes
+    chosen_axes, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
+    rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)
+    notes = [*_idle(machine_axes, chosen_axes), *_saturated(recordings, chosen_axes)]
+    references = [recording[name] for recording in recordings for axis in machine_axes if (name := f"reference_{axis}") in recording]
+    if any(np.ptp(reference) > 0.0 for reference in references):
+        notes.append("the reference moves: what it does to the outputs counts as noise")
+
+    def stacked(names: Sequence[str]) -> np.ndarray:
+        return np.stack([_matrix(recording, names, rows) for recording in recordings])
+
+    return ArbitraryRecords(
+        outputs=stacked(channels),
+        inputs=stacked(inputs),
+        excitation=stacked([f"excitation_{axis}" for axis in chosen_axes]),
+        sample_rate_Hz=_sample_rate_Hz(recordings[0]),
+        output_names=channels,
+        input_names=inputs,
+        output_units=tuple(recordings[0].channel(name).unit for name in channels),
+        input_units=tuple(recordings[0].channel(name).unit for name in inputs),
+        pose=tuple(float(value) for value in recordings[0].experiment.get("start_pose") or ()),
+        notes=tuple(notes),
     )
 
 
@@ -119,6 +151,18 @@ def _arrangement(details: Sequence[dict]) -> list[list[int]]:
     return [[places[m, e] for e in experiments] for m in realisations]
 
 
+def _chosen(
+    recordings: Sequence[Recording], axes: Sequence[str] | None, outputs: Sequence[str] | None, plant_input: PlantInput
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Excited axes, output channels, plant input channels."""
+    machine_axes = recordings[0].axes
+    chosen = tuple(axes) if axes else tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
+    if not chosen:
+        raise IdentificationError("no axis is excited in any recording: the channels excitation_<axis> are zero or missing")
+    channels = tuple(outputs) if outputs else _default_outputs(recordings[0], machine_axes)
+    return chosen, channels, tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen)
+
+
 def _is_excited(recording: Recording, axis: str) -> bool:
     name = f"excitation_{axis}"
     return name in recording and bool(np.nanmax(np.abs(recording[name]), initial=0.0) > 0.0)
@@ -151,8 +195,8 @@ def _matrix(recording: Recording, names: Sequence[str], rows: int) -> np.ndarray
     kept = numbers < rows
     values = np.full((rows, len(names)), np.nan)
     values[numbers[kept]] = recording.matrix(names)[kept]
-    if names[0].startswith("excitation_"):
-        samples = recording.experiment["period_samples"]
+    samples = recording.experiment.get("period_samples")
+    if names[0].startswith("excitation_") and samples:
         for start in range(samples, rows, samples):
             part = values[start : start + samples]
             missing = np.isnan(part)
@@ -167,16 +211,21 @@ def _notes(
     lengths = {_row_numbers(recording)[-1] + 1 for recording in recordings}
     if len({length // period_samples for length in lengths}) > 1:
         notes.append(f"recordings differ in length; the first {rows // period_samples} periods of each are used")
-    for axis in chosen_axes:
-        saturated = sum(_is_saturated(recording[f"command_{axis}"]) for recording in recordings if f"command_{axis}" in recording)
-        if saturated:
-            notes.append(
-                f"command_{axis} saturates in {saturated} of {len(recordings)} recordings: the excitation is not what was designed"
-            )
+    return (*notes, *_saturated(recordings, chosen_axes), *_idle(machine_axes, chosen_axes))
+
+
+def _saturated(recordings: Sequence[Recording], axes: Sequence[str]) -> list[str]:
+    counts = {axis: sum(_is_saturated(r[f"command_{axis}"]) for r in recordings if f"command_{axis}" in r) for axis in axes}
+    return [
+        f"command_{axis} saturates in {count} of {len(recordings)} recordings: the excitation is not what was designed"
+        for axis, count in counts.items()
+        if count
+    ]
+
+
+def _idle(machine_axes: Sequence[str], chosen_axes: Sequence[str]) -> list[str]:
     idle = [axis for axis in machine_axes if axis not in chosen_axes]
-    if idle:
-        notes.append(f"{', '.join(idle)} not excited: the response is that of the machine with those loops closed")
-    return tuple(notes)
+    return [f"{', '.join(idle)} not excited: the response is that of the machine with those loops closed"] if idle else []
 
 
 def _is_saturated(command: np.ndarray) -> bool:

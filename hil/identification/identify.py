@@ -1,18 +1,23 @@
-"""Frequency responses from recordings: one call for every method on periodic excitations."""
+"""Frequency responses from recordings: one call for every method."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from hil.identification.arbitrary import arbitrary_local
 from hil.identification.bla import fast_bla, robust_bla
+from hil.identification.design import EXCITATION_RMS
 from hil.identification.errors import IdentificationError
-from hil.identification.from_recordings import PlantInput, by_pose, records_from
-from hil.identification.local_fast import PoseModel, fast_local, nd_local
+from hil.identification.from_recordings import PlantInput, arbitrary_records, by_pose, records_from
+from hil.identification.local_fast import ONE_POSE, PoseModel, fast_local, nd_local
 from hil.identification.local_model import LocalModel
 from hil.identification.local_robust import robust_local
 from hil.identification.records import PeriodicRecords
 from hil.identification.result import FrequencyResponse
+from hil.identification.selection import default_candidates, select_local_model
 from hil.recording import Recording
 
 
@@ -32,6 +37,12 @@ METHODS: dict[str, Callable[[PeriodicRecords, LocalModel | None], FrequencyRespo
 
 POSE_METHODS = ("nd_lpm", "nd_lrm")
 """Methods that use neighbouring poses."""
+
+ARBITRARY_METHODS = ("arbitrary_lpm", "arbitrary_lrm")
+"""Methods for any excitation, one pose or many."""
+
+SELECTABLE = ("fast_lpm", "fast_lrm", *POSE_METHODS)
+"""Methods whose orders and windows can be chosen from the data."""
 
 
 def identify(
@@ -59,10 +70,10 @@ def identify(
         One line on what is wrong with the recordings or the method.
     """
     if method not in METHODS:
-        hint = "; it needs several poses: use identify_poses" if method in POSE_METHODS else ""
+        hint = "; for this one use identify_poses" if method in (*POSE_METHODS, *ARBITRARY_METHODS) else ""
         raise IdentificationError(f"unknown method {method} for one pose; there are {', '.join(METHODS)}{hint}")
     records = records_from(recordings, axes=axes, outputs=outputs, plant_input=plant_input, settle_periods=settle_periods)
-    return METHODS[method](records, model)
+    return _estimate(records, method, model)
 
 
 def identify_poses(
@@ -71,6 +82,8 @@ def identify_poses(
     *,
     model: LocalModel | None = None,
     over_poses: PoseModel | None = None,
+    select: bool = False,
+    band_Hz: tuple[float, float] | None = None,
     axes: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     plant_input: PlantInput = "command",
@@ -80,16 +93,62 @@ def identify_poses(
 
     Parameters
     ----------
-    method : one of `METHODS`, pose by pose, or of `POSE_METHODS`, which let neighbouring poses help.
-    over_poses : orders and windows over the poses, for `POSE_METHODS`.
+    method : one of `METHODS`, pose by pose, of `POSE_METHODS`, which let neighbouring poses help, or of `ARBITRARY_METHODS`.
+    over_poses : orders and windows over the poses, for `POSE_METHODS` and `ARBITRARY_METHODS`; None takes the former's defaults, and lets
+        every pose stand alone with the latter.
+    select : choose orders and windows from the data instead, for `SELECTABLE` methods.
+    band_Hz : band of an arbitrary method.
     The rest as in `identify`.
+
+    Raises
+    ------
+    IdentificationError, RecordingError
+        As `identify`; a selection or a band that does not go with the method.
     """
-    if method not in METHODS and method not in POSE_METHODS:
-        raise IdentificationError(f"unknown method {method}; there are {', '.join((*METHODS, *POSE_METHODS))}")
-    groups = [
-        records_from(group, axes=axes, outputs=outputs, plant_input=plant_input, settle_periods=settle_periods)
-        for group in by_pose(recordings)
-    ]
+    known = (*METHODS, *POSE_METHODS, *ARBITRARY_METHODS)
+    if method not in known:
+        raise IdentificationError(f"unknown method {method}; there are {', '.join(known)}")
+    if select and method not in SELECTABLE:
+        raise IdentificationError(f"orders cannot be selected for {method}: they can for {', '.join(SELECTABLE)}")
+    if select and (model is not None or over_poses is not None):
+        raise IdentificationError("orders are either given or selected, not both")
+    if model is not None and method.endswith("bla"):
+        raise IdentificationError(f"{method} has no orders; the local methods have: {', '.join(m for m in known if not m.endswith('bla'))}")
+    if over_poses is not None and method in METHODS:
+        raise IdentificationError(f"{method} works pose by pose; over poses work {', '.join((*POSE_METHODS, *ARBITRARY_METHODS))}")
+    if (band_Hz is None) == (method in ARBITRARY_METHODS):
+        raise IdentificationError(
+            f"{method} takes the excited lines, not a band" if band_Hz else f"{method} needs the band that is excited: band_Hz"
+        )
+    channels: dict = {"axes": axes, "outputs": outputs, "plant_input": plant_input}
+    polynomial = method.endswith("lpm")
+    chosen = _polynomial(model) if polynomial else model
+    groups = by_pose(recordings)
+    if band_Hz is not None:
+        return arbitrary_local([arbitrary_records(group, **channels) for group in groups], band_Hz, chosen, over_poses or ONE_POSE)
+    records = [records_from(group, **channels, settle_periods=settle_periods) for group in groups]
     if method in METHODS:
-        return tuple(METHODS[method](records, model) for records in groups)
-    return nd_local(groups, _polynomial(model) if method == "nd_lpm" else model, over_poses)
+        return tuple(_estimate(each, method, _selected([each], polynomial)[0] if select else model) for each in records)
+    if select:
+        chosen, over_poses = _selected(records, polynomial)
+    responses = nd_local(records, chosen, over_poses)
+    return tuple(_with_amplitude(response, each) for response, each in zip(responses, records, strict=True))
+
+
+def _estimate(records: PeriodicRecords, method: str, model: LocalModel | None) -> FrequencyResponse:
+    return _with_amplitude(METHODS[method](records, model), records)
+
+
+def _with_amplitude(response: FrequencyResponse, records: PeriodicRecords) -> FrequencyResponse:
+    """Keeps each input's rms while it is excited, which `hil.identification.design.frozen_pose_check` asks for."""
+    square = np.mean(records.excitation**2, axis=2).reshape(-1, records.n_inputs)  # (records, n_u)
+    excited = np.maximum(np.sum(square > 0.0, axis=0), 1)
+    rms = np.sqrt(square.sum(axis=0) / excited)
+    kept = {f"{EXCITATION_RMS} {name}": float(value) for name, value in zip(response.input_names, rms, strict=True)}
+    return replace(response, settings={**response.settings, **kept})
+
+
+def _selected(records: Sequence[PeriodicRecords], polynomial: bool) -> tuple[LocalModel, PoseModel]:
+    candidates = [each for each in default_candidates(records[0], len(records)) if (each.model.denominator == 0) == polynomial]
+    chosen = select_local_model(records, candidates).chosen
+    return chosen.model, chosen.over_poses

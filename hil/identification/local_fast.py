@@ -20,7 +20,7 @@ from hil.identification.distortion import detection_lines
 from hil.identification.errors import IdentificationError
 from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
-from hil.identification.local_regression import local_regression
+from hil.identification.local_regression import check_told, local_regression
 from hil.identification.local_robust import even_odd
 from hil.identification.poses import PoseBorder, PoseWindow, multi_indices, pose_windows, varying_directions
 from hil.identification.records import PeriodicRecords
@@ -150,6 +150,7 @@ def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int)
 def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: tuple[int, ...], neighbours: int) -> FrequencyResponse:
     records, steady = pose.records, pose.steady
     L, n_y, n_u = len(records.lines), records.n_outputs, records.n_inputs
+    check_told(fits, records.frequencies_Hz, records.input_names)
     G = plant_from_closed_loop(fits.response, n_y)
     to_plant = np.broadcast_to(np.eye(n_u), (L, n_u, n_u))
     if records.inputs is not None:

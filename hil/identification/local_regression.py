@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from hil.identification.errors import IdentificationError
 from hil.identification.local_fit import LocalFits, local_fits
 from hil.identification.poses import monomials
 
@@ -53,3 +55,15 @@ def local_regression(
     residual_products, dof = fits.residual_products.copy(), fits.dof.copy()
     residual_products[lopsided], dof[lopsided] = second.residual_products, second.dof
     return replace(fits, residual_products=residual_products, dof=dof)
+
+
+def check_told(fits: LocalFits, frequencies_Hz: np.ndarray, input_names: Sequence[str]) -> None:
+    """Raise IdentificationError where a window does not tell an input's response from the other unknowns."""
+    share = np.real(np.diagonal(fits.inverse_gram, axis1=1, axis2=2))  # (B, n_w), nought where a column depends on those before it
+    lines, inputs = np.nonzero(~(share > 0.0))
+    if len(lines):
+        raise IdentificationError(
+            f"the window round {frequencies_Hz[lines[0]]:.4g} Hz does not tell the response to {input_names[inputs[0]]} from the rest"
+            f" ({len(set(lines))} of {len(frequencies_Hz)} lines): too little of it is excited, or inputs are excited alike;"
+            " widen the window, lower the orders, or take a method for periodic excitations"
+        )

@@ -18,8 +18,11 @@ from hil.identification.errors import IdentificationError
 from hil.identification.local_fast import ONE_POSE, PoseModel, PoseSpectra, fit_pose, local_orders, prepare, scheduling
 from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, smallest_half_width
+from hil.identification.local_regression import check_told
 from hil.identification.poses import pose_windows
 from hil.identification.records import PeriodicRecords
+
+ALONE = 1e-9  # share of a line's own estimate that its neighbours give, below which they count as giving none
 
 
 @dataclass(frozen=True)
@@ -122,10 +125,14 @@ def _foretold(poses: list[PoseSpectra], coordinates: np.ndarray, candidate: Cand
 
 
 def _at_centre(pose: PoseSpectra, fits: LocalFits, noise_z: np.ndarray) -> np.ndarray:
+    check_told(fits, pose.records.frequencies_Hz, pose.records.input_names)
     w, z = np.moveaxis(pose.w, 0, 1), np.moveaxis(pose.z, 0, 1)  # (L, R, n)
     own_share = w @ fits.inverse_gram @ np.conj(np.swapaxes(w, 1, 2))
     residual = z - w @ np.swapaxes(fits.response, 1, 2)
-    error = np.linalg.solve(np.eye(w.shape[1]) - own_share, residual)
+    others_share = np.eye(w.shape[1]) - own_share
+    if np.min(np.linalg.eigvalsh(others_share)) < ALONE:
+        raise IdentificationError("a line's window leaves it to itself: its neighbours foretell nothing of it")
+    error = np.linalg.solve(others_share, residual)
     n_y = pose.records.n_outputs
     if pose.records.inputs is not None:
         G = plant_from_closed_loop(fits.response, n_y)

@@ -1,0 +1,142 @@
+"""isocenter identify: frequency responses from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.options import load
+from hil.cli.output import Answer, JsonOption
+
+if TYPE_CHECKING:
+    from hil.identification import LocalModel, PoseModel
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(
+        short_help="Frequency responses from recordings.",
+        help="Identify the frequency response matrix, with covariances, from recordings of one pose or, pose by pose, of several."
+        "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png"
+        "\n\nNeighbouring poses helping:  isocenter identify pose*.mf4 --method nd_lrm --orders 3,2,1 --over-poses 1,1,2 -o carm.frf.npz",
+    )(identify)
+
+
+def identify(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="All experiments and realisations of one pose or more.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FRF", help="Where to write (.npz); of several poses, each gets its number in its name.")
+    ],
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="robust_bla, fast_bla, robust_lpm, robust_lrm, fast_lpm, fast_lrm, nd_lpm, nd_lrm (neighbouring poses help), "
+            "arbitrary_lpm, arbitrary_lrm (any excitation).",
+        ),
+    ] = "robust_bla",
+    orders: Annotated[
+        str, typer.Option("--orders", metavar="N_n,N_m,N_d", help="Orders of response, transient and denominator; 2,2,1 unless given.")
+    ] = "",
+    over_poses: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--over-poses", metavar="Q_n,Q_d,P", help="Orders over the poses and levels to either side, for each axis that varies."
+        ),
+    ] = None,
+    select: Annotated[bool, typer.Option("--select", help="Choose orders and windows from the data (fast and nd methods).")] = False,
+    band: Annotated[str, typer.Option("--band", metavar="LOW:HIGH", help="Excited band [Hz], for the arbitrary methods.")] = "",
+    plant_input: Annotated[str, typer.Option("--input", help="From the command the loop computed, or the measured effort.")] = "command",
+    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well; of several poses the first.")] = None,
+    machine_name: Annotated[
+        str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
+    ] = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Frequency response, noise and nonlinear variance."""
+    from hil.identification import identify_poses, write_frf
+    from hil.identification.report import response_document, response_lines
+    from hil.recording import read_recording
+
+    machine = None if machine_name is None else load(machine_name)
+    responses = identify_poses(
+        [read_recording(path, machine) for path in recordings],
+        method,
+        model=_model(orders),
+        over_poses=_over_poses(over_poses or []),
+        select=select,
+        band_Hz=_band(band),
+        plant_input=_plant_input(plant_input),
+    )
+    answer = Answer(json_to)
+    documents = []
+    for path, response in zip(response_paths(out, len(responses)), responses, strict=True):
+        write_frf(response, path)
+        answer.say(
+            f"{path}: {response.method} from {len(recordings)} recordings"
+            + (f", pose {_pose(response.pose)}" if len(responses) > 1 else "")
+        )
+        for line in response_lines(response):
+            answer.say(line)
+        documents.append({"frf": path, **response_document(response)})
+    if figure is not None:
+        from hil.figures.frf import frf_figure
+
+        frf_figure(responses[0]).savefig(figure, dpi=130)
+        answer.say(f"{figure}: figure")
+    answer.write(documents[0] if len(documents) == 1 else {"poses": documents})
+
+
+def response_paths(out: Path, poses: int) -> list[Path]:
+    """`out` itself for one pose, `carm_p1.frf.npz` and so on for more."""
+    if poses == 1:
+        return [out]
+    stem, dot, rest = out.name.partition(".")
+    return [out.with_name(f"{stem}_p{index + 1}{dot}{rest}") for index in range(poses)]
+
+
+def _pose(pose: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in pose) + ")"
+
+
+def _model(text: str) -> LocalModel | None:
+    from hil.identification import LocalModel
+
+    return LocalModel(*_whole_numbers("--orders", text, "N_n,N_m,N_d, such as 2,2,1")) if text else None
+
+
+def _over_poses(texts: list[str]) -> PoseModel | None:
+    from hil.identification import PoseModel
+
+    if not texts:
+        return None
+    numerator, denominator, windows = zip(
+        *(_whole_numbers("--over-poses", text, "Q_n,Q_d,P, such as 1,1,2") for text in texts), strict=True
+    )
+    return PoseModel(numerator, denominator, windows)
+
+
+def _whole_numbers(option: str, text: str, form: str) -> tuple[int, int, int]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(part.isdecimal() for part in parts):
+        raise typer.BadParameter(f"{option} {text}: must be three whole numbers {form}")
+    first, second, third = map(int, parts)
+    return first, second, third
+
+
+def _band(text: str) -> tuple[float, float] | None:
+    if not text:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise typer.BadParameter(f"--band {text}: must be LOW:HIGH in Hz, such as 0.5:40") from None
+    return low, high
+
+
+def _plant_input(text: str):  # type: ignore[no-untyped-def]  # one of two literals
+    if text not in ("command", "measured"):
+        raise typer.BadParameter(f"--input {text}: must be command or measured")
+    return text
