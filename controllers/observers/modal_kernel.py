@@ -263,6 +263,32 @@ def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
     summary[0], summary[1], summary[2] = correct(constants, scheduled, memory, kind, z)
 
 
+@exactly_compiled
+def gradients(constants, scheduled, x, F, H):
+    """Transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
+    n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
+    biases = states - (measurements - 2 * n)
+    prepare(constants, x, scheduled)
+    u = scheduled.acting
+    u[:n] = 0.0
+    width = 2 * n + constants.sizes[2] * (3 * n + SENSOR_SIGNALS)
+    shifted, sensed = x.copy(), np.zeros(width)
+    after, read = np.zeros((2, states)), np.zeros((2, measurements))
+    for k in range(states):
+        for sign in range(2):
+            shifted[k] = x[k] + (REST_STEP if sign == 0 else -REST_STEP)
+            transition(constants, scheduled, shifted, u, after[sign])
+            signals(constants, scheduled, shifted, u, sensed)
+            readings(constants, sensed, read[sign])
+            for j in range(2 * n, measurements):
+                read[sign, j] += shifted[biases + j - 2 * n]
+        shifted[k] = x[k]
+        for i in range(states):
+            F[i, k] = (after[0, i] - after[1, i]) / (2.0 * REST_STEP)
+        for j in range(measurements):
+            H[j, k] = (read[0, j] - read[1, j]) / (2.0 * REST_STEP)
+
+
 def _compile(version: int) -> Any:
     @njit(cache=True, fastmath=False, error_model="numpy")
     def step(constants, scheduled, memory, kind, is_first, u, z, summary):  # type: ignore[no-untyped-def]
@@ -272,14 +298,20 @@ def _compile(version: int) -> Any:
     @njit(cache=True, fastmath=False, error_model="numpy")
     def rows(constants, scheduled, memory, kind, commands, measured, summaries):  # type: ignore[no-untyped-def]
         if version >= 0:
+            nothing = np.zeros(commands.shape[1])  # what acts in row 0 is not known
             for k in range(len(measured)):
                 u = commands[max(k - 2, 0)]  # command k-2 acts from k-1 to k; what acted before row 0 is taken for command 0
-                one_step(constants, scheduled, memory, kind, k == 0, u, measured[k], summaries[k])
+                one_step(constants, scheduled, memory, kind, k == 0, u if k else nothing, measured[k], summaries[k])
 
-    return step, rows
+    @njit(cache=True, fastmath=False, error_model="numpy")
+    def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
+        if version >= 0:
+            gradients(constants, scheduled, x, F, H)
+
+    return step, rows, linearised
 
 
-filter_step, filter_rows = _compile(
+filter_step, filter_rows, linearised = _compile(
     sources_digest(
         controllers.models.vectors,
         controllers.models.chain,
@@ -289,4 +321,5 @@ filter_step, filter_rows = _compile(
     )
 )
 """filter_step(constants, scheduled, memory, kind, is_first, u, z, summary): see `one_step`.
-filter_rows(constants, scheduled, memory, kind, commands, measured, summaries): N rows at once, for tuning."""
+filter_rows(constants, scheduled, memory, kind, commands, measured, summaries): N rows at once, for tuning.
+linearised(constants, scheduled, x, F, H): see `gradients`."""

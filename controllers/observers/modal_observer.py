@@ -11,7 +11,7 @@ from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.modal_equations import SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step
+from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step, linearised
 from controllers.observers.publish import GEOMETRY, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
@@ -159,6 +159,19 @@ class ModalObserver:
         filter_rows(self._constants, self._scheduled, self._memory, self._kind, commands, measured, summaries)
         self.restart()
         return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
+
+    def linearised(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Transition matrix (states, states) and output rows (measurements, states) at rest in a pose (n_axes,)."""
+        states, measurements = len(self.state), len(self._measured)
+        x, F, H = np.zeros(states), np.zeros((states, states)), np.zeros((measurements, states))
+        x[: len(pose)] = pose
+        linearised(self._constants, self._scheduled, x, F, H)
+        return F, H
+
+    @property
+    def initial_std(self) -> np.ndarray:
+        """(states,) what is believed before the first measurement."""
+        return np.diag(self._start).copy()
 
     def _stand_at(self, z: np.ndarray) -> None:
         n = len(self.model.axes)

@@ -23,6 +23,9 @@ from hil.identification.result import CovarianceKind
 LOWEST_Hz = 1.0
 """Lines below are left out: there gravity and friction, which are disturbances to the observer, bend the rigid response."""
 
+MOST_LINES = 200
+"""At least so many lines are used, where there are so many: evenly thinned, a fit takes a second and not ten."""
+
 MODEL_SHARE = 0.01
 """A response is not trusted to better than this share of itself: the modal model's own error away from resonances, so that a few very
 well measured lines do not decide the fit."""
@@ -64,7 +67,8 @@ class _Problem:
     def __init__(self, response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...]) -> None:
         self.axes = len(response.input_names)
         self.chain, self.sensors = chain, sensors
-        keep = response.frequencies_Hz >= LOWEST_Hz
+        keep = np.flatnonzero(response.frequencies_Hz >= LOWEST_Hz)
+        keep = keep[:: max(1, len(keep) // MOST_LINES)]
         self.f = response.frequencies_Hz[keep]
         if len(self.f) < 20:
             raise UnusableInput(f"only {len(self.f)} lines at or above {LOWEST_Hz:g} Hz; a modal model needs 20 and better a hundred")

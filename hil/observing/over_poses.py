@@ -21,7 +21,7 @@ APART_rad = np.radians(2.0)
 """Positions closer than this are one position."""
 
 
-def fit_modal_model(
+def fit_observed_model(
     machine: Machine, responses: Sequence[FrequencyResponse], modes: int = 4
 ) -> tuple[ModalModel, tuple[PoseFit, ...]]:
     """The modal model of a machine from frequency responses at one pose or more.

@@ -1,0 +1,142 @@
+"""isocenter observe: the observer of Chapter 5, replayed over a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.options import MachineArgument, load
+from hil.cli.output import Answer, JsonOption, progress
+
+if TYPE_CHECKING:
+    from hil.machine import Machine
+    from hil.observing import ObserverDesign
+    from hil.recording import Recording
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(
+        short_help="The observer replayed over a recording.",
+        help="Where the detector really was: the observer replayed over a recording, the same numbers as live."
+        "\n\nExample:  isocenter observe carm run.mf4 -o run.est.npz --design carm.observer.npz"
+        "\n\nA design is made from frequency responses: isocenter observe carm run.mf4 -o run.est.npz --frf a.frf.npz --frf b.frf.npz"
+        " --standing still.mf4 --tune scan.mf4 --save-design carm.observer.npz",
+    )(observe)
+
+
+def observe(
+    machine_name: MachineArgument,
+    recording_path: Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="EST", help="Estimates (.npz), or the recording with them (.mf4, .csv).")],
+    design_path: Annotated[Path | None, typer.Option("--design", metavar="FILE", help="Observer design to use.")] = None,
+    frf: Annotated[
+        list[Path] | None, typer.Option("--frf", metavar="FRF", help="Frequency response to design from; once per pose.")
+    ] = None,
+    standing: Annotated[
+        list[Path] | None, typer.Option("--standing", metavar="REC", help="Recording at rest, for noise, gravity and biases; repeatable.")
+    ] = None,
+    tune: Annotated[
+        list[Path] | None, typer.Option("--tune", metavar="REC", help="Recording of ordinary operation to tune on; repeatable.")
+    ] = None,
+    save_design: Annotated[Path | None, typer.Option("--save-design", metavar="FILE", help="Write the design as well.")] = None,
+    modes: Annotated[int, typer.Option("--modes", help="Modes of the model.")] = 4,
+    filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
+    adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
+    json_to: JsonOption = None,
+) -> None:
+    """Design or read, replay, write."""
+    from controllers.observers.modal_observer import KINDS
+    from hil.observing import observability, read_design, write_design, write_estimate
+    from hil.observing import observe as replay
+    from hil.recording import read_recording
+
+    if filter_name not in KINDS:
+        raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
+    if design_path is not None and (frf or standing or tune):
+        raise typer.BadParameter("--design: a design is ready; --frf, --standing and --tune make a new one")
+    machine = load(machine_name)
+    recording = read_recording(recording_path, machine)
+    answer = Answer(json_to)
+    design = (
+        read_design(design_path)
+        if design_path is not None
+        else _designed(machine, recording, frf or [], standing or [], tune or [], modes, answer)
+    )
+    if save_design is not None:
+        write_design(design, save_design)
+        answer.say(f"{save_design}: design")
+    observer = design.observer(filter_name, _modes(adapt, design.model.modes))  # type: ignore[arg-type]
+    if design.machine_hash != machine.hash:
+        answer.say(f"the design was made for another version of {design.machine}; its model and noise are used as they are")
+    with progress(answer.console) as bars:
+        task = bars.add_task(recording_path.name, total=recording.rows)
+        estimate = replay(
+            recording,
+            observer,
+            machine_hash=design.machine_hash,
+            notes=design.notes,
+            progress=lambda row: bars.update(task, completed=row),
+        )
+        bars.update(task, completed=recording.rows)
+    write_estimate(estimate, out, recording)
+    seen = observability(observer, [recording.matrix([f"position_{axis}" for axis in machine.axes])[0]])
+    document = _document(estimate, seen)
+    answer.say(f"{out}: {filter_name} over {recording.rows} rows, {len(estimate.state_names)} states")
+    for note in (*estimate.notes, *seen.lines):
+        answer.say(note)
+    answer.say(
+        f"NIS {document['mean_nis']:.2f} per measurement (1 is consistent), {100.0 * document['share_in_band']:.1f} % of rows in the 95 % band,"
+        f" alarm in {100.0 * document['alarm_share']:.1f} % of rows"
+    )
+    answer.write({"estimate": out, **document})
+
+
+def _designed(
+    machine: Machine, recording: Recording, frf: list[Path], standing: list[Path], tune: list[Path], modes: int, answer: Answer
+) -> ObserverDesign:
+    from hil.identification import read_frf
+    from hil.observing import design_observer, emulated_design
+    from hil.recording import read_recording
+
+    tuned_on = [read_recording(path, machine) for path in tune] or [recording]
+    if not tune:
+        answer.say("tuned on the recording itself; --tune gives another")
+    if not frf:
+        if standing:
+            raise typer.BadParameter("--standing goes with --frf: without frequency responses the emulated machine is measured")
+        answer.say(f"no --design and no --frf: the model is identified on the emulated {machine.name}, not on the machine that was recorded")
+        return emulated_design(machine, tuned_on, modes)
+    return design_observer(machine, [read_frf(path) for path in frf], [read_recording(path, machine) for path in standing], tuned_on, modes)
+
+
+def _modes(text: str, modes: int) -> tuple[int, ...]:
+    try:
+        chosen = tuple(int(part) - 1 for part in text.split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(f"--adapt {text}: must be mode numbers, such as 1,2") from None
+    if any(not 0 <= mode < modes for mode in chosen) or len(set(chosen)) < len(chosen):
+        raise typer.BadParameter(f"--adapt {text}: the model has modes 1 to {modes}, each named once")
+    return chosen
+
+
+def _document(estimate, seen) -> dict:  # type: ignore[no-untyped-def]
+    import numpy as np
+
+    from controllers.observers.consistency import share_in_band
+
+    nis, measured = estimate["estimate_nis"], estimate["estimate_measured"]
+    values = len(estimate.names) // 2 - 2
+    return {
+        "rows": len(estimate.time_s),
+        "filter": estimate.filter,
+        "mean_nis": float(nis.sum() / max(measured.sum(), 1.0)),
+        "share_in_band": share_in_band(nis, measured) if (measured > 0).any() else float("nan"),
+        "alarm_share": float(np.mean(estimate["estimate_alarm"])),
+        "rms": {name: float(np.sqrt(np.mean(estimate[name] ** 2))) for name in estimate.names[:values]},
+        "states": estimate.state_names,
+        "not_observed": seen.blind,
+        "notes": estimate.notes,
+    }

@@ -1,0 +1,122 @@
+"""An observer, designed: model from frequency responses, gravity from standing records, noise from records, disturbances by tuning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controllers.models.modal import ModalModel
+from controllers.observers.modal_observer import FilterKind, ModalObserver
+from controllers.observers.settings import ObserverNoise
+from hil.errors import UnusableInput
+from hil.experiments import Static
+from hil.identification import FrequencyResponse
+from hil.machine import Machine
+from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.observing.geometry import observed_chain
+from hil.observing.noise import starting_noise
+from hil.observing.over_poses import fit_observed_model
+from hil.observing.standing import standing_mean, with_gravity
+from hil.observing.tuning import tune
+from hil.recording import Recording
+from hil.simulation import Simulator
+
+DEFAULT_MODES = 4
+
+GRID = 7
+"""Poses of the axis nearest to the detector at which an emulated machine is measured: enough for three harmonics."""
+
+JOG_ROOM = 0.06
+"""rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
+
+STANDING_s = 8.0
+"""Length of an emulated standing record: long against the structure's ringing and the encoders' flicker."""
+
+
+@dataclass(frozen=True)
+class ObserverDesign:
+    """All an observer needs to run.
+
+    Attributes
+    ----------
+    model : ModalModel
+    noise : ObserverNoise
+    isocenter_m : (3,) in the detector's frame at position zero
+    machine : name of the machine it was made for
+    machine_hash : of the machine file
+    notes : how it was made and how well it fits
+    """
+
+    model: ModalModel
+    noise: ObserverNoise
+    isocenter_m: np.ndarray
+    machine: str
+    machine_hash: str
+    notes: tuple[str, ...] = field(default=())
+
+    def observer(self, kind: FilterKind = "ukf", adapted: Sequence[int] = ()) -> ModalObserver:
+        """A fresh observer of this design."""
+        return ModalObserver(self.model, self.noise, kind, adapted, self.isocenter_m)
+
+
+def design_observer(
+    machine: Machine,
+    responses: Sequence[FrequencyResponse],
+    standing: Sequence[Recording] = (),
+    tuned_on: Sequence[Recording] = (),
+    modes: int = DEFAULT_MODES,
+) -> ObserverDesign:
+    """Design an observer from measurements of a machine.
+
+    Parameters
+    ----------
+    machine : Machine
+    responses : sequence of FrequencyResponse
+        One per pose, from the commands to `over_poses.observed_channels`.
+    standing : sequence of Recording
+        At rest or about a pose; sensors' noise, gravity and biases come from them.
+    tuned_on : sequence of Recording
+        Ordinary operation, whose innovations are to be white.
+    modes : int
+
+    Raises
+    ------
+    UnusableInput
+        No response at all.
+    BadAnswer
+        The modal model cannot be fitted.
+    """
+    if not responses:
+        raise UnusableInput("an observer's model comes from frequency responses; give one or more, of different poses")
+    model, _ = fit_observed_model(machine, responses, modes)
+    notes = list(model.notes)
+    if standing:
+        model, biases = with_gravity(model, [standing_mean(recording, model) for recording in standing])
+        notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases)}")
+    noise = starting_noise(model, machine, responses, standing, is_bias_known=bool(standing))
+    if tuned_on:
+        tuning = tune(model, noise, tuned_on)
+        noise = tuning.noise
+        notes.append(
+            f"tuned on {len(tuned_on)} recordings: NIS {tuning.mean_nis:.2f} per measurement,"
+            f" {100.0 * tuning.share_in_band:.1f} % in the 95 % band"
+        )
+    _, _, _, isocenter = observed_chain(machine)
+    return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes))
+
+
+def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:
+    """The design of a machine that has not been measured: its emulation is, like the machine would be."""
+    last, limit = machine.axes[-1], machine.limits[-1]
+    ends = np.array([limit.lower + JOG_ROOM, limit.upper - JOG_ROOM]) if np.isfinite([limit.lower, limit.upper]).all() else [-1.0, 1.0]
+    positions = np.linspace(*ends, GRID)
+    poses = [{last: float(position)} for position in positions]
+    responses = emulated_responses(machine, poses, seed)
+    simulator = Simulator(machine)
+    standing = [
+        emulated_recording(machine, Static(STANDING_s, pose).plans(machine)[0], 500 + 10 * seed + index, simulator)
+        for index, pose in enumerate(poses)
+    ]
+    return design_observer(machine, responses, standing, tuned_on, modes)

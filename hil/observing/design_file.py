@@ -1,0 +1,89 @@
+"""Observer designs as NumPy .npz archives, laid out in docs/formats.md."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controllers.errors import DesignError
+from controllers.models.chain import Chain
+from controllers.models.modal import InertialSensor, ModalModel
+from controllers.observers.settings import ObserverNoise
+from hil.errors import UnusableInput
+from hil.observing.design import ObserverDesign
+
+FORMAT = 1
+_CHAIN = ("axes", "points", "revolute", "gravity_m_s2")
+_SENSOR = ("body_end_m", "sensor_end_m", "rotation", "lag_s", "channels")
+
+
+def write_design(design: ObserverDesign, path: str | Path) -> None:
+    """Write a design."""
+    model, noise = design.model, design.noise
+    arrays: dict[str, Any] = {"observer_format": FORMAT}
+    arrays |= {f"chain_{name}": getattr(model.chain, name) for name in _CHAIN}
+    arrays |= {f"sensor_{name}": np.array([getattr(sensor, name) for sensor in model.sensors]) for name in _SENSOR}
+    for name in ("axes", "source_end_m", "harmonics", "coefficients", "sample_rate_Hz", "effort_limit", "position_unit"):
+        arrays[name] = np.array(getattr(model, name))
+    arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
+    arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
+    arrays["notes"] = np.array(design.notes, dtype=np.str_)
+    with Path(path).open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_design(path: str | Path) -> ObserverDesign:
+    """Read a design.
+
+    Raises
+    ------
+    UnusableInput
+        The file is missing, is no design, or does not fit together.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise UnusableInput(f"{path}: no such file") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UnusableInput(f"{path}: not an observer design ({error})") from None
+    if int(arrays.get("observer_format", -1)) != FORMAT:
+        raise UnusableInput(f"{path}: not an observer design of format {FORMAT}; `isocenter observe --save-design` writes one")
+    try:
+        sensors = tuple(
+            InertialSensor(
+                body_end_m=arrays["sensor_body_end_m"][s],
+                sensor_end_m=arrays["sensor_sensor_end_m"][s],
+                rotation=arrays["sensor_rotation"][s],
+                lag_s=float(arrays["sensor_lag_s"][s]),
+                channels=tuple(str(name) for name in arrays["sensor_channels"][s]),
+            )
+            for s in range(len(arrays["sensor_lag_s"]))
+        )
+        model = ModalModel(
+            axes=tuple(str(axis) for axis in arrays["axes"]),
+            chain=Chain(*(arrays[f"chain_{name}"] for name in _CHAIN)),
+            sensors=sensors,
+            source_end_m=arrays["source_end_m"],
+            harmonics=tuple(int(order) for order in arrays["harmonics"]),
+            coefficients=arrays["coefficients"],
+            sample_rate_Hz=float(arrays["sample_rate_Hz"]),
+            effort_limit=arrays["effort_limit"],
+            position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
+        )
+        noise = ObserverNoise(**{field.name: _plain(arrays[f"noise_{field.name}"]) for field in fields(ObserverNoise)})
+    except KeyError as missing:
+        raise UnusableInput(f"{path}: not an observer design: the array {missing} is missing") from None
+    except DesignError as error:
+        raise UnusableInput(f"{path}: {error}") from None
+    return ObserverDesign(
+        model, noise, arrays["isocenter_m"], str(arrays["machine"]), str(arrays["machine_hash"]), tuple(str(note) for note in arrays["notes"])
+    )
+
+
+def _plain(value: np.ndarray) -> Any:
+    return float(value) if value.ndim == 0 else value

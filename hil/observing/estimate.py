@@ -1,0 +1,97 @@
+"""What an observer found, row by row, and its file: EST in docs/formats.md."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import UnusableInput
+from hil.recording import Channel, Recording, write_recording
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An observer's estimates over a recording.
+
+    Attributes
+    ----------
+    time_s : (N,)
+    names, units : of the columns of `values`: `estimate_*`, their variances, and the consistency's four numbers
+    values : (N, len(names))
+    measured_names : channels looked at
+    innovation : (N, len(measured_names)) NaN where nothing was measured
+    state_names, states : (N, len(state_names))
+    filter : "kf", "ekf" or "ukf"
+    machine_hash : of the machine the design was made for
+    notes : what a user should know
+    """
+
+    time_s: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: np.ndarray
+    measured_names: tuple[str, ...]
+    innovation: np.ndarray
+    state_names: tuple[str, ...]
+    states: np.ndarray
+    filter: str
+    machine_hash: str
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Column (N,) by name."""
+        try:
+            return self.values[:, self.names.index(name)]
+        except ValueError:
+            raise UnusableInput(f"no estimate {name}; there is {', '.join(self.names[: len(self.names) // 2])}") from None
+
+
+_NAMES = ("names", "units", "measured_names", "state_names", "notes")
+_ARRAYS = ("time_s", "values", "innovation", "states")
+
+
+def write_estimate(estimate: Estimate, path: str | Path, recording: Recording | None = None) -> None:
+    """Write an EST file (.npz); with a recording and a path that ends in .mf4 or .csv, that recording with the estimates as channels."""
+    path = Path(path)
+    if path.suffix.lower() in (".mf4", ".csv"):
+        if recording is None:
+            raise UnusableInput(f"{path}: estimates join a recording's rows; without one write an .npz")
+        channels = {name: channel for name, channel in recording.channels.items() if not name.startswith("estimate_")}
+        for name, unit, values in zip(estimate.names, estimate.units, estimate.values.T, strict=True):
+            channels[name] = Channel(unit, values)
+        write_recording(Recording(channels, recording.metadata), path)
+        return
+    arrays = {name: np.asarray(getattr(estimate, name)) for name in (*_ARRAYS, "filter", "machine_hash")}
+    arrays |= {name: np.array(getattr(estimate, name), dtype=np.str_) for name in _NAMES}
+    with path.open("wb") as file:
+        np.savez_compressed(file, estimate_format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
+
+
+def read_estimate(path: str | Path) -> Estimate:
+    """Read an EST file.
+
+    Raises
+    ------
+    UnusableInput
+        The file is missing or no EST file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise UnusableInput(f"{path}: no such file") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UnusableInput(f"{path}: not an EST file ({error})") from None
+    if int(arrays.get("estimate_format", -1)) != FORMAT:
+        raise UnusableInput(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
+    return Estimate(
+        **{name: arrays[name] for name in _ARRAYS},
+        **{name: tuple(str(text) for text in arrays[name]) for name in _NAMES},
+        filter=str(arrays["filter"]),
+        machine_hash=str(arrays["machine_hash"]),
+    )

@@ -1,0 +1,63 @@
+"""The observer over a recording: the same numbers as live, bit for bit, because it is the same step on the same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from controllers.observers.modal_observer import ModalObserver
+from hil.observing.estimate import Estimate
+from hil.observing.tuning import rows_of
+from hil.recording import Recording
+
+
+def observe(
+    recording: Recording,
+    observer: ModalObserver,
+    *,
+    machine_hash: str = "",
+    notes: tuple[str, ...] = (),
+    progress: Callable[[int], None] | None = None,
+) -> Estimate:
+    """Replay an observer over a recording, from its first row on.
+
+    Parameters
+    ----------
+    recording : Recording
+        Channels it lacks count as missing; missing samples are predicted over.
+    observer : ModalObserver
+        Is restarted.
+
+    Raises
+    ------
+    RecordingError
+        Another sample rate, none of the channels, or a hole in the commands.
+    """
+    measured, commands = rows_of(recording, observer.model)
+    channels = observer.model.channels()
+    absent = [name for name in channels if name not in recording]
+    if absent:
+        notes = (*notes, f"not in the recording, so not looked at: {', '.join(absent)}")
+    observer.restart()
+    values = np.zeros((len(measured), len(observer.channels)))
+    innovation = np.zeros(measured.shape)
+    states = np.zeros((len(measured), len(observer.state)))
+    for k in range(len(measured)):
+        observer.step_measured(measured[k], commands[max(k - 1, 0)])
+        values[k], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
+        if progress is not None and k % 1024 == 0:
+            progress(k)
+    return Estimate(
+        time_s=recording.time,
+        names=tuple(name for name, _ in observer.channels),
+        units=tuple(unit for _, unit in observer.channels),
+        values=values,
+        measured_names=channels,
+        innovation=innovation,
+        state_names=tuple(observer.state_names),
+        states=states,
+        filter=observer.kind,
+        machine_hash=machine_hash,
+        notes=notes,
+    )
