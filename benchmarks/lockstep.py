@@ -3,7 +3,8 @@
     python benchmarks/lockstep.py --json lockstep.json
 
 The run is `isocenter run static`: emulated devices, drivers, loop, feedback and journal in one process; every frame, serial byte and
-Modbus message is encoded and decoded. Wall time and processor time of the sample loop alone, several runs; quote the median on a quiet machine.
+Modbus message is encoded and decoded. Wall time and processor time of the sample loop alone, several runs; quote the median on a
+quiet machine.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange, drives
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
-from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION, NMT_START, PolledNetwork
+from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, bring_to_rest
 from drivers.canopen.supervision import Supervision
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from drivers.serial.imu import ImuDriver
 
 FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
+RESET_PATIENCE_S = 0.1  # for a node's boot-up when the bench leaves: none is missed if it does not come
 IMU_RETRY_S = 2e-4  # a packet at 921600 baud takes three times as long
 PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
 OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
@@ -251,7 +252,7 @@ class CanMachine:
         self.network.stop_heartbeat()
         attempts = Attempts()
         for node in self.settings.nodes:
-            attempts.make(f"resetting {node.name}", self.network.command_nmt, NMT_RESET_COMMUNICATION, node.node_id)
+            attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
         self.stop_trouble += attempts.trouble
         for sdo in self._nodes.values():
             sdo.close()

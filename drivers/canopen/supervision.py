@@ -161,26 +161,14 @@ class Supervision:
         DuplicateNode
             One reset, two boot-ups from one id.
         """
-        clock = self._network.clock
         for _ in range(STALE_FRAMES):
             if not self._network.pump(0.0):
                 break
         for watched in self._nodes.values():
             watched.boots = 0
         for node in nodes:
-            self._network.command_nmt(NMT_RESET_COMMUNICATION, node.node_id)
-        start, elapsed_s = clock.now(), 0.0
-        pending = list(nodes)
-        while True:
-            for node in pending:
-                if not self._nodes[node.node_id].boots and elapsed_s >= node.boot_timeout_s:
-                    self._ask_directly(node)
-            pending = [node for node in pending if not self._nodes[node.node_id].boots and elapsed_s < node.boot_timeout_s]
-            if not pending:
-                break
-            next_timeout_s = min(node.boot_timeout_s for node in pending)
-            heard = self._network.pump(next_timeout_s - elapsed_s)
-            elapsed_s = max(clock.now() - start, 0.0 if heard else next_timeout_s)
+            if not self.reset(node, node.boot_timeout_s):
+                self._ask_directly(node)
         self._network.pump_for(BOOT_SETTLE_S)
         for watched in self._nodes.values():
             if watched.boots > 1:
@@ -188,6 +176,20 @@ class Supervision:
                     f"{watched.who}: {watched.boots} boot-up messages after one reset: two devices share this id; give one another id"
                 )
         self._fresh_fault = ""
+
+    def reset(self, node: Node, patience_s: float) -> bool:
+        """Reset one node's communication and wait for its boot-up message; whether it came in time.
+
+        One node after the other: the order of frames on the bus then depends on no race.
+        """
+        clock, watched = self._network.clock, self._nodes[node.node_id]
+        watched.boots = 0
+        self._network.command_nmt(NMT_RESET_COMMUNICATION, node.node_id)
+        deadline = clock.now() + patience_s
+        while not watched.boots and (remaining := deadline - clock.now()) > 0.0:
+            if not self._network.pump(remaining):
+                break
+        return watched.boots > 0
 
     def _ask_directly(self, node: Node) -> None:
         sdo = SdoNode(self._network, node.node_id, node.name)

@@ -21,7 +21,7 @@ from hil.recording import read_recording
 pytestmark = pytest.mark.vcan
 
 ISOCENTER = [sys.executable, "-m", "hil"]
-TIMEOUT_S = 100.0
+TIMEOUT_S = 300.0
 ATTEMPTS = 5
 """A user-mode kernel stalls now and then for so long that the emulated machine's time goes on: then it is not the same run."""
 
@@ -109,11 +109,11 @@ def test_multisine_with_jog_runs_and_is_recorded(interface, emulate, tmp_path):
             "--axes",
             "roll",
         ),
-        *("--amplitude", "0.5", "--period", "4", "--jog", "0.2", "--periods", "1", "-o", str(path)),
+        *("--amplitude", "0.5", "--period", "2", "--jog", "0.2", "--periods", "1", "-o", str(path)),
     )
     assert done.returncode == 0, done.stderr
     recording = read_recording(path)
-    assert recording.rows == 2 * 4 * 256
+    assert recording.rows == 2 * 2 * 256
     arrived = np.isfinite(recording.channel("position_roll").values)
     assert arrived.mean() > 0.9, f"positions arrived in {arrived.mean():.1%} of the ticks"
     assert np.isfinite(recording.channel("imu_z").values).mean() > 0.9
@@ -122,7 +122,7 @@ def test_multisine_with_jog_runs_and_is_recorded(interface, emulate, tmp_path):
 
 def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, candump, tmp_path):
     machine = patient(tmp_path, can_only=True)
-    arguments = ("static", "--machine", machine, "--seconds", "2", "--seed", "3")
+    arguments = ("static", "--machine", machine, "--seconds", "1", "--seed", "3")
     log = tmp_path / "frames.log"
     done = run(*arguments, "--bus", "lockstep:", "--frame-log", str(log), "-o", str(tmp_path / "lockstep.mf4"))
     assert done.returncode == 0, done.stderr
@@ -142,7 +142,7 @@ def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, ca
         print(f"  from frame {near.start}: {seen[near]} and {lockstep[near]}", flush=True)
     else:
         pytest.fail("no run on vcan0 had the frames of the lockstep run")
-    assert len(lockstep) > 2 * 256 * 7
+    assert len(lockstep) > 256 * 7
 
 
 def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_reads(interface, emulate, tmp_path):
