@@ -164,7 +164,7 @@ def test_the_map_shows_gains_growing_as_the_delay_shrinks(nominal):
 @pytest.fixture(scope="module")
 def frf(machine):
     """The machine's response with 0.3 % noise, as an identification would write it."""
-    lines = np.arange(3, 800, 2)
+    lines = np.arange(3, 800, 4)
     outputs = ("position_propeller", "position_roll", "link_position_propeller", "link_position_roll", "imu_x", "imu_y", "imu_z")
     clean = sampled_response(machine, np.zeros(2), lines * 0.05, outputs)
     noise = np.random.default_rng(1).standard_normal((2, *clean.shape))
