@@ -5,11 +5,17 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
+
+# Matrices here are small: BLAS threads that spin for each other take the processor from the loop and cost more than they bring.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Typer brings its own copy of Click: its exception classes are reached through Typer's names.
 _UsageError: type[Any] = typer.BadParameter.__bases__[0]
@@ -32,7 +38,8 @@ def main(arguments: list[str] | None = None) -> None:
 
     register.commands(app)
     try:
-        status = app(args=arguments, standalone_mode=False) or 0
+        with _warnings_in_one_line():
+            status = app(args=arguments, standalone_mode=False) or 0
     except typer.Exit as leave:
         status = leave.exit_code
     except (typer.Abort, KeyboardInterrupt):
@@ -45,6 +52,22 @@ def main(arguments: list[str] | None = None) -> None:
     except Exception as error:
         status = _say_error(error)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """What a reader of recordings warns of is for the person at the command line; a file and line of ours would say nothing to them."""
+    with warnings.catch_warnings():
+        shown_by_python = warnings.showwarning
+
+        def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+            if category.__name__ == "RecordingWarning":  # by name: importing it takes longer than --help may
+                _say(str(message), 0)
+            else:
+                shown_by_python(message, category, *where, **more)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
 
 
 def _say_usage(error: Any) -> int:
@@ -64,7 +87,7 @@ def _say_error(error: Exception) -> int:
     if os.environ.get(TRACEBACK_VARIABLE):
         traceback.print_exception(error)
     if isinstance(error, (BenchError, DriverError, EmulatorError, ControlError)):
-        return _say(str(error), error.exit_status)
+        return _say("; ".join([str(error), *getattr(error, "__notes__", ())]), error.exit_status)
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         return _say(f"{place}{error.strerror or error}", 2)
