@@ -30,14 +30,12 @@ from hil.recording import JournalSink, RecorderProcess, recording_metadata
 from hil.wiring import Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
 
-SETTLE_S = 4.0
-"""Standstill before row 0, in which what the way there has set swinging dies out."""
+SETTLE_S = 4
+"""Whole seconds of standstill before row 0, in which what the way there has set swinging dies out."""
 
-SETTLE_MORE_S = 1.0
-"""Standstill goes on by so much at a time while the integrators still bring the machine closer: on the C-arm by e in 1.6 s."""
-
-SETTLE_MOST = 12
-"""And at most so often: an axis that hunts about its stiction never stands."""
+SETTLE_AT_MOST_S = 16
+"""It goes on while the integrators still bring the machine closer, on the C-arm by e in 1.6 s; an axis that hunts about its stiction never
+stands."""
 
 STANDING_COUNTS = 2.0
 """So near to its pose an axis stands there: encoder counts."""
@@ -197,20 +195,20 @@ class Bench:
     def _settle(self, stay: Plan) -> None:
         """Hold still until every axis stands where it should, or it takes too long."""
         standing = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
-        for _ in range(SETTLE_MOST):
-            if (np.abs(self.wiring.link.sample.position - stay.start_pose) <= standing).all():
+        for second in range(SETTLE_AT_MOST_S):
+            if second >= SETTLE_S and (np.abs(self.wiring.link.sample.position - stay.start_pose) <= standing).all():
                 return
             self.loop.run(stay)
 
     def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
-        """From where the machine stands to standstill at `pose`, within the limits; and some more of the standstill."""
+        """From where the machine stands to `pose`, within the limits, and a second of standstill there."""
         axes = self.machine.axes
         start = dict(zip(axes, map(float, self.pose), strict=True))
         goal = dict(zip(axes, map(float, pose), strict=True))
         tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
         legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
-        (stay,) = Static(SETTLE_MORE_S, goal).plans(self.machine)
-        return legs + Static(SETTLE_S, goal).plans(self.machine), stay
+        (stay,) = Static(1.0, goal).plans(self.machine)
+        return legs, stay
 
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
         """Where the plan's rows go, ready to take them."""

@@ -14,6 +14,7 @@ import can
 import numpy as np
 
 from drivers.bus_url import open_bus
+from drivers.errors import ProtocolError
 from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.realtime import real_time
@@ -162,7 +163,12 @@ def emulate_machine(
 
 def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:
     """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
-    device = BareMachine(eds, node_id)
+    if not 1 <= node_id <= 127:
+        raise UnusableInput(f"--node {node_id}: must be 1 to 127")
+    try:
+        device = BareMachine(eds, node_id)
+    except ProtocolError as error:
+        raise UnusableInput(str(error)) from None
     with opened_bus(bus_url, STANDARD_BITRATE) as bus:
         run_device(bus, device, lambda: _say({"ready": str(eds), "bus": bus_url, "node": node_id}))
 

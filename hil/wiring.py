@@ -117,9 +117,9 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         raise UnusableInput(
             f"--frame-log: the loop writes none on a real bus; record {options.bus_url} beside it: candump -l, python -m can.logger"
         )
-    settings = _with_ports(machine, settings, options)
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
+        settings = _with_ports(machine, settings, options)
         imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
         io = None
         if settings.io is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import sys
@@ -15,6 +16,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.errors import UnusableInput
+
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the answer as JSON to FILE; - for standard output, and nothing else goes there."),
@@ -25,6 +28,8 @@ class Answer:
     """One command's answer. Text goes to standard output, or to standard error when JSON has taken standard output."""
 
     def __init__(self, json_to: str | None) -> None:
+        if json_to not in (None, "-") and not Path(json_to).parent.is_dir():
+            raise UnusableInput(f"--json {json_to}: there is no folder {Path(json_to).parent}")  # said now, not when all is done
         self._json_to = json_to
         self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
 
@@ -44,7 +49,7 @@ class Answer:
 
 
 def plain(value: Any) -> Any:
-    """The same value in JSON's own types: arrays as lists, NaN and infinities as null."""
+    """The same value in JSON's own types: arrays as lists, dataclasses as objects, NaN and infinities as null."""
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, set)):
@@ -57,6 +62,8 @@ def plain(value: Any) -> Any:
         return None
     if isinstance(value, Path):
         return str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
     return value
 
 

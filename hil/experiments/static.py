@@ -36,5 +36,6 @@ class Static:
         pose = pose_array(machine, self.pose)
         reference = np.tile(pose, (rows, 1))
         safety = Safety(machine, pose)
+        safety.check_stability()
         metadata = experiment_metadata("static", period_samples=rows, settle_periods=0, periods=1, start_pose=pose)
         return [safety.plan(reference, np.zeros_like(reference), pose, metadata)]

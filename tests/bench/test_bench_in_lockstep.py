@@ -91,10 +91,8 @@ def test_each_recording_says_which_machine_experiment_seed_and_controller_states
     for number, recording in enumerate(first):
         assert recording.machine_hash == CARM.hash and recording.machine_text == CARM.text
         assert recording.experiment["experiment"] == number and recording.experiment["excited_lines"] == [3, 5, 7, 11, 13]
-        assert recording.metadata["initial"]["seed"] == 3 and recording.metadata["initial"]["brakes"] == {
-            "propeller": "open",
-            "roll": "open",
-        }
+        initial = recording.metadata["initial"]
+        assert initial["seed"] == 3 and initial["brakes"] == {"propeller": "open", "roll": "open"}
         assert recording.metadata["timing"]["ticks"] == 256 and recording.metadata["timing"]["missed"] == 0
         assert set(initial["controller_states"]) == {"propeller", "roll"}
         assert any("homed" in line for line in recording.metadata["bench"]["commissioning"])
