@@ -43,10 +43,14 @@ class TickClock(Protocol):
 class Signals(Protocol):
     """What a plan holds, row by row, for all axes: arrays of shape (N, n_axes)."""
 
-    reference: np.ndarray
-    reference_raw: np.ndarray
-    excitation: np.ndarray
-    feedforward: np.ndarray | None
+    @property
+    def reference(self) -> np.ndarray: ...
+    @property
+    def reference_raw(self) -> np.ndarray: ...
+    @property
+    def excitation(self) -> np.ndarray: ...
+    @property
+    def feedforward(self) -> np.ndarray | None: ...
 
 
 @dataclass

@@ -21,6 +21,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 _UsageError: type[Any] = typer.BadParameter.__bases__[0]
 _ClickException: type[Any] = _UsageError.__bases__[0]
 
+_INTERRUPTED = 130  # what Typer makes of Ctrl-C
+
 app = typer.Typer(
     name="isocenter",
     help="Hardware-in-the-loop controller stack for an X-ray C-arm.\n\nStart with:  isocenter demo",
@@ -39,11 +41,11 @@ def main(arguments: list[str] | None = None) -> None:
     register.commands(app)
     try:
         with _warnings_in_one_line():
-            status = app(args=arguments, standalone_mode=False) or 0
+            status = app(args=arguments, prog_name=app.info.name, standalone_mode=False) or 0
     except typer.Exit as leave:
         status = leave.exit_code
     except (typer.Abort, KeyboardInterrupt):
-        status = _say("interrupted", 1)
+        status = _INTERRUPTED
     except _ClickException as error:
         status = _say_usage(error)
     except BrokenPipeError:
@@ -51,6 +53,8 @@ def main(arguments: list[str] | None = None) -> None:
         status = 1
     except Exception as error:
         status = _say_error(error)
+    if status == _INTERRUPTED:
+        status = _say("interrupted", 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -75,7 +79,8 @@ def _say_usage(error: Any) -> int:
     where = context.command_path if context is not None else "isocenter"
     if not error.format_message():  # a group without a command has shown its help instead
         return 2
-    return _say(f"{where}: {error.format_message()} (see {where} --help)", 2)
+    command = where.removeprefix("isocenter").strip()
+    return _say(f"{command + ': ' if command else ''}{error.format_message()} (see {where} --help)", 2)
 
 
 def _say_error(error: Exception) -> int:

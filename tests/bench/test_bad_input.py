@@ -1,0 +1,304 @@
+"""Bad input at the command line: exit status 2 (1 where it ran and the answer is bad), one line that helps, nothing recorded is lost."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_machines import CARM, LosingBus, edited
+
+import hil.wiring
+from hil.cli import main
+from hil.recording import read_recording
+
+STATIC = ("run", "static", "--seconds", "0.5", "--bus", "lockstep:")
+CAN_ONLY = re.sub(r"(?ms)^\[bus\.(io|imu)\].*?(?=^\[|\Z)", "", CARM.text)
+
+
+@pytest.fixture
+def machine_file(tmp_path):
+    def write(text: str):
+        path = tmp_path / "machine.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "run.mf4"
+
+
+MACHINES = {
+    "no TOML": (edited(r"^name = \"carm\"", 'name = "carm'), ["machine.toml", "no valid TOML"]),
+    "unknown key": (edited(r"^speed_deg_s = 60.0", "sped_deg_s = 60.0", count=1), ["limits.propeller", "sped_deg_s", "speed"]),
+    "unknown unit": (edited(r"^mass_kg = 60.0", "mass_stone = 9.4"), ["mass_stone", "kg"]),
+    "a unit of something else": (edited(r"^speed_deg_s = 60.0", "speed_kg = 60.0", count=1), ["limits.propeller", "speed_kg"]),
+    "a value out of bounds": (edited(r"^rated_current_A = 5.0", "rated_current_A = -3.0", count=1), ["rated_current_A", "-3", "positive"]),
+    "a controller with too much gain": (
+        edited(r"\[\[1141.398991, -1138.601009", "[[22827.97982, -22772.02018", CARM.text.replace("[\n    [1141", "[[1141")),
+        ["not stable", "pole radius", "gain"],
+    ),
+}
+
+
+@pytest.mark.parametrize("text, says", MACHINES.values(), ids=MACHINES.keys())
+def test_a_machine_file_that_is_wrong(isocenter, machine_file, out, text, says):
+    refused = isocenter(*STATIC, "--machine", machine_file(text), "-o", out)
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("experiment", [("multisine", "--periods", "1"), ("jog",), ("static",)], ids=["multisine", "jog", "static"])
+def test_no_experiment_closes_a_loop_that_is_not_stable(isocenter, machine_file, out, experiment):
+    unstable = machine_file(MACHINES["a controller with too much gain"][0])
+    refused = isocenter("run", *experiment, "--machine", unstable, "--bus", "lockstep:", "-o", out)
+    assert refused.status == 2 and "not stable" in refused.line and not out.exists()
+
+
+EXPERIMENTS = {
+    "saturating excitation": (("multisine", "--amplitude", "6"), ["would reach", "A", "at most 1.", "would do"]),
+    "jog off the grid": (("multisine", "--jog-frequency", "0.07"), ["0.07 Hz", "grid", "nearest"]),
+    "period of no whole samples": (("jog", "--period", "0.3"), ["0.3", "samples"]),
+    "jog outside the range": (("jog", "--amplitude", "100", "--pose", "roll=0"), ["roll", "range"]),
+    "start pose outside the range": (("static", "--pose", "roll=120"), ["roll", "outside"]),
+    "axis that is none": (("static", "--pose", "elbow=3"), ["--pose elbow=3", "elbow", "propeller, roll"]),
+    "pose that is no number": (("static", "--pose", "roll=up"), ["--pose roll=up", "AXIS=NUMBER"]),
+    "excited axis that is none": (("multisine", "--axes", "elbow"), ["elbow", "propeller, roll"]),
+    "swept axis that is none": (("scan", "--axis", "elbow", "--from", "0", "--to", "1"), ["--axis elbow", "propeller, roll"]),
+    "band that is none": (("multisine", "--band", "high"), ["--band high", "LOW:HIGH"]),
+    "lines that are none": (("multisine", "--lines", "3,x"), ["--lines 3,x", "whole numbers"]),
+    "line of the jog excited": (("multisine", "--lines", "1,3"), ["line 1", "jog"]),
+    "phases of no kind": (("multisine", "--phases", "nice"), ["--phases nice", "random or optimised"]),
+    "no time at all": (("static", "--seconds", "0"), ["seconds = 0", "positive"]),
+    "too fast a sweep": (("scan", "--axis", "roll", "--from", "-80", "--to", "80", "--speed", "90"), ["speed"]),
+    "unknown option": (("static", "--sceonds", "3"), ["--sceonds"]),
+    "missing experiment file": (("nothere.toml",), ["nothere.toml", "No such file"]),
+    "unknown experiment": (("dance",), ["dance"]),
+}
+
+
+@pytest.mark.parametrize("arguments, says", EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
+def test_an_experiment_that_must_not_be_run(isocenter, out, arguments, says):
+    refused = isocenter("run", *arguments, "--machine", "carm", "--bus", "lockstep:", "-o", out)
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert not out.exists()
+
+
+EFFECTS = {
+    "unknown effect": ('[[effect]]\nname = "coulomb_fricton"\nat = "roll"\nFc_Nm = 12.0\n', ["coulomb_fricton", "coulomb_friction"]),
+    "unknown place": ('[[effect]]\nname = "coulomb_friction"\nat = "elbow"\nFc_Nm = 12.0\n', ["elbow", "roll"]),
+    "wrong unit": ('[[effect]]\nname = "coulomb_friction"\nat = "roll"\nFc_kg = 12.0\n', ["Fc"]),
+    "missing file": (None, ["effects.toml", "No such file"]),
+}
+
+
+@pytest.mark.parametrize("text, says", EFFECTS.values(), ids=EFFECTS.keys())
+def test_effects_that_are_none(isocenter, tmp_path, out, text, says):
+    path = tmp_path / "effects.toml"
+    if text is not None:
+        path.write_text(text)
+    refused = isocenter(*STATIC, "--machine", "carm", "--effects", path, "-o", out)
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+
+
+BUSES = {
+    "missing interface": ("socketcan:vcan7", ["socketcan:vcan7"]),
+    "no such kind": ("sockcan:vcan0", ["sockcan", "socketcan"]),
+    "no colon": ("lockstep", ["'lockstep'", "lockstep:"]),
+    "no group": ("udp:300.1.2.3", ["300.1.2.3"]),
+}
+
+
+@pytest.mark.parametrize(
+    "command", [("home", "-m", "carm"), ("scan-bus",), ("run", "static", "-m", "carm", "-o", "x.mf4"), ("emulate", "carm")]
+)
+@pytest.mark.parametrize("url, says", BUSES.values(), ids=BUSES.keys())
+def test_a_bus_that_is_not_there(isocenter, monkeypatch, tmp_path, command, url, says):
+    monkeypatch.chdir(tmp_path)
+    refused = isocenter(*command, "--bus", url)
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bus_with_nobody_on_it(isocenter, machine_file, out):
+    lonely = machine_file(edited(r"^boot_timeout_s = 2.0", "boot_timeout_s = 0.05", CAN_ONLY))
+    refused = isocenter("run", "static", "--machine", lonely, "--bus", "virtual:nobody", "--no-real-time", "-o", out)
+    assert refused.status == 2 and "propeller_drive (node 1)" in refused.line and not out.exists()
+
+
+def test_a_machine_whose_imu_and_io_nobody_has_named(isocenter, out):
+    refused = isocenter("run", "static", "--machine", "carm", "--bus", "virtual:nobody", "--no-real-time", "-o", out)
+    assert refused.status == 2 and "IMU" in refused.line and "isocenter emulate" in refused.line
+
+
+def test_a_node_with_another_identity(isocenter, machine_file, out):
+    wrong = machine_file(edited(r"^product_code = 0x49534F02", "product_code = 0x49534F77"))
+    refused = isocenter(*STATIC, "--machine", wrong, "-o", out)
+    assert refused.status == 2 and not out.exists()
+    assert all(word in refused.line for word in ("propeller_encoder", "node 11", "49534F77", "49534F02")), refused.line
+
+
+@pytest.fixture
+def emulated_bus(monkeypatch):
+    """Change what hangs on the emulated machine's bus, behind the machine file's back."""
+
+    def change(how):
+        honest = hil.emulation.emulated_bus
+        monkeypatch.setattr("hil.emulation.emulated_bus", lambda machine, physics: how(honest(machine, physics)))
+
+    return change
+
+
+def test_a_node_that_is_absent(isocenter, emulated_bus, out):
+    emulated_bus(lambda bus: replace(bus, encoders=bus.encoders[:1]))
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
+    assert refused.status == 2 and "roll_encoder" in refused.line and "node 12" in refused.line and not out.exists()
+
+
+def test_two_nodes_with_one_id(isocenter, emulated_bus, out):
+    emulated_bus(lambda bus: replace(bus, encoders=(*bus.encoders, replace(bus.encoders[1], name="forgotten_encoder"))))
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
+    assert refused.status == 2 and "node 12" in refused.line and "two" in refused.line and not out.exists()
+
+
+def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_kept(isocenter, monkeypatch, out):
+    class Failing(LosingBus):
+        def recv(self, timeout=None):
+            self.lost_ids = (
+                (0x182,) if out.with_name("run.mf4.part").exists() and out.with_name("run.mf4.part").stat().st_size > 200_000 else ()
+            )
+            return super().recv(timeout)
+
+    monkeypatch.setattr("hil.wiring.LockstepBus", Failing)
+    stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
+    assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
+    kept = int(re.search(r"(\d+) rows are kept", stopped.line)[1])
+    recording = read_recording(out)
+    assert recording.rows == kept > 256
+    assert np.flatnonzero(recording.channel("position_roll").missing).tolist() == list(range(kept - 4, kept))
+    assert not out.with_name("run.mf4.part").exists()
+
+
+OUTS = {
+    "missing folder": ("nowhere/run.mf4", ["nowhere", "No such file or directory"]),
+    "no format": ("run.xls", [".xls", ".mf4"]),
+    "reading only": ("run.mat", [".mat", ".mf4"]),
+}
+
+
+@pytest.mark.parametrize("name, says", OUTS.values(), ids=OUTS.keys())
+def test_a_recording_that_could_not_be_written_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, name, says):
+    monkeypatch.setattr("hil.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", tmp_path / name)
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+
+
+def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter, tmp_path):
+    (tmp_path / "run.mf4").mkdir()
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", tmp_path / "run.mf4")
+    assert refused.status == 2 and "128 rows are kept in run.mf4.part" in refused.line
+    assert read_recording(tmp_path / "run.mf4.part").rows == 128
+
+
+def test_an_unfinished_recording_is_not_overwritten(isocenter, tmp_path, out):
+    (tmp_path / "run.mf4").mkdir()
+    isocenter(*STATIC, "--machine", "carm", "-o", out)
+    (tmp_path / "run.mf4").rmdir()
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
+    assert refused.status == 2 and "128 rows of a recording that was cut short" in refused.line
+    assert read_recording(tmp_path / "run.mf4.part").rows == 128
+
+
+@pytest.mark.parametrize("option", ["--truth", "--frame-log", "--json"])
+def test_a_side_file_without_a_folder_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, out, option):
+    monkeypatch.setattr("hil.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", out, option, tmp_path / "nowhere" / "file")
+    assert refused.status == 2 and "nowhere" in refused.line
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A recording as CSV, with its metadata beside it."""
+    path = tmp_path_factory.mktemp("recorded") / "run.csv"
+    with pytest.raises(SystemExit) as left:
+        main([*STATIC, "--machine", "carm", "-o", str(path)])
+    assert left.value.code == 0
+    return path
+
+
+HOLES = {
+    "a row": (lambda lines: lines[:60] + lines[61:], ["127 rows", "rows = 128"]),
+    "the time of a row": (lambda lines: [*lines[:60], "," + lines[60].split(",", 1)[1], *lines[61:]], ["time", "missing"]),
+    "the reference of a row": (
+        lambda lines: [*lines[:60], re.sub(r"^([^,]*),[^,]*", r"\1,", lines[60]), *lines[61:]],
+        ["reference_propeller"],
+    ),
+    "half a row": (lambda lines: [*lines[:60], lines[60][:40], *lines[61:]], ["run.csv"]),
+    "its header": (lambda lines: lines[1:], ["run.csv"]),
+    "everything": (lambda lines: [], ["run.csv"]),
+}
+
+
+@pytest.mark.parametrize("cut, says", HOLES.values(), ids=HOLES.keys())
+def test_a_csv_that_lacks_something(isocenter, recorded, tmp_path, cut, says):
+    copy = tmp_path / "run.csv"
+    copy.write_text("\n".join(cut(recorded.read_text().splitlines())) + "\n")
+    copy.with_suffix(".toml").write_text(recorded.with_suffix(".toml").read_text())
+    refused = isocenter("simulate", "carm", copy, "-o", tmp_path / "simulation.mf4")
+    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert not (tmp_path / "simulation.mf4").exists()
+
+
+def test_a_csv_without_metadata_that_lacks_a_row(isocenter, recorded, tmp_path):
+    lines = recorded.read_text().splitlines()
+    copy = tmp_path / "run.csv"
+    copy.write_text("\n".join(lines[:60] + lines[61:]) + "\n")
+    refused = isocenter("simulate", "carm", copy, "-o", tmp_path / "simulation.mf4")
+    assert refused.status == 2 and "rows are not equally spaced" in refused.line and "between rows 58 and 59" in refused.line
+
+
+def test_a_csv_with_an_unknown_unit(isocenter, recorded, tmp_path):
+    copy = tmp_path / "run.csv"
+    copy.write_text(recorded.read_text().replace("position_roll [rad]", "position_roll [furlong]", 1))
+    copy.with_suffix(".toml").write_text(recorded.with_suffix(".toml").read_text())
+    refused = isocenter("compare", copy, copy)
+    assert refused.status == 2 and "furlong" in refused.line and "position_roll" in refused.line
+
+
+FILES = {
+    "simulate": ("simulate", "carm", "nothere.mf4", "-o", "s.mf4"),
+    "compare": ("compare", "nothere.mf4", "nothere.mf4"),
+    "identify": ("identify", "nothere.mf4", "-o", "f.npz"),
+    "convert": ("convert", "nothere.mf4", "b.csv"),
+    "machine": ("machine", "check", "nothere.toml"),
+    "emulate an EDS": ("emulate", "--eds", "nothere.eds", "--bus", "virtual:x"),
+    "emulate a machine": ("emulate", "nothere.toml", "--bus", "virtual:x"),
+}
+
+
+@pytest.mark.parametrize("arguments", FILES.values(), ids=FILES.keys())
+def test_a_file_that_is_not_there(isocenter, monkeypatch, tmp_path, arguments):
+    monkeypatch.chdir(tmp_path)
+    refused = isocenter(*arguments)
+    assert refused.status == 2 and "nothere" in refused.line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_truth_and_frame_log_of_a_real_bus_are_refused_in_words(isocenter, out, tmp_path):
+    for option in ("--truth", "--frame-log"):
+        refused = isocenter(
+            "run", "static", "--machine", "carm", "--bus", "virtual:nobody", "--no-real-time", "-o", out, option, tmp_path / "file"
+        )
+        assert refused.status == 2 and option in refused.line and not (tmp_path / "file").exists()
+
+
+def test_a_fault_of_the_program_itself_is_one_line_and_says_how_to_see_more(capsys, monkeypatch):
+    monkeypatch.setattr("hil.machine.list_shipped", lambda: 1 / 0)
+    with pytest.raises(SystemExit) as left:
+        main(["machine", "list"])
+    error = capsys.readouterr().err
+    assert left.value.code == 1 and error.count("\n") == 1 and "ISOCENTER_TRACEBACK=1" in error and "ZeroDivisionError" in error
