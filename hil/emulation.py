@@ -149,7 +149,7 @@ def emulate_machine(
     """
     with ExitStack() as stack:
         bus = stack.enter_context(opened_bus(bus_url, machine.bus.bitrate_bit_s if machine.bus is not None else STANDARD_BITRATE))
-        log = stack.enter_context(closing(TruthLog(truth))) if truth is not None else None
+        log = stack.enter_context(closing(TruthLog(truth, machine.plant.tree.joints))) if truth is not None else None
         start = np.array([pose.get(axis, 0.0) for axis in machine.axes])
         emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log)
 

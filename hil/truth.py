@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+
+from hil.errors import UnusableInput
+from virtual_bus.settings import Joint
+
+QUANTITIES = {"joint_position": "{length}", "joint_speed": "{length}/s", "friction_effort": "{effort}"}
+"""Columns that there is one of for every joint, and their units."""
 
 
 class TruthLog:
@@ -15,14 +21,22 @@ class TruthLog:
     Parameters
     ----------
     path : Path
-    joints : tuple of str, optional
-        Names for the joint columns; numbers unless given.
+    joints : sequence of Joint
+        The plant's, in its order: the columns' names and units.
+
+    Raises
+    ------
+    UnusableInput
+        The file cannot be written.
     """
 
-    def __init__(self, path: Path, joints: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, joints: Sequence[Joint]) -> None:
         self.path = path
-        self._joints = joints
-        self._file: TextIO = path.open("w", encoding="utf-8")
+        self._joints = tuple(joints)
+        try:
+            self._file: TextIO = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise UnusableInput(f"--truth {path}: cannot be written: {error.strerror}") from None
         self._header = False
         self.recording = True  # rows before row 0 of a recording are left out by whoever clears this
 
@@ -46,5 +60,8 @@ class TruthLog:
         if name.startswith("pose_"):
             parts = [f"{axis} [m]" for axis in "xyz"] + [f"r{row}{column}" for row in "123" for column in "123"]
             return [f"{name}_{part}" for part in parts]
-        joints = self._joints or tuple(str(index) for index in range(len(values)))
-        return [f"{name}_{joint}" for joint in joints]
+        unit = QUANTITIES[name]
+        return [f"{name}_{joint.name} [{unit.format(**_UNITS[joint.kind])}]" for joint in self._joints]
+
+
+_UNITS = {"revolute": {"length": "rad", "effort": "Nm"}, "prismatic": {"length": "m", "effort": "N"}}

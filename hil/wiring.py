@@ -78,7 +78,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
     with contextlib.ExitStack() as stack:
         truth = None
         if options.truth is not None:
-            truth = stack.enter_context(contextlib.closing(TruthLog(options.truth, tuple(j.name for j in machine.plant.tree.joints))))
+            truth = stack.enter_context(contextlib.closing(TruthLog(options.truth, (options.emulated or machine).plant.tree.joints)))
             truth.recording = False
         emulated = build_emulated(options.emulated or machine, start_pose, seed=options.seed, noise=options.noise, truth=truth)
         log = stack.enter_context(options.frame_log.open("w", encoding="utf-8")) if options.frame_log is not None else None

@@ -30,7 +30,9 @@ def register(app: typer.Typer) -> None:
     )(compare)
     app.command(
         short_help="Convert between recording formats.",
-        help="Convert between .mf4, .csv and (reading) .mat, .blf, .log.\n\nExample:  isocenter convert run.mf4 run.csv",
+        help="Convert between .mf4, .csv and (reading) .mat, .blf, .log."
+        "\n\nExample:  isocenter convert run.mf4 run.csv"
+        "\n\nExample:  isocenter convert lab.mat lab.mf4 --machine carm --map t=time --map q=position_roll",
     )(convert)
 
 
@@ -75,6 +77,9 @@ def compare(
 def convert(
     source: Annotated[Path, typer.Argument(metavar="A", help="What to read: .mf4, .csv, .mat, .blf or candump .log.")],
     target: Annotated[Path, typer.Argument(metavar="B", help="What to write: .mf4 or .csv.")],
+    mapping: Annotated[
+        list[str] | None, typer.Option("--map", metavar="NAME=CHANNEL", help="Of a .mat: which variable is which channel; once for each.")
+    ] = None,
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
@@ -82,7 +87,20 @@ def convert(
     from hil.recording import convert as convert_recording
 
     machine = None if machine_name is None else load(machine_name)
-    recording = convert_recording(source, target, machine)
     answer = Answer(json_to)
+    recording = convert_recording(source, target, machine, _channel_names(mapping, source))
     answer.say(f"{target}: {len(recording.time)} rows, {len(recording.channels)} channels")
     answer.write({"target": target, "rows": len(recording.time), "channels": {name: c.unit for name, c in recording.channels.items()}})
+
+
+def _channel_names(mapping: list[str] | None, source: Path) -> dict[str, str] | None:
+    """`["t=time", "q=position_roll"]` as a table."""
+    if not mapping:
+        return None
+    if source.suffix.lower() != ".mat":
+        raise typer.BadParameter(f"--map {mapping[0]}: {source.name} names its channels itself; --map is for .mat")
+    pairs = [entry.partition("=") for entry in mapping]
+    for entry, (name, _, channel) in zip(mapping, pairs, strict=True):
+        if not name or not channel:
+            raise typer.BadParameter(f"--map {entry}: must be NAME=CHANNEL, such as t=time")
+    return {name: channel for name, _, channel in pairs}

@@ -140,6 +140,12 @@ def test_the_truth_has_a_row_for_every_recorded_row_and_agrees_with_the_encoders
             assert recording[f"link_position_{axis}"] == pytest.approx(motor + gear, abs=1.01 * LINK_COUNT_rad)
 
 
+def test_every_column_of_the_truth_has_its_name_and_unit(folder, first):
+    header = (folder / "first.csv").read_text().split("\n", 1)[0].split(",")
+    assert {"time [s]", "joint_position_roll_gear [rad]", "joint_speed_propeller [rad/s]", "friction_effort_roll [Nm]"} <= set(header)
+    assert {"pose_detector_x [m]", "pose_detector_r33", "pose_tube_z [m]"} <= set(header)
+
+
 def test_physics_that_the_machine_file_does_not_know_shows_in_the_current(folder):
     """12 Nm of Coulomb friction at roll: 12/(0.095 * 500) = 0.2526 A to either side, Armstrong-Helouvry et al. 1994."""
     plans = JogOnly(pose={"roll": 0.5}, jog=Jog(0.02, line=1), period_s=5.0, periods=1).plans(CARM)

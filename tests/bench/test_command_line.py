@@ -13,12 +13,12 @@ import can
 import numpy as np
 import pytest
 import typer.main
-from bench_machines import CARM, edited
+from bench_machines import edited
 
 from hil.cli import register
 from hil.cli.app import app
 from hil.cli.output import plain
-from hil.recording import read_recording, write_recording
+from hil.recording import read_recording
 from virtual_bus.canopen.bare import BareMachine
 
 EDS_FILES = Path(__file__).resolve().parents[2] / "drivers" / "canopen" / "eds_files"
@@ -38,8 +38,10 @@ COMMANDS = list(_commands(typer.main.get_command(app)))
 
 def test_every_command_of_the_contract_is_there():
     names = {" ".join(words) for words in COMMANDS}
-    wanted = "demo, effects, emulate, scan-bus, home, simulate, compare, identify, shape, convert, run, run multisine, run scan, run jog, run static"
-    wanted += ", run file, machine, machine list, machine show, machine check, machine export"
+    wanted = (
+        "demo, effects, emulate, scan-bus, home, simulate, compare, identify, shape, convert, machine list, machine show, machine check"
+    )
+    wanted += ", machine export, run multisine, run scan, run jog, run static, run file"
     assert set(wanted.split(", ")) <= names
 
 
@@ -270,3 +272,21 @@ def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_
         for path in (known, tmp_path / "with.mf4")
     )
     assert without["rms"] > 0.15 and with_friction["rms"] < 0.05 * without["rms"] + 0.02
+
+
+def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter, tmp_path):
+    import scipy.io
+
+    time_s = np.arange(100) / 256.0
+    scipy.io.savemat(tmp_path / "lab.mat", {"t": time_s, "q": np.sin(time_s), "gain": 3.0})
+    said = ("--map", "t=time", "--map", "q=position_roll")
+    assert isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm", *said).status == 0
+    recording = read_recording(tmp_path / "lab.csv")
+    assert recording.channel("position_roll").unit == "rad" and np.array_equal(recording["position_roll"], np.sin(time_s))
+    unnamed = isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm")
+    assert unnamed.status == 2 and "say which is which" in unnamed.line
+    for wrong, says in (("t", "NAME=CHANNEL"), ("t=", "NAME=CHANNEL"), ("x=time", "no variable x"), ("q=position_elbow", "position_elbow")):
+        refused = isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm", "--map", "t=time", "--map", wrong)
+        assert refused.status == 2 and says in refused.line, refused.line
+    refused = isocenter("convert", tmp_path / "lab.csv", tmp_path / "lab.mf4", "--map", "t=time")
+    assert refused.status == 2 and "--map is for .mat" in refused.line
