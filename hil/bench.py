@@ -136,7 +136,7 @@ class Bench:
             tables["bench"] = self._circumstances()
         except BaseException as error:
             self.wiring.pause_truth()
-            tables["ended"] = {"error": str(error) or type(error).__name__}
+            tables["ended"] = {"error": str(error) or type(error).__name__, "stopping": self.wiring.link.troubles}
             try:
                 sink.close(tables)
             except RecordingError as problem:
@@ -152,15 +152,16 @@ class Bench:
         with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
             self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
             stack.callback(link.close)
-            link.start()
-            pose, windup = standing(self.machine, self.model, link.exchange(self._still))
-            found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
-            self.commissioning = self.commissioning or tuple(found)
             try:
+                link.start()
+                pose, windup = standing(self.machine, self.model, link.exchange(self._still))
+                found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
+                self.commissioning = self.commissioning or tuple(found)
                 yield
             except Exception as error:
-                for trouble in link.stop_trouble:  # `close` will stop once more and have no trouble with what is stopped by then
-                    error.add_note(f"stopping the motors ran into {trouble}")
+                if link.troubles:
+                    more = f" and {len(link.troubles) - 1} more" if len(link.troubles) > 1 else ""
+                    error.add_note(f"stopping the motors ran into {link.troubles[0]}{more}")
                 raise
 
     def _take_hold(self) -> None:

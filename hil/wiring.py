@@ -40,7 +40,18 @@ class HeedingMachine(CanMachine):
         self, stop_request: StopRequest, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None, io: Io | None
     ) -> None:
         super().__init__(settings, bus, clock, imu, io)
+        self.troubles: list[str] = []  # what stopping ran into since the last start: a second stop has none with what is stopped by then
         self._stop_request = stop_request
+
+    def start(self) -> None:
+        """See `CanMachine`."""
+        self.troubles = []
+        super().start()
+
+    def stop(self) -> None:
+        """See `CanMachine`; what goes wrong is kept in `troubles`."""
+        super().stop()
+        self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
 
     def exchange(self, command: np.ndarray) -> Sample:
         """One tick, unless somebody has asked to stop: then the motors are, and LoopAborted says who asked."""
@@ -54,7 +65,7 @@ class HeedingMachine(CanMachine):
 class Wiring:
     """A machine link and the clock it ticks by."""
 
-    link: CanMachine
+    link: HeedingMachine
     clock: LockstepClock | WallClock
     lockstep: bool
     truth: TruthLog | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import can
 import numpy as np
 import pytest
 from bench_machines import CARM, LosingBus, edited
@@ -181,6 +182,39 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
     assert recording.rows == kept > 256
     assert np.flatnonzero(recording.channel("position_roll").missing).tolist() == list(range(kept - 4, kept))
     assert not out.with_name("run.mf4.part").exists()
+
+
+def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_into_and_the_rows_are_kept(isocenter, monkeypatch, out):
+    part = out.with_name("run.mf4.part")
+
+    class Breaking(LosingBus):
+        def send(self, message, timeout=None):
+            if part.exists() and part.stat().st_size > 200_000:
+                raise can.CanOperationError("the interface went down")
+            super().send(message, timeout)
+
+    monkeypatch.setattr("hil.wiring.LockstepBus", Breaking)
+    stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
+    assert stopped.status == 1 and stopped.line.count("the interface went down") == 2
+    assert "stopping the motors ran into quick stop" in stopped.line
+    recording = read_recording(out)
+    assert recording.rows > 256 and not part.exists()
+    assert any("closing the brakes" in trouble or "disabling voltage" in trouble for trouble in recording.metadata["ended"]["stopping"])
+
+
+def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch, out):
+    out.mkdir()
+    part = out.with_name("run.mf4.part")
+
+    class Failing(LosingBus):
+        def recv(self, timeout=None):
+            self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
+            return super().recv(timeout)
+
+    monkeypatch.setattr("hil.wiring.LockstepBus", Failing)
+    stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
+    assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
+    assert "rows are kept in run.mf4.part" in stopped.line and read_recording(part).rows > 256
 
 
 OUTS = {

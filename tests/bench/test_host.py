@@ -1,0 +1,63 @@
+"""What the bench asks of its host: a real-time scheduler for a while, and where the emulator on this host has its ports."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hil.realtime import real_time
+from hil.rendezvous import EmulatorCard, find, published
+
+BUS = "udp:239.74.163.77"
+
+
+@pytest.fixture(autouse=True)
+def own_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+def test_an_emulators_ports_are_found_by_its_bus_as_long_as_it_lives():
+    card = EmulatorCard(BUS, os.getpid(), "/dev/pts/7", "tcp:127.0.0.1:5020")
+    assert find(BUS) is None
+    with published(card):
+        assert find(BUS) == card
+        assert find("udp:239.74.163.78") is None
+    assert find(BUS) is None
+
+
+def test_the_card_of_an_emulator_that_was_killed_is_not_believed():
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    with published(EmulatorCard(BUS, dead.pid, "/dev/pts/7", "")):
+        assert find(BUS) is None
+
+
+def test_a_damaged_card_is_no_card(tmp_path):
+    with published(EmulatorCard(BUS, os.getpid(), "", "")):
+        (path,) = tmp_path.glob("*/*.json")
+        path.write_text('{"bus": 1')
+        assert find(BUS) is None
+
+
+def test_real_time_is_given_back_and_garbage_is_collected_again():
+    before = os.sched_getscheduler(0)
+    with real_time() as granted:
+        assert not gc.isenabled()
+        assert str(granted).startswith(("SCHED_FIFO 50", "default scheduler"))
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == (granted.scheduler == "SCHED_FIFO 50")
+    assert gc.isenabled() and gc.get_freeze_count() == 0 and os.sched_getscheduler(0) == before
+
+
+def test_real_time_that_is_not_wanted_is_not_asked_for():
+    with real_time(wanted=False) as granted:
+        assert granted.scheduler == "default scheduler" and not granted.memory_locked
+
+
+def test_a_loop_that_fails_gives_everything_back_too():
+    with pytest.raises(ZeroDivisionError), real_time():
+        _ = 1 / 0
+    assert gc.isenabled() and os.sched_getscheduler(0) == os.SCHED_OTHER
