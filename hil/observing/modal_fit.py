@@ -24,7 +24,10 @@ LOWEST_Hz = 1.0
 """Lines below are left out: there gravity and friction, which are disturbances to the observer, bend the rigid response."""
 
 MOST_LINES = 200
-"""At least so many lines are used, where there are so many: evenly thinned, a fit takes a second and not ten."""
+"""More lines are thinned evenly: a fit takes a second and not ten."""
+
+START_DAMPING = 0.015
+"""ζ to start from: light, as welded structures have."""
 
 MODEL_SHARE = 0.01
 """A response is not trusted to better than this share of itself: the modal model's own error away from resonances, so that a few very
@@ -32,6 +35,9 @@ well measured lines do not decide the fit."""
 
 PEAK_PROMINENCE = 0.5
 """Of the logarithm of the largest singular value, for a peak to count as a mode: 60 % above its surroundings."""
+
+SNAP_OCTAVES = 0.4
+"""How far a mode may have moved from one pose to the next for a peak to be taken for it: 30 %."""
 
 TURN_LENGTH_m = 0.3
 """What a turn of the detector is compared with a shift by when a shape is scaled to 1: half its size."""
@@ -68,7 +74,7 @@ class _Problem:
         self.axes = len(response.input_names)
         self.chain, self.sensors = chain, sensors
         keep = np.flatnonzero(response.frequencies_Hz >= LOWEST_Hz)
-        keep = keep[:: max(1, len(keep) // MOST_LINES)]
+        keep = keep[:: -(-len(keep) // MOST_LINES)]
         self.f = response.frequencies_Hz[keep]
         if len(self.f) < 20:
             raise UnusableInput(f"only {len(self.f)} lines at or above {LOWEST_Hz:g} Hz; a modal model needs 20 and better a hundred")
@@ -138,36 +144,55 @@ class _Problem:
         return table
 
     def solve(self, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted residual, real and imaginary parts apart, and the unknowns (unknowns, n_u)."""
+        """Weighted residual, real and imaginary parts apart, and the unknowns (unknowns, n_u).
+
+        Normal equations gathered group by group: an encoder knows nothing of the other channels' shapes.
+        """
         table = self.regressors(poles)
+        count = table.shape[2]
+        groups = [(rows, columns, table[:, rows][:, :, columns]) for rows, columns in self._groups(count)]
         residuals, unknowns = [], []
         for u in range(self.G.shape[2]):
-            weight = self.weight[:, :, u]
-            system = (table * weight[:, :, None]).reshape(-1, table.shape[2])
-            target = (self.G[:, :, u] * weight).ravel()
-            system, target = np.concatenate((system.real, system.imag)), np.concatenate((target.real, target.imag))
-            size = np.linalg.norm(system, axis=0)
-            size[size == 0.0] = 1.0
-            scaled = system / size
-            gram = scaled.T @ scaled
-            found = np.linalg.solve(gram + 1e-12 * np.eye(len(gram)), scaled.T @ target)
-            residuals.append(target - scaled @ found)
-            unknowns.append(found / size)
+            gram, right, parts = 1e-300 * np.eye(count), np.zeros(count), []
+            for rows, columns, part in groups:
+                weight = self.weight[:, rows, u]
+                system = (part * weight[:, :, None]).reshape(-1, len(columns))
+                target = (self.G[:, rows, u] * weight).ravel()
+                system, target = np.concatenate((system.real, system.imag)), np.concatenate((target.real, target.imag))
+                gram[np.ix_(columns, columns)] += system.T @ system
+                right[columns] += system.T @ target
+                parts.append((columns, system, target))
+            size = np.sqrt(np.diag(gram))
+            found = np.linalg.solve(gram / np.outer(size, size) + 1e-12 * np.eye(count), right / size) / size
+            residuals += [target - system @ found[columns] for columns, system, target in parts]
+            unknowns.append(found)
         return np.concatenate(residuals), np.column_stack(unknowns)
 
-    def fit(self, frequencies: np.ndarray) -> np.ndarray:
-        """Poles from starting frequencies [Hz]: ω², 2ζω of every mode, then stiffness and damping of the rigid axes."""
+    def _groups(self, count: int) -> list[tuple[list[int], list[int]]]:
+        """Channels that share unknowns, and the columns of those."""
+        n, width = self.axes, 2 * self.axes + 6 * len(self.sensors)
+        firsts = range(0, count - n, width)
+        rigid = list(range(count - n, count))
+        groups = [([k], [first + k for first in firsts] + [rigid[k % n]]) for k in range(2 * n)]
+        for s in range(len(self.sensors)):
+            place = range(2 * n + 6 * s, 2 * n + 6 * s + 6)
+            groups.append((list(place), [first + j for first in firsts for j in place] + rigid))
+        return groups
+
+    def fit(self, frequencies: np.ndarray, damping_ratios: np.ndarray | None = None) -> np.ndarray:
+        """Poles from starting frequencies [Hz] and damping: ω², 2ζω of every mode, then stiffness and damping of the rigid axes."""
         omega, modes = 2.0 * np.pi * frequencies, len(frequencies)
         scale = np.concatenate((np.column_stack((omega**2, omega)).ravel(), np.tile([1.0, 1.0], self.axes)))
-        start = np.concatenate((np.tile([1.0, 0.03], modes), np.tile([0.1, 0.2], self.axes)))
+        damping = np.full(modes, START_DAMPING) if damping_ratios is None else np.clip(damping_ratios, 1e-3, 0.15)
+        start = np.concatenate((np.column_stack((np.ones(modes), 2.0 * damping)).ravel(), np.tile([0.1, 0.2], self.axes)))
         low = np.concatenate((np.tile([0.8, 1e-4], modes), np.tile([-40.0, 0.0], self.axes)))
         high = np.concatenate((np.tile([1.25, 0.4], modes), np.tile([40.0, 20.0], self.axes)))
-        solved = optimize.least_squares(lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", max_nfev=20)
+        solved = optimize.least_squares(lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", ftol=1e-5, max_nfev=20)
         return solved.x * scale
 
 
 def fit_pose(
-    response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...], modes: int, start_Hz: np.ndarray | None = None
+    response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...], modes: int, near: PoseFit | None = None
 ) -> PoseFit:
     """Fit one pose.
 
@@ -177,8 +202,8 @@ def fit_pose(
         From the axes' commands to motor sides, link sides and the sensors' channels, in this order.
     modes : int
         How many to look for.
-    start_Hz : (modes,) array, optional
-        Where to look; the most prominent peaks unless given.
+    near : PoseFit, optional
+        A pose nearby whose poles to start from; the most prominent peaks unless given.
 
     Raises
     ------
@@ -186,8 +211,13 @@ def fit_pose(
         Fewer peaks than modes, or a fit that runs off.
     """
     problem = _Problem(response, chain, sensors)
-    frequencies = peaks_Hz(problem, problem.G, modes) if start_Hz is None else np.asarray(start_Hz, float)
-    poles = problem.fit(frequencies)
+    if near is None:
+        frequencies = peaks_Hz(problem, problem.G, modes)
+        poles = problem.fit(frequencies)
+    else:
+        omega = np.sqrt(near.stiffness)
+        frequencies = _snapped(omega / (2.0 * np.pi), peaks_Hz(problem, problem.G, modes))
+        poles = problem.fit(frequencies, near.damping / (2.0 * omega))
     while len(frequencies) < modes:  # the next one stands out of what the others leave
         left = problem.G - problem.regressors(poles) @ problem.solve(poles)[1]
         frequencies = np.append(np.sqrt(poles[: 2 * len(frequencies) : 2]) / (2.0 * np.pi), peaks_Hz(problem, left, 1, poles))
@@ -241,6 +271,18 @@ def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | N
         )
     best = found[np.argsort(details["prominences"])[::-1][:modes]]
     return np.sort(problem.f[best])
+
+
+def _snapped(frequencies: np.ndarray, peaks: np.ndarray) -> np.ndarray:
+    """Each peak gives its place to the frequency it is nearest to, in octaves; frequencies that no peak claims stay."""
+    moved = frequencies.copy()
+    away = np.full(len(frequencies), SNAP_OCTAVES)
+    for peak in peaks:
+        octaves = np.abs(np.log2(frequencies / peak))
+        nearest = int(np.argmin(octaves))
+        if octaves[nearest] < away[nearest]:
+            moved[nearest], away[nearest] = peak, octaves[nearest]
+    return moved
 
 
 def _rank_one(residue: np.ndarray, sensors: tuple[InertialSensor, ...]) -> tuple[np.ndarray, np.ndarray]:

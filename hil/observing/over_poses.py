@@ -89,11 +89,9 @@ def _fits(
     order = np.argsort(np.linalg.norm(poses - np.median(poses, axis=0), axis=1), kind="stable")
     done: list[PoseFit] = []
     for index in order:
-        fit = fit_pose(responses[index], chain, sensors, modes)
-        if done:
-            near = min(done, key=lambda other: float(np.linalg.norm(other.pose - fit.pose)))
-            fit = _aligned(fit, near)
-        done.append(fit)
+        near = min(done, key=lambda other: float(np.linalg.norm(other.pose - poses[index]))) if done else None
+        fit = fit_pose(responses[index], chain, sensors, modes, near)
+        done.append(fit if near is None else _aligned(fit, near))
     return tuple(sorted(done, key=lambda fit: tuple(fit.pose)))
 
 
