@@ -50,7 +50,7 @@ CONDITIONS: tuple[Conditions, ...] = ((1.0, 8), (0.25, 8), (0.6, 8), (2.5, 8), (
 
 
 def loop_at(pose: float):
-    return two_mode_loop(frequencies_Hz=(3.0 + 0.01 * pose, 7.0), damping=(0.5, 0.5))
+    return two_mode_loop(frequencies_Hz=(3.0 + 0.003 * pose, 7.0), damping=(0.5, 0.5), lag=0.5)
 
 
 @dataclass(frozen=True)
@@ -143,10 +143,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification_coverage.json")
     parser.add_argument("--draws", type=int, default=500)
+    parser.add_argument("--methods", default=",".join(METHODS), help="those to run, separated by commas")
     arguments = parser.parse_args()
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     report = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
-    for name in METHODS:
+    for name in arguments.methods.split(","):
         for scale, periods in CONDITIONS:
             key = f"{name}, noise x {scale:g}, P = {periods}, {arguments.draws} draws"
             if key not in report:

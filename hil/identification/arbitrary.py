@@ -93,7 +93,7 @@ def arbitrary_local(
     responses = []
     for records, window in zip(records_of_poses, windows, strict=True):
         orders = local_orders(model, over_poses, window)
-        fits = _fit(z[window.poses], w[window.poses], window.offsets, bins, model, *orders)
+        fits = _fit(z[window.poses], w[window.poses], window.offsets, bins, model, *orders, n_y=records.outputs.shape[2])
         responses.append(_response(records, bins, T, fits, model))
     return tuple(responses)
 
@@ -106,10 +106,11 @@ def _fit(
     model: LocalModel,
     numerator: tuple[int, ...],
     denominator: tuple[int, ...],
+    n_y: int,
 ) -> LocalFits:
     k, R, available, n_z = z.shape
     n_u = w.shape[3]
-    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_z + k * R * (model.transient + 1)
+    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_y + k * R * (model.transient + 1)
     per_line = k * R
     n = half_width(model, unknowns, per_line, n_z, available - 1)
     start = np.clip(bins - n, 1, available - 2 * n - 1)  # bin 0 holds the means, which are no response
@@ -133,6 +134,7 @@ def _fit(
         w.reshape(-1, n_u),
         z.reshape(-1, n_z),
         own_transient.reshape(B, rows.shape[1], -1),
+        n_y,
     )
 
 

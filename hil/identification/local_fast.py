@@ -121,7 +121,7 @@ def fit_pose(
     """Local fits at every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u)."""
     k, R, L, n_z = z.shape
     n_u = w.shape[3]
-    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_z
+    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * records.n_outputs
     n = half_width(model, unknowns, k * R, n_z, L)
     lines, z, w, first = _with_images(records, z, w, n) if model.border == "periodic" else (records.lines, z, w, 0)
     here = first + np.arange(L)
@@ -135,7 +135,7 @@ def fit_pose(
     coordinates[..., 0] = psi[:, None, None, :]
     coordinates[..., 1:] = pose_offsets[None, :, None, None, :]
     coordinates = coordinates.reshape(L, rows.shape[1], -1)
-    return local_regression(rows, coordinates, numerator, denominator, w.reshape(-1, n_u), z.reshape(-1, n_z))
+    return local_regression(rows, coordinates, numerator, denominator, w.reshape(-1, n_u), z.reshape(-1, n_z), n_y=records.n_outputs)
 
 
 def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

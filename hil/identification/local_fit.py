@@ -3,7 +3,7 @@
 One problem per centre (line, pose and record). With phi the numerator's basis, psi the denominator's (both without unit), w and z the rows
 of the excitation and the closed-loop outputs inside the window, the unknowns N and D of
 
-    z_i^T = sum_a phi_ia w_i^T N_a^T - sum_d psi_id z_i^T D_d^T + w_i^T N_0^T + residual,       (3.30), (3.41), (4.47), (4.51)
+    z_i^T = sum_a phi_ia w_i^T N_a^T - sum_d psi_id y_i^T D_d^T + w_i^T N_0^T + residual,       (3.30), (3.41), (4.47), (4.51)
 
 are found by modified Gram-Schmidt on scaled columns, (4.37). Only N_0, its share of (K^H K)^-1 and the residuals' products are wanted, so
 its columns come last: what the elimination leaves behind are they. Problems are worked on LANES at a time, side by side in memory, so that
@@ -46,6 +46,7 @@ def local_fits(
     w: np.ndarray,
     z: np.ndarray,
     extra: np.ndarray | None = None,
+    n_y: int | None = None,
 ) -> LocalFits:
     """Fit the local model at every centre.
 
@@ -56,6 +57,9 @@ def local_fits(
     denominator : (1 or B, n, d) basis of the denominator without its unit; d = 0 gives the polynomial method.
     w : (rows, n_w) excitation spectrum. z : (rows, n_z) output spectrum.
     extra : (1 or B, n, x) further real columns, e.g. transients of arbitrary excitations.
+    n_y : how many of z's columns, the first ones, the denominator takes; None takes all. In closed loop these are the plant's outputs.
+        u = w - C y adds no pole to them, and with C changing over the window it would add r u + C r y, which is r^2 y: a regressor that
+        explains the outputs' own noise and halves its estimate.
     """
     centres, n = rows.shape
     if extra is None:
@@ -63,21 +67,22 @@ def local_fits(
     bases = tuple(np.ascontiguousarray(basis, dtype=float) for basis in (numerator, denominator, extra))
     w, z = np.ascontiguousarray(w, complex), np.ascontiguousarray(z, complex)
     n_w, n_z = w.shape[1], z.shape[1]
+    n_y = n_z if n_y is None else n_y
     response = np.empty((centres, n_z, n_w), complex)
     inverse_gram = np.empty((centres, n_w, n_w), complex)
     residual_products = np.empty((centres, n_z, n_z), complex)
     dof = np.empty(centres, np.int64)
-    _fit_all(np.ascontiguousarray(rows), bases, w, z, response, inverse_gram, residual_products, dof)
+    _fit_all(np.ascontiguousarray(rows), bases, w, z, n_y, response, inverse_gram, residual_products, dof)
     return LocalFits(response, inverse_gram, residual_products, dof)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fit_all(rows, bases, w, z, response, inverse_gram, residual_products, dof):  # type: ignore[no-untyped-def]
+def _fit_all(rows, bases, w, z, n_y, response, inverse_gram, residual_products, dof):  # type: ignore[no-untyped-def]
     numerator, denominator, extra = bases
     centres, n = rows.shape
     n_w, n_z = w.shape[1], z.shape[1]
     a, d, x = numerator.shape[2], denominator.shape[2], extra.shape[2]
-    unknowns = a * n_w + d * n_z + x + n_w
+    unknowns = a * n_w + d * n_y + x + n_w
     re = np.zeros((unknowns + n_z, n, LANES))
     im = np.zeros((unknowns + n_z, n, LANES))
     scale = np.empty((unknowns, LANES))
@@ -89,7 +94,7 @@ def _fit_all(rows, bases, w, z, response, inverse_gram, residual_products, dof):
         for lane in range(LANES):
             centre = first + min(lane, used - 1)
             _fill(re, im, lane, rows[centre], numerator[centre % len(numerator)], denominator[centre % len(denominator)],
-                  extra[centre % len(extra)], w, z)  # fmt: skip
+                  extra[centre % len(extra)], w, z, n_y)  # fmt: skip
         _scale_columns(re, im, unknowns, scale)
         _eliminate(re, im, unknowns, n_w, n_z, upper_re, upper_im, length, rank)
         for lane in range(used):
@@ -98,11 +103,11 @@ def _fit_all(rows, bases, w, z, response, inverse_gram, residual_products, dof):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fill(re, im, lane, rows, numerator, denominator, extra, w, z):  # type: ignore[no-untyped-def]
+def _fill(re, im, lane, rows, numerator, denominator, extra, w, z, n_y):  # type: ignore[no-untyped-def]
     """Columns in the order numerator, denominator, extra, N_0, targets."""
     n_w, n_z = w.shape[1], z.shape[1]
     a, d, x = numerator.shape[1], denominator.shape[1], extra.shape[1]
-    behind = a * n_w + d * n_z + x
+    behind = a * n_w + d * n_y + x
     for i in range(len(rows)):
         row = rows[i]
         for j in range(n_w):
@@ -114,9 +119,9 @@ def _fill(re, im, lane, rows, numerator, denominator, extra, w, z):  # type: ign
             im[behind + j, i, lane] = value.imag
         for j in range(n_z):
             value = z[row, j]
-            for b in range(d):
-                re[a * n_w + b * n_z + j, i, lane] = -denominator[i, b] * value.real
-                im[a * n_w + b * n_z + j, i, lane] = -denominator[i, b] * value.imag
+            for b in range(d if j < n_y else 0):
+                re[a * n_w + b * n_y + j, i, lane] = -denominator[i, b] * value.real
+                im[a * n_w + b * n_y + j, i, lane] = -denominator[i, b] * value.imag
             re[behind + n_w + j, i, lane] = value.real
             im[behind + n_w + j, i, lane] = value.imag
         for b in range(x):

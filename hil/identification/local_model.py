@@ -52,7 +52,7 @@ class LocalModel:
         return {"N_n": self.numerator, "N_m": self.transient, "N_d": self.denominator, "border": self.border}
 
 
-def transient_offsets(model: LocalModel, periods: int, n_z: int) -> np.ndarray:
+def transient_offsets(model: LocalModel, periods: int, n_y: int, n_z: int) -> np.ndarray:
     """Bins r of (3.29) round an excited bin: the nearest ones that no harmonic of the period occupies, strictly more than unknowns.
 
     Raises
@@ -64,14 +64,14 @@ def transient_offsets(model: LocalModel, periods: int, n_z: int) -> np.ndarray:
         raise IdentificationError(
             "one period has no bins between its lines to estimate a transient from: record two or more, or use an arbitrary method"
         )
-    unknowns = model.transient + 1 + n_z * model.denominator
+    unknowns = model.transient + 1 + n_y * model.denominator
     enough = unknowns // 2 + 1
     wanted = model.transient_window
     if wanted is None:
         wanted = max(periods - 1, (unknowns + n_z + 1) // 2)
     elif 2 * wanted <= unknowns:
         raise IdentificationError(
-            f"transient_window = {wanted}: {2 * wanted} bins for {unknowns} unknowns (N_m + 1 + n_z N_d, n_z = {n_z})"
+            f"transient_window = {wanted}: {2 * wanted} bins for {unknowns} unknowns (N_m + 1 + n_y N_d, n_y = {n_y})"
             f" leave no degree of freedom; transient_window = {enough} or more would do"
         )
     candidates = np.arange(1, 2 * wanted + 2)

@@ -11,7 +11,7 @@ from hil.identification.errors import IdentificationError
 from hil.identification.local_fit import LocalFits, local_fits
 from hil.identification.poses import monomials
 
-CENTRED = 1e-6  # of the window's half width: a mean offset below it counts as none
+CENTRED = 1e-6  # offsets are scaled to 1: a mean below it counts as none
 
 
 def local_regression(
@@ -22,38 +22,57 @@ def local_regression(
     w: np.ndarray,
     z: np.ndarray,
     extra: np.ndarray | None = None,
+    n_y: int | None = None,
 ) -> LocalFits:
     """Fit N and D of (4.39) as Taylor series in the coordinates round every centre.
-
-    With a rational model the residual is D v. Over a window that lies to one side of its centre D, which is one at the centre,
-    takes noise for dynamics and shrinks the residual (a factor of two in variance at the ends of the band, Remark 4.2). The residuals, and
-    they alone, are therefore taken from a second fit of the same data whose D is one at the window's mean.
 
     Parameters
     ----------
     rows : (B, n) rows of w and z in each window.
     coordinates : (B, n, 1 + m) offset of each row from the centre: line, scheduling parameters.
     numerator, denominator : 1 + m orders each.
-    w, z, extra : as in `hil.identification.local_fit.local_fits`.
+    w, z, extra, n_y : as in `hil.identification.local_fit.local_fits`.
     """
-    fits = local_fits(rows, monomials(coordinates, numerator), monomials(coordinates, denominator), w, z, extra)
-    if not any(denominator):
+    return fits_with_true_residuals(rows, monomials(coordinates, numerator), monomials(coordinates, denominator), w, z, extra, n_y)
+
+
+def fits_with_true_residuals(
+    rows: np.ndarray,
+    numerator: np.ndarray,
+    denominator: np.ndarray,
+    w: np.ndarray,
+    z: np.ndarray,
+    extra: np.ndarray | None = None,
+    n_y: int | None = None,
+) -> LocalFits:
+    """`hil.identification.local_fit.local_fits` with residuals that noise alone leaves at its own size.
+
+    With a rational model the residual is D v, and D is one at the centre. A column psi z of the denominator whose psi has a mean over the
+    window (a window to one side of its centre, Remark 4.2; any even order) is akin to z's own noise and takes it for dynamics: half the
+    variance is lost. The residuals, and they alone, are therefore taken from a second fit of the same data with psi less its mean, so
+    that D is one on average over the window.
+    """
+    fits = local_fits(rows, numerator, denominator, w, z, extra, n_y)
+    mean = denominator.mean(axis=1, keepdims=True)
+    if not (np.abs(mean) > CENTRED).any():
         return fits
-    mean = coordinates.mean(axis=1, keepdims=True)
-    lopsided = np.flatnonzero((np.abs(mean) > CENTRED).any(axis=(1, 2)))
-    if len(lopsided) == 0:
-        return fits
-    centred = coordinates[lopsided] - mean[lopsided]
+    shared = len(denominator) == 1
+    again = np.arange(len(rows)) if shared else np.flatnonzero((np.abs(mean) > CENTRED).any(axis=(1, 2)))
+
+    def chosen(basis: np.ndarray) -> np.ndarray:
+        return basis if len(basis) == 1 else basis[again]
+
     second = local_fits(
-        rows[lopsided],
-        monomials(centred, numerator),
-        monomials(centred, denominator),
+        rows[again],
+        chosen(numerator),
+        chosen(denominator - mean),
         w,
         z,
-        None if extra is None else extra[lopsided],
+        None if extra is None else chosen(extra),
+        n_y,
     )
     residual_products, dof = fits.residual_products.copy(), fits.dof.copy()
-    residual_products[lopsided], dof[lopsided] = second.residual_products, second.dof
+    residual_products[again], dof[again] = second.residual_products, second.dof
     return replace(fits, residual_products=residual_products, dof=dof)
 
 

@@ -59,11 +59,10 @@ def default_candidates(records: PeriodicRecords, poses: int = 1) -> tuple[Candid
     records : of one pose; they set how many equations a line gives. poses : how many poses there are along one scheduling parameter.
     """
     n_u = records.n_inputs
-    n_z = records.n_outputs + (0 if records.inputs is None else n_u)
     rows = records.realisations * records.experiments
     made = []
     for numerator, denominator in ((1, 0), (2, 0), (3, 0), (4, 0), (5, 0), (1, 1), (2, 1), (3, 1), (4, 1), (2, 2), (4, 2)):
-        unknowns = (numerator + 1) * n_u + denominator * n_z
+        unknowns = (numerator + 1) * n_u + denominator * records.n_outputs
         for stretch in (1.0, 1.5, 2.0, 3.0):
             n = smallest_half_width(int(stretch * (unknowns + 2)), rows)
             model = LocalModel(numerator, 2, denominator, plant_window=n)

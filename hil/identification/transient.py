@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.identification.errors import IdentificationError
-from hil.identification.local_fit import local_fits
 from hil.identification.local_model import LocalModel, powers, transient_offsets
+from hil.identification.local_regression import fits_with_true_residuals
 from hil.identification.records import PeriodicRecords
 from hil.identification.spectra import record_spectra
 
@@ -49,7 +49,7 @@ def steady_state(records: PeriodicRecords, model: LocalModel, lines: np.ndarray)
     """
     signals, periods, notes = complete_periods(records, model.skip_periods)
     n_z = sum(signal.shape[3] for signal in signals)
-    offsets = transient_offsets(model, periods, n_z)
+    offsets = transient_offsets(model, periods, records.n_outputs, n_z)
     beyond = int(offsets[-1])
     if beyond >= signals[0].shape[2] // 2:
         raise IdentificationError(f"a transient window of {len(offsets)} bins is wider than the spectrum of {signals[0].shape[2]} samples")
@@ -58,12 +58,13 @@ def steady_state(records: PeriodicRecords, model: LocalModel, lines: np.ndarray)
     centres = lines * periods + beyond
     rows = (np.arange(M * E)[:, None, None] * bins + (centres[:, None] + offsets)).reshape(-1, len(offsets))
     r = offsets / np.abs(offsets).max()
-    fits = local_fits(
+    fits = fits_with_true_residuals(
         rows,
         powers(r, model.transient)[None],
         powers(r, model.denominator)[None],
         np.ones((M * E * bins, 1), complex),
         spectra.reshape(M * E * bins, n_z),
+        n_y=records.n_outputs,
     )
     leverage = 1.0 + np.real(fits.inverse_gram[:, 0, 0])
     noise = fits.residual_products * (leverage / fits.dof)[:, None, None]

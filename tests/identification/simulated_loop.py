@@ -1,6 +1,6 @@
 """A small closed-loop machine simulated with NumPy alone: two inputs, three outputs, two of them fed back.
 
-    u = w - C y_fb,   y = G u + disturbance,   command k applied one tick later and held
+    u = w - K F(z) y_fb,   y = G u + disturbance,   command k applied one tick later and held, F a first-order lag
 
 It shares no code with the emulator or the estimators; its frequency responses come from its matrices.
 """
@@ -25,9 +25,10 @@ class Loop:
     gains: np.ndarray  # (2, 3) static feedback u = w - gains y
     cubic: float = 0.0  # of the second fed-back output, added to the first input's effort
     square: float = 0.0
+    lag: float = 0.0  # pole of the feedback's filter: a controller whose response changes over a local window
 
 
-def two_mode_loop(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), cubic=0.0, square=0.0, feedback=1.0) -> Loop:
+def two_mode_loop(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), cubic=0.0, square=0.0, feedback=1.0, lag=0.0) -> Loop:
     """Two lightly damped modes; outputs: a non-collocated acceleration and two collocated positions."""
     omega, zeta = 2 * np.pi * np.array(frequencies_Hz), np.array(damping)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.diag(omega**2), -np.diag(2 * zeta * omega)]])
@@ -44,7 +45,7 @@ def two_mode_loop(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), cubic=0.0, sq
     B1 = np.vstack((np.zeros((4, 2)), np.eye(2)))
     C1, D1 = np.hstack((C, D)), np.zeros((3, 2))
     gains = feedback * np.array([[0.0, 0.02, 0.0], [0.0, 0.0, 0.03]])
-    return Loop(A1, B1, C1, D1, gains, cubic, square)
+    return Loop(A1, B1, C1, D1, gains, cubic, square, lag)
 
 
 def plant_response(loop: Loop, frequencies_Hz: np.ndarray) -> np.ndarray:
@@ -57,16 +58,18 @@ def plant_response(loop: Loop, frequencies_Hz: np.ndarray) -> np.ndarray:
 def simulate(loop: Loop, excitation: np.ndarray, noise: np.ndarray, initial: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (T, 3) and commands (T, 2) for an excitation (T, 2) and measurement noise (T, 3) that is fed back with the outputs."""
     x = np.zeros(len(loop.A)) if initial is None else initial.astype(float)
-    return _march(loop.A, loop.B, loop.C, loop.gains, loop.cubic, loop.square, excitation, noise, x)
+    return _march(loop.A, loop.B, loop.C, loop.gains, loop.cubic, loop.square, loop.lag, excitation, noise, x)
 
 
 @njit
-def _march(A, B, C, gains, cubic, square, excitation, noise, x):
+def _march(A, B, C, gains, cubic, square, lag, excitation, noise, x):
     y, u = np.empty(noise.shape), np.empty(excitation.shape)
+    filtered = np.zeros(noise.shape[1])
     for k in range(len(excitation)):
         clean = C @ x
         y[k] = clean + noise[k]
-        u[k] = excitation[k] - gains @ y[k]
+        filtered = lag * filtered + (1.0 - lag) * y[k]
+        u[k] = excitation[k] - gains @ filtered
         effort = u[k].copy()
         effort[0] -= cubic * clean[2] ** 3 + square * clean[2] ** 2
         x = A @ x + B @ effort
