@@ -72,11 +72,12 @@ def test_ticks_whose_time_has_gone_by_are_skipped_counted_and_never_come_in_a_bu
     clock, start_s = ticking(watch)
     clock.wait_tick()
     watch.work(periods * PERIOD_S)
-    moments = []
+    moments, lateness = [], []
     for _ in range(5):
-        clock.wait_tick()
+        lateness.append(clock.wait_tick())
         moments.append((watch.now_s - start_s) / PERIOD_S)
     assert clock.missed == int(periods) - 1
+    assert lateness == pytest.approx([periods % 1 * PERIOD_S, 0, 0, 0, 0], abs=1e-5)  # against the tick that is served, not a skipped one
     assert moments[0] == pytest.approx(1 + periods, abs=0.01)  # at once
     assert moments[1:] == pytest.approx([int(periods) + 2 + n for n in range(4)], abs=0.01)  # one per period from then on
 

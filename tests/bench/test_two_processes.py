@@ -1,0 +1,75 @@
+"""Emulator and bench in two processes on the wall clock, over UDP multicast: it takes neither root nor a CAN driver (vcan: tests/vcan)."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_machines import CARM, read_truth
+
+from hil.recording import read_recording
+
+BUS = "udp:239.74.163.61"
+TIMEOUT_S = 120.0
+
+
+@pytest.fixture
+def patient_carm(tmp_path) -> Path:
+    """carm whose time-outs a machine busy with other things keeps; what is asserted here is behaviour, not speed."""
+    text = CARM.text
+    for key, value in {
+        "heartbeat_s": 1.0,
+        "master_heartbeat_s": 0.5,
+        "boot_timeout_s": 20.0,
+        "stale_after_s": 20.0,
+        "answer_timeout_s": '2.0\nanswers = "awaited"',
+        "overrun_ticks": 5000,
+        "stale_ticks": 64,
+    }.items():
+        text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
+        assert found, key
+    path = tmp_path / "patient.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says(patient_carm, tmp_path):
+    command = [sys.executable, "-m", "hil"]
+    truth, recorded = tmp_path / "truth.csv", tmp_path / "run.csv"
+    emulator = subprocess.Popen(
+        [*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--truth", str(truth), "--no-real-time"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert emulator.stdout is not None and emulator.stderr is not None
+        line = emulator.stdout.readline()
+        assert line, emulator.stderr.read()
+        ready = json.loads(line)
+        assert ready["ready"] == "carm" and ready["bus"] == BUS and ready["imu"] and ready["io"].startswith("tcp:127.0.0.1:")
+        run = [*command, "run", "static", "-m", str(patient_carm), "-b", BUS, "--pose", "roll=30", "--seconds", "1", "--no-real-time"]
+        done = subprocess.run([*run, "-o", str(recorded), "--json", "-"], capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        assert done.returncode == 0, done.stderr
+        (answer,) = json.loads(done.stdout)["recordings"]
+        assert (
+            answer["timing"]["ticks"] == 256 and answer["timing"]["lateness_max_us"] >= 0.0 and answer["timing"]["work_time_p99_us"] > 0.0
+        )
+    finally:
+        emulator.terminate()
+        said = emulator.communicate(timeout=TIMEOUT_S)
+    assert emulator.returncode == 0, said
+    recording = read_recording(recorded)
+    assert recording.rows == 256 and (recording["work_time"] > 0.0).all()
+    # the IMU's time stamps are the emulated machine's time, in steps of 0.1 ms: they say which row of the truth a row is
+    known = read_truth(truth)
+    rows = np.flatnonzero(~recording.channel("imu_time").missing & ~recording.channel("position_roll").missing)
+    assert len(rows) > 128
+    nearest = np.array([np.argmin(np.abs(known["time"] - time_s)) for time_s in recording["imu_time"][rows]])
+    assert np.abs(known["time"][nearest] - recording["imu_time"][rows]).max() < 2e-4
+    assert recording["position_roll"][rows] == pytest.approx(known["joint_position_roll"][nearest], abs=1e-4)
