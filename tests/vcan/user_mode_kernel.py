@@ -35,7 +35,6 @@ mkdir -p /dev/pts /dev/shm
 mount -t devpts devpts /dev/pts
 mount -t tmpfs tmpfs /dev/shm
 mount -t tmpfs tmpfs /run
-mount -t tmpfs tmpfs /tmp
 modules=/usr/lib/uml/modules/$(uname -r)/kernel
 for module in net/can/can net/can/can-raw net/can/can-bcm drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan; do
     insmod $modules/$module.ko
@@ -43,7 +42,8 @@ done
 ip link set lo up
 ip link add dev {interface} type vcan
 ip link set {interface} up
-export XDG_RUNTIME_DIR=/run {environment}
+mkdir -p /run/tmp
+export XDG_RUNTIME_DIR=/run TMPDIR=/run/tmp {environment}
 cd {folder}
 {command} > {result}/output 2>&1 < /dev/null
 echo $? > {result}/status.tmp
