@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import EffectsOption, MachineArgument, load
+from hil.cli.options import EffectsOption, MachineArgument, load, not_an_input
 from hil.cli.output import Answer, JsonOption
 
 RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
@@ -47,13 +47,14 @@ def simulate(
     from hil.recording import read_recording, write_recording
     from hil.simulation import simulate as run_simulation
 
+    not_an_input(out, recording)
     machine = load(machine_name, effects)
     measured = read_recording(recording, machine)
     simulated = run_simulation(machine, measured)
     write_recording(simulated, out)
     answer = Answer(json_to)
     added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.plant.effects) or "nothing"
-    answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}, added to the machine file: {added}")
+    answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
     answer.write({"simulation": out, "rows": len(simulated.time), "effects": [vars(effect) for effect in machine.plant.effects]})
 
 
@@ -86,6 +87,7 @@ def convert(
     """Same channels, another file."""
     from hil.recording import convert as convert_recording
 
+    not_an_input(target, source)
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     recording = convert_recording(source, target, machine, _channel_names(mapping, source))

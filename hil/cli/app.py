@@ -77,7 +77,8 @@ def _warnings_in_one_line() -> Iterator[None]:
 def _say_usage(error: Any) -> int:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "isocenter"
-    if not error.format_message():  # a group without a command has shown its help instead
+    if type(error).__name__ == "NoArgsIsHelpError":  # a group without a command: its message is its whole help
+        print(error.format_message(), file=sys.stderr)
         return 2
     command = where.removeprefix("isocenter").strip()
     return _say(f"{command + ': ' if command else ''}{error.format_message()} (see {where} --help)", 2)

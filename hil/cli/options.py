@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.errors import ExperimentError
+from hil.errors import ExperimentError, UnusableInput
 
 if TYPE_CHECKING:
     from hil.machine import Machine
@@ -84,3 +85,44 @@ def parse_pose(text: str, machine: Machine) -> dict[str, float]:
             raise ExperimentError(f"--pose {text}: {machine.name} has no axis {axis!r}; it has {', '.join(machine.axes)}")
         pose[axis] = value * edge_scale(machine, axis)
     return pose
+
+
+def not_an_input(out: Path, *inputs: Path) -> None:
+    """Refuse to write over what is read.
+
+    Raises
+    ------
+    UnusableInput
+        `out` is one of the inputs.
+    """
+    for path in inputs:
+        if out.exists() and path.exists() and out.samefile(path):
+            raise UnusableInput(f"{out}: is read by this command; write to another file")
+
+
+def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
+    """Refuse a place that cannot be written to before the work is done, not after.
+
+    Raises
+    ------
+    UnusableInput
+        The folder does not exist, or the suffix is none of `suffixes`.
+    """
+    for path in paths:
+        if path is None:
+            continue
+        if not path.absolute().parent.is_dir():
+            raise UnusableInput(f"{path}: there is no folder {path.parent}; make it first")
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise UnusableInput(f"{path}: must end in {', '.join(suffixes)}")
+
+
+def keep_earlier(path: Path) -> str:
+    """Move a recording that is already there aside, and say so; "" where there is none. What was recorded is never written over."""
+    if not path.exists():
+        return ""
+    aside = next(kept for n in itertools.count(1) if not (kept := path.with_name(f"{path.stem}.earlier{n}{path.suffix}")).exists())
+    path.rename(aside)
+    if path.with_suffix(".toml").exists() and path.suffix == ".csv":
+        path.with_suffix(".toml").rename(aside.with_suffix(".toml"))
+    return f"{path} was there already; it is now {aside.name}"

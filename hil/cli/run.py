@@ -18,7 +18,9 @@ from hil.cli.options import (
     NominalPeriodOption,
     PoseOption,
     RealTimeOption,
+    can_be_written,
     edge_scale,
+    keep_earlier,
     load,
     parse_pose,
 )
@@ -294,17 +296,21 @@ def _run(
     answer = Answer(json_to)
     for note in dict.fromkeys((*notes, *(note for plan in plans for note in plan.notes))):
         answer.say(note)
+    paths = recording_paths(out, plans)
+    can_be_written(*paths, frame_log, truth)
     options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, real_time=real_time)
     records: list[dict[str, Any]] = []
     with open_bench(machine, options, plans[0].start_pose) as bench:
         with progress(answer.console) as bars:
-            for plan, path in zip(plans, recording_paths(out, plans), strict=True):
+            for plan, path in zip(plans, paths, strict=True):
+                if kept := keep_earlier(path):
+                    answer.say(kept)
                 task = bars.add_task(path.name, total=plan.rows)
                 timing = bench.run(plan, path, follower(bars, task))
                 bars.update(task, completed=plan.rows)
                 records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary()})
         scheduling = str(bench.scheduling)
-    answer.say(f"{machine.name} on {bus}: {scheduling}")
+    answer.say(f"{machine.name} on {bus} ({scheduling})")
     for record in records:
         timing_table = record["timing"]
         line = f"{record['recording']}: {timing_table['ticks']} rows"

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hil.demo.story import Story
 
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey
-BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#999999"
-EXCERPT_S = 4.0
+BLUE, VERMILION, ORANGE, GREY = "#0072B2", "#D55E00", "#E69F00", "#999999"
+EXCERPT_S = 1.5
 
 
 def experiment_figure(story: Story) -> Figure:
@@ -32,11 +32,11 @@ def experiment_figure(story: Story) -> Figure:
             time_s, np.degrees(recording.channel(f"reference_{axis}").values[last]), color="black", lw=0.9, ls="--", label="reference"
         )
         below.plot(time_s, recording.channel(f"current_{axis}").values[last], color=BLUE, lw=0.5, label="current")
-        below.plot(time_s, recording.channel(f"excitation_{axis}").values[last], color=VERMILION, lw=0.4, alpha=0.8, label="excitation")
+        below.plot(time_s, recording.channel(f"excitation_{axis}").values[last], color=ORANGE, lw=0.4, label="excitation")
         above.set_title(axis)
         below.set_xlabel("Time in the period [s]")
         above.legend(frameon=False, loc="upper right")
-        below.legend(frameon=False, loc="upper right")
+        below.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
     grid[0, 0].set_ylabel("Angle [deg]")
     grid[1, 0].set_ylabel("Motor current [A]")
     return figure
@@ -61,7 +61,7 @@ def friction_figure(story: Story) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
     name = "current_roll"
     for label, source, colour, width in (
-        ("recorded", recording, "black", 1.6),
+        ("recorded", recording, "black", 2.4),
         ("simulated, machine file as it is", story.nominal, VERMILION, 0.9),
         ("simulated with the friction", story.with_friction, BLUE, 0.9),
     ):
@@ -69,12 +69,13 @@ def friction_figure(story: Story) -> Figure:
     left.axvline(time_s[reversal], color=GREY, lw=0.8, ls=":")
     left.set_xlabel("Time [s], dotted: the jog reverses")
     left.set_ylabel("Roll current [A]")
-    left.legend(frameon=False, fontsize="small")
+    left.legend(frameon=False, fontsize="small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     for label, source, colour in (("machine file as it is", story.nominal, VERMILION), ("with the friction", story.with_friction, BLUE)):
         missed = _smoothed(recording.channel(name).values - source.channel(name).values, round(rate / 4.0))
         right.plot(speed[::8], missed[::8], ".", ms=1.5, color=colour, label=label)
     right.set_xlabel("Reference speed of roll [deg/s]")
     right.set_ylabel("Recorded minus simulated [A]\n(0.25 s mean)")
+    right.locator_params(axis="x", nbins=5)
     right.legend(frameon=False, fontsize="small", markerscale=6)
     return figure
 
@@ -93,7 +94,7 @@ def nrmse_figure(story: Story) -> Figure:
     axes.set_yscale("log")
     axes.set_xticks(at, names, rotation=35, ha="right", fontsize="small")
     axes.set_ylabel("NRMSE [%]")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 

@@ -12,7 +12,7 @@ from hil.identification.result import FrequencyResponse
 def response_lines(response: FrequencyResponse) -> list[str]:
     """What a person wants to know first: lines, band, and per element how large noise and nonlinear distortion are."""
     frequencies = response.frequencies_Hz
-    text = [f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz, {len(response.notes)} notes"]
+    text = [f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz"]
     text += [f"note: {note}" for note in response.notes]
     text.append("median standard deviation relative to |G| (noise / total):")
     for i, output in enumerate(response.output_names):
