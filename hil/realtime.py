@@ -24,7 +24,7 @@ class Scheduling:
     memory_locked: bool
 
     def __str__(self) -> str:
-        return f"{self.scheduler}, memory {'locked' if self.memory_locked else 'not locked'}"
+        return f"{self.scheduler}, memory locked" if self.memory_locked else self.scheduler
 
 
 @contextlib.contextmanager

@@ -27,15 +27,16 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
     from drivers.bus_url import open_bus
     from drivers.canopen.scan import scan_bus as scan
     from hil.clock import WallClock
+    from hil.errors import BadAnswer
 
     answer = Answer(json_to)
     with open_bus(bus, bitrate) as wire:
         nodes = scan(wire, WallClock())
     for node in nodes:
         answer.say(str(node))
-    if not nodes:
-        answer.say(f"{bus}: nobody answers")
     answer.write({"bus": bus, "nodes": [vars(node) for node in nodes]})
+    if not nodes:
+        raise BadAnswer(f"{bus}: nobody answers; is the machine on, or `isocenter emulate` ready, at {bitrate} bit/s?")
 
 
 def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: IoOption = "", json_to: JsonOption = None) -> None:
