@@ -182,7 +182,7 @@ def test_scan_bus_finds_two_devices_with_one_id(isocenter):
 
 def test_scan_bus_says_when_nobody_answers(isocenter):
     scanned = isocenter("scan-bus", "--bus", "virtual:empty")
-    assert scanned.status == 0 and "virtual:empty: nobody answers" in scanned.out
+    assert scanned.status == 1 and "virtual:empty: nobody answers" in scanned.line
 
 
 def test_what_a_reader_of_recordings_warns_of_is_one_line(isocenter, recorded, tmp_path):
