@@ -132,7 +132,8 @@ class Bench:
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
                 self.wiring.link.close_brakes(self._holding())
-            tables["timing"] = timing.summary()
+            if not self.wiring.lockstep:
+                tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()
         except BaseException as error:
             self.wiring.pause_truth()
@@ -267,6 +268,8 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
             io_stale_s=io.stale_after_s if io is not None else np.inf,
             overrun_ticks=machine.overrun_ticks,
             stale_ticks=machine.stale_ticks,
+            braked=[wiring.link.has_brake(axis) for axis in range(len(machine.axes))],
+            timed=not lockstep,
             stop_request=stop_request,
         )
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(machine, model, wiring))

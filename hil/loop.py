@@ -5,6 +5,7 @@ Nothing in a tick allocates, logs, prints or waits for anything but the next tic
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -84,6 +85,9 @@ class LoopTiming:
         return table
 
 
+_UNTIMED = (0.0, math.nan, math.nan)
+
+
 @dataclass
 class SampleLoop:
     """One machine, one feedback, one row layout.
@@ -106,6 +110,10 @@ class SampleLoop:
         Age of the I/O's state at which the motors are stopped.
     overrun_ticks, stale_ticks : int
         Ticks lost at once, and ticks in a row without a position, that are bridged; more stop the motors.
+    braked : sequence of bool
+        Which axes have a brake that the I/O reports: open throughout a run.
+    timed : bool
+        False in lockstep: work and answer times are those of the host, and are left out of the rows so that runs repeat bit for bit.
     """
 
     link: MachineLink
@@ -117,6 +125,8 @@ class SampleLoop:
     io_stale_s: float
     overrun_ticks: int
     stale_ticks: int
+    braked: Sequence[bool] = ()
+    timed: bool = True
     stop_request: StopRequest = field(default_factory=StopRequest)
 
     def __post_init__(self) -> None:
@@ -160,7 +170,8 @@ class SampleLoop:
                 answer[k] = sample.arrived_s - self.clock.tick_began_s
                 done = k + 1
                 if sink is not None:
-                    self.layout.fill(self._row, k, sample, plan, self.command, (lateness[k], work[k], answer[k]))
+                    timing_s = (lateness[k], work[k], answer[k]) if self.timed else _UNTIMED
+                    self.layout.fill(self._row, k, sample, plan, self.command, timing_s)
                     sink.put(self._row)
                 if reason:
                     kept = f"row {k}: {reason}; the motors were stopped and {done} rows are kept"
@@ -203,6 +214,9 @@ class SampleLoop:
         if self.guard_io:
             if not sample.hold_to_run:
                 return "hold-to-run was released"
+            for axis, has_brake in enumerate(self.braked):
+                if has_brake and not sample.brakes_open[axis]:
+                    return f"{self.limits[axis].axis}: its brake closed during the run"
             if not sample.door_closed:
                 return "the door was opened"
             if not sample.io_age_s <= self.io_stale_s:

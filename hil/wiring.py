@@ -122,6 +122,9 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     """
     settings = machine.bus
     assert settings is not None
+    if options.emulated is not None or not options.noise:
+        what = "--effects" if options.emulated is not None else "--no-noise"
+        raise UnusableInput(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
     if options.truth is not None:
         raise UnusableInput("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
     if options.frame_log is not None:

@@ -155,10 +155,10 @@ class EmulatedMachine:
         self._read(latched)
         if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
             self.imu_out(said)
-        if self._witness is not None:
-            self._witness(self.time_s)
         for node in self._sync_nodes:
             node.end_sync(counter)
+        if self._witness is not None:
+            self._witness(self.time_s)  # after the answers: whoever writes it down must not delay them
         self._advance()
 
     def _tick_nodes(self) -> bool:

@@ -41,7 +41,14 @@ def main(arguments: list[str] | None = None) -> None:
     register.commands(app)
     try:
         with _warnings_in_one_line():
-            status = app(args=arguments, prog_name=app.info.name, standalone_mode=False) or 0
+            status = (
+                app(
+                    args=_json_to_standard_output(sys.argv[1:] if arguments is None else arguments),
+                    prog_name=app.info.name,
+                    standalone_mode=False,
+                )
+                or 0
+            )
     except typer.Exit as leave:
         status = leave.exit_code
     except (typer.Abort, KeyboardInterrupt):
@@ -56,6 +63,16 @@ def main(arguments: list[str] | None = None) -> None:
     if status == _INTERRUPTED:
         status = _say("interrupted", 1)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _json_to_standard_output(arguments: list[str]) -> list[str]:
+    """A bare `--json` is `--json -`."""
+    complete = []
+    for argument, following in zip(arguments, [*arguments[1:], "--"], strict=True):
+        complete.append(argument)
+        if argument == "--json" and following.startswith("--"):
+            complete.append("-")
+    return complete
 
 
 @contextmanager

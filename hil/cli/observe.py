@@ -107,7 +107,9 @@ def _designed(
     if not frf:
         if standing:
             raise typer.BadParameter("--standing goes with --frf: without frequency responses the emulated machine is measured")
-        answer.say(f"no --design and no --frf: the model is identified on the emulated {machine.name}, not on the machine that was recorded")
+        answer.say(
+            f"no --design and no --frf: the model is identified on the emulated {machine.name}, not on the machine that was recorded"
+        )
         return emulated_design(machine, tuned_on, modes)
     return design_observer(machine, [read_frf(path) for path in frf], [read_recording(path, machine) for path in standing], tuned_on, modes)
 

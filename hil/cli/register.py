@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from hil.cli import answers, bus, identify, machine, physics, run, shape, story
+from hil.cli import answers, bus, identify, machine, observe, physics, run, shape, story
 
 
 def commands(app: typer.Typer) -> None:
@@ -19,3 +19,4 @@ def commands(app: typer.Typer) -> None:
     answers.register(app)
     identify.register(app)
     shape.register(app)
+    observe.register(app)

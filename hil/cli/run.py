@@ -23,6 +23,7 @@ from hil.cli.options import (
     keep_earlier,
     load,
     parse_pose,
+    read_effects,
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
 
@@ -113,7 +114,7 @@ def multisine(
     """Plan and run."""
     from hil.experiments import Jog, Multisine
 
-    machine = load(machine_name, effects)
+    machine = load(machine_name)
     scale = edge_scale(machine, machine.axes[0])
     jog = None
     if jog_amplitude:
@@ -152,7 +153,7 @@ def multisine(
         jog=jog,
         seed=seed,
     )
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to, notes)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to, notes)
 
 
 @app.command(
@@ -185,7 +186,7 @@ def scan(
     """Plan and run."""
     from hil.experiments import Scan
 
-    machine = load(machine_name, effects)
+    machine = load(machine_name)
     _known_axis(axis, machine)
     scale = edge_scale(machine, axis)
     experiment: Experiment = Scan(axis, start * scale, stop * scale, speed * scale, parse_pose(pose, machine), dwell, sweeps)
@@ -194,7 +195,7 @@ def scan(
         from hil.shaping.shaper_file import read_shaper
 
         experiment = Shaped(experiment, read_shaper(shaper))
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
 
 
 @app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
@@ -220,10 +221,10 @@ def jog(
     """Plan and run."""
     from hil.experiments import Jog, JogOnly
 
-    machine = load(machine_name, effects)
+    machine = load(machine_name)
     shape = Jog(amplitude_rad=amplitude * edge_scale(machine, machine.axes[0]), line=1, axes=_names(axes))
     experiment = JogOnly(jog=shape, pose=parse_pose(pose, machine), period_s=period, periods=periods)
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
 
 
 @app.command(
@@ -248,8 +249,8 @@ def static(
     """Plan and run."""
     from hil.experiments import Static
 
-    machine = load(machine_name, effects)
-    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    machine = load(machine_name)
+    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
 
 
 @app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
@@ -271,8 +272,8 @@ def from_file(
     """Plan and run."""
     from hil.experiments import read_experiment
 
-    machine = load(machine_name, effects)
-    _run(machine, read_experiment(path, machine), out, bus, seed, imu, io, noise, frame_log, truth, real_time, json_to)
+    machine = load(machine_name)
+    _run(machine, read_experiment(path, machine), out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
 
 
 def _run(
@@ -287,6 +288,7 @@ def _run(
     frame_log: Path | None,
     truth: Path | None,
     real_time: bool,
+    effects: Path | None,
     json_to: str | None,
     notes: tuple[str, ...] = (),
 ) -> None:
@@ -298,13 +300,17 @@ def _run(
         answer.say(note)
     paths = recording_paths(out, plans)
     can_be_written(*paths, frame_log, truth)
-    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, real_time=real_time)
+    emulated = None if effects is None else machine.with_effects(read_effects(effects, machine))
+    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, emulated, real_time)
+    lockstep = bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
     with open_bench(machine, options, plans[0].start_pose) as bench:
-        with progress(answer.console) as bars:
+        with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):
                     answer.say(kept)
+                if not lockstep:
+                    answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
                 task = bars.add_task(path.name, total=plan.rows)
                 timing = bench.run(plan, path, follower(bars, task))
                 bars.update(task, completed=plan.rows)
@@ -314,7 +320,7 @@ def _run(
     for record in records:
         timing_table = record["timing"]
         line = f"{record['recording']}: {timing_table['ticks']} rows"
-        if not bus.startswith("lockstep:"):
+        if not lockstep:
             line += (
                 f", {timing_table['missed']} ticks missed, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
                 f"work time p99 {timing_table['work_time_p99_us']:.0f} us"

@@ -47,7 +47,7 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     """
     inputs = inputs_of(machine, recording)
     outputs = Simulator(machine).run(inputs, effects=(*machine.plant.effects, *effects))
-    return as_recording(machine, recording, inputs, outputs)
+    return as_recording(machine.with_effects((*machine.plant.effects, *effects)), recording, inputs, outputs)
 
 
 def inputs_of(machine: Machine, recording: Recording) -> Inputs:
@@ -85,7 +85,8 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     add("link_position", outputs.link_position, _position_unit)
     for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
         channels[name] = Channel(IMU_UNITS[name], values)
-    metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation={"noise": False})
+    made = {"noise": False, "effects": _in_words(machine)}
+    metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation=made)
     return Recording(channels, metadata)
 
 
@@ -95,6 +96,14 @@ def _position_unit(units: AxisUnits) -> str:
 
 def _effort_unit(units: AxisUnits) -> str:
     return units.effort
+
+
+def _in_words(machine: Machine) -> list[str]:
+    """Physics added to the machine file, a line each: the file's hash does not tell them."""
+    return [
+        f"{effect.name} at {effect.at}: " + ", ".join(f"{name} = {value!r}" for name, value in effect.parameters.items())
+        for effect in machine.plant.effects
+    ]
 
 
 def _complete(machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None) -> np.ndarray:
