@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -31,8 +32,11 @@ GRID = 7
 JOG_ROOM = 0.06
 """rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
 
-STANDING_s = 8.0
-"""Length of an emulated standing record: long against the structure's ringing and the encoders' flicker."""
+COARSE_GRID = 5
+"""Positions of the other axes: gravity and the mount turn against the detector with them, as one or two harmonics."""
+
+STANDING_s = 4.0
+"""Length of an emulated standing record: a thousand samples of noise."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +113,21 @@ def design_observer(
 
 def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:
     """The design of a machine that has not been measured: its emulation is, like the machine would be."""
-    last, limit = machine.axes[-1], machine.limits[-1]
-    ends = np.array([limit.lower + JOG_ROOM, limit.upper - JOG_ROOM]) if np.isfinite([limit.lower, limit.upper]).all() else [-1.0, 1.0]
-    positions = np.linspace(*ends, GRID)
-    poses = [{last: float(position)} for position in positions]
+    last = machine.axes[-1]
+    grids = {axis: _grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
+    poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
     responses = emulated_responses(machine, poses, seed)
     simulator = Simulator(machine)
     standing = [
-        emulated_recording(machine, Static(STANDING_s, pose).plans(machine)[0], 500 + 10 * seed + index, simulator)
-        for index, pose in enumerate(poses)
+        emulated_recording(machine, Static(STANDING_s, pose).plans(machine)[0], 500 + 100 * seed + i, simulator)
+        for i, pose in enumerate(poses)
     ]
     return design_observer(machine, responses, standing, tuned_on, modes)
+
+
+def _grid(machine: Machine, axis: int, count: int) -> list[float]:
+    """Positions of one axis over its range [rad or m]."""
+    limit = machine.limits[axis]
+    is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())
+    ends = (limit.lower + JOG_ROOM, limit.upper - JOG_ROOM) if is_bounded else (-1.0, 1.0)
+    return [float(position) for position in np.linspace(*ends, count)]

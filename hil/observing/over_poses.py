@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel, basis_size, basis_values
@@ -12,13 +13,16 @@ from hil.errors import BadAnswer
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.geometry import observed_chain
-from hil.observing.modal_fit import PoseFit, fit_pose
+from hil.observing.modal_fit import TURN_LENGTH_m, PoseFit, fit_pose
 
 HIGHEST_HARMONIC = 3
 """Of an axis position: inertias vary with the second harmonic, frequencies and shapes with what division makes of it."""
 
 APART_rad = np.radians(2.0)
 """Positions closer than this are one position."""
+
+LEAST_LIKENESS = 0.3
+"""Cosine between a mode's shapes at neighbouring poses below which it is not taken for the same mode."""
 
 
 def fit_observed_model(
@@ -81,6 +85,15 @@ def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
     return tuple(orders)
 
 
+def embedded(coefficients: np.ndarray, known: tuple[int, ...], wanted: tuple[int, ...]) -> np.ndarray:
+    """The same functions of the pose, coefficients (rows, basis) of a smaller basis written in a larger one."""
+    shape_known, shape_wanted = ([2 * order + 1 for order in orders] for orders in (known, wanted))
+    places = np.ravel_multi_index(np.unravel_index(np.arange(coefficients.shape[1]), shape_known), shape_wanted)
+    wide = np.zeros((len(coefficients), int(np.prod(shape_wanted))))
+    wide[:, places] = coefficients
+    return wide
+
+
 def _fits(
     responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[InertialSensor, ...], modes: int
 ) -> tuple[PoseFit, ...]:
@@ -91,12 +104,14 @@ def _fits(
     for index in order:
         near = min(done, key=lambda other: float(np.linalg.norm(other.pose - poses[index]))) if done else None
         fit = fit_pose(responses[index], chain, sensors, modes, near)
-        done.append(fit if near is None else _aligned(fit, near))
+        done.append(fit if near is None else _aligned(fit, near, chain))
     return tuple(sorted(done, key=lambda fit: tuple(fit.pose)))
 
 
-def _aligned(fit: PoseFit, near: PoseFit) -> PoseFit:
+def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
     """The same fit with its shapes' signs as the neighbour's; the order of frequencies is the order of modes.
+
+    A mode of the arc keeps its shape in the detector's frame, one of the mount in the world: the likeness that is clearer decides.
 
     Raises
     ------
@@ -106,9 +121,10 @@ def _aligned(fit: PoseFit, near: PoseFit) -> PoseFit:
     n = len(fit.pose)
     shapes, inputs = fit.shapes.copy(), fit.inputs.copy()
     for i in range(len(shapes)):
-        here, there = shapes[i, 2 * n : 2 * n + 6], near.shapes[i, 2 * n : 2 * n + 6]
-        likeness = float(here @ there / (np.linalg.norm(here) * np.linalg.norm(there)))
-        if abs(likeness) < 0.3:
+        here, there = _twist(shapes[i], n), _twist(near.shapes[i], n)
+        turned = _rotation(chain, fit.pose).apply(here), _rotation(chain, near.pose).apply(there)
+        likeness = max(_likeness(here, there), _likeness(*turned), key=abs)
+        if abs(likeness) < LEAST_LIKENESS:
             raise BadAnswer(
                 f"mode {i + 1} at {np.degrees(fit.pose).round(1).tolist()} deg is not the one at {np.degrees(near.pose).round(1).tolist()}"
                 " deg: identify poses between them, or fewer modes"
@@ -116,6 +132,24 @@ def _aligned(fit: PoseFit, near: PoseFit) -> PoseFit:
         if likeness < 0.0:
             shapes[i], inputs[i] = -shapes[i], -inputs[i]
     return PoseFit(fit.pose, fit.stiffness, fit.damping, shapes, inputs, fit.rigid, fit.rigid_damping, fit.misfit)
+
+
+def _twist(shape: np.ndarray, n: int) -> np.ndarray:
+    """Shift and turn (2, 3) of the detector, both in metres."""
+    return shape[2 * n : 2 * n + 6].reshape(2, 3) * np.array([[1.0], [TURN_LENGTH_m]])
+
+
+def _likeness(a: np.ndarray, b: np.ndarray) -> float:
+    """Cosine between two shapes."""
+    return float(np.sum(a * b) / (np.linalg.norm(a) * np.linalg.norm(b)))
+
+
+def _rotation(chain: Chain, pose: np.ndarray) -> Rotation:
+    """From the chain's last frame to the world."""
+    turn = Rotation.identity()
+    for axis, revolute, angle in zip(chain.axes, chain.revolute, pose, strict=True):
+        turn = turn * Rotation.from_rotvec(axis * angle if revolute else np.zeros(3))
+    return turn
 
 
 def _rows(fit: PoseFit) -> np.ndarray:

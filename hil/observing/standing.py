@@ -13,6 +13,7 @@ import numpy as np
 
 from controllers.models.modal import ModalModel, basis_size, basis_values, chain_at_rest
 from hil.errors import RecordingError
+from hil.observing.over_poses import embedded, harmonics_for
 from hil.recording import Recording
 
 ENCODER_TRUST_rad = 2e-6
@@ -61,9 +62,13 @@ def standing_mean(recording: Recording, model: ModalModel) -> Standing:
 def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray]:
     """The model with gravity's pushes as functions of the pose, and the inertial sensors' biases (6 sensors,).
 
-    Gyro biases are the mean rates. Three poses or more on an axis tell an accelerometer's bias from tilt; with fewer the bias stays zero.
+    Gravity may depend on more axes than the modes were measured over: the model's harmonics grow to what these poses can tell. Gyro biases
+    are the mean rates; an accelerometer's bias is told from tilt where the poses differ enough, else it is taken for small.
     """
     n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
+    told = harmonics_for(np.array([each.motor for each in standing]))
+    grown = tuple(max(pair) for pair in zip(model.harmonics, told, strict=True))
+    model = replace(model, harmonics=grown, coefficients=embedded(model.coefficients, model.harmonics, grown))
     width = basis_size(model.harmonics)
     unknowns = modes * width + 3 * sensors
     system, target = [], []
@@ -108,7 +113,7 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
         row[modes * width + b] = 1.0 / EXPECTED_BIAS_m_s2
         system.append(row)
         target.append(0.0)
-    solution = np.linalg.lstsq(np.array(system), np.array(target), rcond=1e-9)[0]
+    solution = np.linalg.lstsq(np.array(system), np.array(target), rcond=1e-12)[0]
     bend = solution[: modes * width].reshape(modes, width)
     # the push that bends a mode so far: ω² η = b u + d
     modal = np.array([stiffness * (bend @ b) - given for b, stiffness, given in bends])

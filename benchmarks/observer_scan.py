@@ -1,0 +1,341 @@
+"""Where the detector really is during scans that something shakes: errors of encoders, model, KF, EKF, UKF and an oracle against the truth.
+
+    python benchmarks/observer_scan.py --json -
+
+The observer's model is identified from multisines on the undisturbed emulated C-arm, its disturbances are tuned on one shaken scan and it is
+judged on another. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the emulated
+machine's own equations with the true noise, the true spectrum of the shaking and the true places where it acts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import signal
+from scipy.spatial.transform import Rotation
+
+from controllers.feedback import Feedback
+from controllers.observers.consistency import share_in_band
+from hil.experiments import Plan, Scan
+from hil.machine import Machine, load_machine
+from hil.observing import ObserverDesign, design_observer, emulated_design, observe, read_design, tune, write_design  # noqa: F401
+from hil.observing.geometry import observed_chain
+from hil.recording import Channel, Recording
+from virtual_bus.physics import Physics
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.settings import Drive, PlantSettings
+
+SHAKEN_Nm = {"mount_sway": 40.0, "propeller_gear": 15.0, "roll_gear": 15.0, "detector_mount": 2.0}
+"""Rms torque at joints that no drive turns: people and ceiling at the mount, cables at the arc, hands at the detector."""
+
+BAND_Hz = (1.0, 12.0)
+SETTLE_S = 2.0
+SKIPPED_S = 1.0  # of every scan, in which the filters find their biases
+
+
+@dataclass(frozen=True)
+class ShakenScan:
+    """A recording and what only the emulator knows: detector position (N, 3) and rotation (N, 3, 3)."""
+
+    recording: Recording
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+def shaken_plant(machine: Machine) -> PlantSettings:
+    """The machine with a shaker, a drive of one Nm per unit, on every shaken joint."""
+    shakers = tuple(Drive(f"shaker_{joint}", joint, "Nm", 1.0, 1.0, 1e9, 0.0, 1.0) for joint in SHAKEN_Nm)
+    return dataclasses.replace(machine.plant, drives=(*machine.plant.drives, *shakers))
+
+
+def shaking_sections(machine: Machine) -> np.ndarray:
+    """Band pass that colours the shaking."""
+    return signal.butter(2, BAND_Hz, "bandpass", fs=machine.sample_rate_Hz, output="sos")
+
+
+def shaking(machine: Machine, rows: int, seed: int) -> np.ndarray:
+    """(rows, shakers) Nm."""
+    generator = np.random.default_rng(seed)
+    white = generator.standard_normal((rows + 1024, len(SHAKEN_Nm))) * white_std(machine)
+    return signal.sosfilt(shaking_sections(machine), white, axis=0)[1024:]
+
+
+def white_std(machine: Machine) -> np.ndarray:
+    """Of the white noise (shakers,) that the band pass turns into the shaking."""
+    answer = signal.sosfilt(shaking_sections(machine), np.eye(1, 8192)[0])
+    return np.array(list(SHAKEN_Nm.values())) / np.sqrt(np.sum(answer**2))
+
+
+def shaken_scan(machine: Machine, plan: Plan, seed: int) -> ShakenScan:
+    """Run a plan in closed loop on the shaken machine."""
+    joints = [joint.name for joint in machine.plant.tree.joints]
+    still = Physics(machine.plant, noise=False)
+    still.place(plan.start_pose)
+    rest = still.truth()["joint_position"]
+    holding = still.holding_effort(plan.start_pose)
+    physics = Physics(shaken_plant(machine), seed)
+    physics.place(np.concatenate((plan.start_pose, [rest[joints.index(joint)] for joint in SHAKEN_Nm])))
+    axes = len(machine.axes)
+    physics.set_brakes(np.zeros(axes + len(SHAKEN_Nm), dtype=bool))
+    feedback = Feedback(machine.controllers)
+    feedback.preload(holding, plan.start_pose, np.zeros(axes))
+    step = np.array([drive.resolution for drive in machine.plant.drives])
+    command, answer, nothing = holding.copy(), holding.copy(), np.zeros(axes)
+    settle, rows = round(SETTLE_S * machine.sample_rate_Hz), len(plan.reference)
+    push = shaking(machine, settle + rows, seed)
+    effort = np.zeros(axes + len(SHAKEN_Nm))
+    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose")}
+    for k in range(settle + rows):
+        effort[:axes], effort[axes:] = step * np.round(command / step), push[k]
+        physics.apply(effort)
+        latched = physics.latch()
+        row = max(k - settle, 0)
+        feedback.step(plan.reference[row], latched.position[:axes], plan.excitation[row], nothing, answer)
+        if k >= settle:
+            truth = physics.truth()["pose_detector"]
+            for name, value in (("position", latched.position[:axes]), ("link", latched.link_position[:axes]), ("imu", latched.imu[:6])):
+                kept[name].append(value.copy())
+            kept["command"].append(answer.copy())
+            kept["pose"].append(truth)
+        command[:] = answer
+        physics.advance()
+    table = {name: np.array(values) for name, values in kept.items()}
+    channels = {"time": Channel("s", np.arange(rows) / machine.sample_rate_Hz)}
+    for i, axis in enumerate(machine.axes):
+        channels[f"command_{axis}"] = Channel("A", table["command"][:, i])
+        channels[f"position_{axis}"] = Channel("rad", table["position"][:, i])
+        channels[f"link_position_{axis}"] = Channel("rad", table["link"][:, i])
+    for j, name in enumerate(("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")):
+        channels[name] = Channel("m/s^2" if j < 3 else "rad/s", table["imu"][:, j])
+    pose = table["pose"]
+    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3))
+
+
+def nominal_pose(machine: Machine, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Detector position (N, 3) and rotation (N, 3, 3) of the rigid C-arm with its axes at (N, n)."""
+    chain, sensors, _, _ = observed_chain(machine)
+    turn = Rotation.identity(len(axes))
+    position = np.zeros((len(axes), 3))
+    for i in range(axes.shape[1]):
+        position = position + turn.apply(chain.points[i])
+        turn = turn * Rotation.from_rotvec(axes[:, i : i + 1] * chain.axes[i])
+    return position + turn.apply(sensors[0].body_end_m), turn.as_matrix()
+
+
+def errors(scan: ShakenScan, position: np.ndarray, rotation: np.ndarray, first: int) -> dict[str, float]:
+    """Rms of the error of a pose from row `first` on, in the detector's frame: shift [um] and turn [urad], with their components."""
+    shift = np.einsum("nji,nj->ni", scan.rotation, position - scan.position)[first:] * 1e6
+    turn = (Rotation.from_matrix(scan.rotation).inv() * Rotation.from_matrix(rotation)).as_rotvec()[first:] * 1e6
+    each = {f"shift_{axis}_um": float(np.sqrt(np.mean(shift[:, i] ** 2))) for i, axis in enumerate("xyz")}
+    each |= {f"turn_{axis}_urad": float(np.sqrt(np.mean(turn[:, i] ** 2))) for i, axis in enumerate("xyz")}
+    total = {"shift_um": float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))), "turn_urad": float(np.sqrt(np.mean(np.sum(turn**2, axis=1))))}
+    return total | each
+
+
+def estimated_pose(machine: Machine, estimate) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    """Detector pose from an observer's estimate."""
+    axes = np.column_stack([estimate[f"estimate_position_{axis}"] for axis in machine.axes])
+    position, rotation = nominal_pose(machine, axes)
+    shift = np.column_stack([estimate[f"estimate_detector_{axis}"] for axis in "xyz"])
+    turn = np.column_stack([estimate[f"estimate_detector_r{axis}"] for axis in "xyz"])
+    return position + np.einsum("nij,nj->ni", rotation, shift), rotation @ Rotation.from_rotvec(turn).as_matrix()
+
+
+def without(recording: Recording, prefixes: tuple[str, ...]) -> Recording:
+    """The recording without some channels."""
+    return Recording({name: channel for name, channel in recording.channels.items() if not name.startswith(prefixes)}, recording.metadata)
+
+
+class Oracle:
+    """Extended Kalman filter on the emulator's own equations, shakers' true spectrum and true noise included."""
+
+    def __init__(self, machine: Machine) -> None:
+        settings = shaken_plant(machine)
+        self.plant = compile_plant(settings)
+        self.model, self.work = self.plant.model(), self.plant.new_work()
+        self.n, self.axes = self.plant.joints, len(machine.axes)
+        self.brakes = np.zeros(len(settings.drives))
+        self.machine = machine
+        a, b, c, d = signal.tf2ss(*signal.sos2tf(shaking_sections(machine)))
+        self.colour = a, b[:, 0], c[0], float(d[0, 0])
+        self.m = len(SHAKEN_Nm)
+        self.core = 2 * self.n + 6
+        self.states = self.core + self.m * len(a) + 6
+        encoders = {encoder.channel: encoder for encoder in settings.encoders}
+        self.rows = np.zeros((2 * self.axes, self.n))
+        names = [f"position_{axis}" for axis in machine.axes] + [f"link_position_{axis}" for axis in machine.axes]
+        for row, name in zip(self.rows, names, strict=True):
+            for joint in encoders[name].joints:
+                row[settings.tree.joint_index(joint)] = 1.0
+        imu = settings.imus[0]
+        lattice = [encoders[name].resolution / np.sqrt(12.0) for name in names]
+        self.noise = np.concatenate((lattice, imu.accelerometer_noise_rms_m_s2, imu.gyro_noise_rms_rad_s))
+        self.white = white_std(machine)
+
+    def _state(self, x: np.ndarray) -> np.ndarray:
+        state = np.zeros(self.plant.state_size)
+        state[: 2 * self.n] = x[: 2 * self.n]
+        state[4 * self.n :] = x[2 * self.n : self.core]
+        return state
+
+    def _advance(self, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
+        state = self._state(x)
+        self.plant.advance(state, effort, self.brakes, self.model, self.work)
+        return np.concatenate((state[: 2 * self.n], state[4 * self.n :]))
+
+    def run(self, scan: ShakenScan, start_state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Detector poses (N, 3), (N, 3, 3)."""
+        recording, machine, core = scan.recording, self.machine, self.core
+        a, b, c, d = self.colour
+        order = len(a)
+        x = np.zeros(self.states)
+        x[:core] = start_state
+        deviation = np.concatenate((np.full(self.n, 1e-4), np.full(self.n, 1e-2), np.full(3, 0.1), np.full(3, 0.01)))
+        P = np.zeros((self.states, self.states))
+        P[:core, :core] = np.diag(deviation**2)
+        steady = solve_steady(a, b)
+        for j in range(self.m):
+            place = slice(core + j * order, core + (j + 1) * order)
+            P[place, place] = steady * self.white[j] ** 2
+        P[-6:, -6:] = np.diag(np.repeat([2e-3, 2e-4], 3) ** 2)
+        channels = [f"position_{axis}" for axis in machine.axes] + [f"link_position_{axis}" for axis in machine.axes]
+        measured = recording.matrix([*channels, "imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z"])
+        commands = recording.matrix([f"command_{axis}" for axis in machine.axes])
+        step = np.array([drive.resolution for drive in machine.plant.drives])
+        H = np.zeros((len(measured[0]), self.states))
+        H[: len(self.rows), : self.n] = self.rows
+        H[len(self.rows) :, 2 * self.n : core] = np.eye(6)
+        H[len(self.rows) :, -6:] = np.eye(6)
+        R = np.diag(self.noise**2)
+        sizes = np.concatenate((np.full(2 * self.n, 1e-6), np.full(6, 1e-4)))
+        positions, rotations = np.zeros((len(measured), 3)), np.zeros((len(measured), 3, 3))
+        detector = [body for body in machine.plant.watched_bodies].index(machine.geometry.detector_body)  # type: ignore[union-attr]
+        effort = np.zeros(self.axes + self.m)
+        for k, z in enumerate(measured):
+            if k:
+                effort[: self.axes] = step * np.round(commands[max(k - 2, 0)] / step)
+                shakes = np.array([c @ x[core + j * order : core + (j + 1) * order] for j in range(self.m)])
+                effort[self.axes :] = shakes
+                F, G = np.zeros((self.states, self.states)), np.zeros((self.states, self.m))
+                for i in range(core):
+                    shift = np.zeros(core)
+                    shift[i] = sizes[i]
+                    F[:core, i] = (self._advance(x[:core] + shift, effort) - self._advance(x[:core] - shift, effort)) / (2.0 * sizes[i])
+                for j in range(self.m):
+                    more, less = effort.copy(), effort.copy()
+                    more[self.axes + j] += 1.0
+                    less[self.axes + j] -= 1.0
+                    by_shake = (self._advance(x[:core], more) - self._advance(x[:core], less)) / 2.0
+                    place = slice(core + j * order, core + (j + 1) * order)
+                    F[:core, place] = np.outer(by_shake, c)
+                    F[place, place] = a
+                    G[:core, j], G[place, j] = by_shake * d * self.white[j], b * self.white[j]
+                F[-6:, -6:] = np.eye(6)
+                x[:core] = self._advance(x[:core], effort)
+                for j in range(self.m):
+                    place = slice(core + j * order, core + (j + 1) * order)
+                    x[place] = a @ x[place]
+                P = F @ P @ F.T + G @ G.T
+            S = H @ P @ H.T + R
+            K = np.linalg.solve(S, H @ P).T
+            x = x + K @ (z - H @ x)
+            rest = np.eye(self.states) - K @ H
+            P = rest @ P @ rest.T + K @ R @ K.T
+            pose = self.plant.body_poses(self.model, x[: self.n])[detector]
+            positions[k], rotations[k] = pose[:3], pose[3:].reshape(3, 3)
+        return positions, rotations
+
+
+def solve_steady(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Covariance of x = a x + b w in steady state."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    return solve_discrete_lyapunov(a, np.outer(b, b))
+
+
+def start_of(machine: Machine, pose: np.ndarray, oracle: Oracle) -> np.ndarray:
+    """The oracle's start: rest at a pose, low passes filled."""
+    still = Physics(machine.plant, noise=False)
+    still.place(pose)
+    q = still.truth()["joint_position"]
+    reading = oracle.plant.imu_motion(oracle.model, q, np.zeros(oracle.n), np.zeros(oracle.n))
+    return np.concatenate((q, np.zeros(oracle.n), reading))
+
+
+def scans(machine: Machine) -> dict[str, Plan]:
+    """The scans judged."""
+    return {
+        "roll 30 deg/s": Scan("roll", np.radians(-80.0), np.radians(80.0), np.radians(30.0)).plans(machine)[0],
+        "roll 55 deg/s": Scan("roll", np.radians(-80.0), np.radians(80.0), np.radians(55.0)).plans(machine)[0],
+        "propeller 30 deg/s": Scan("propeller", np.radians(-60.0), np.radians(60.0), np.radians(30.0)).plans(machine)[0],
+    }
+
+
+def judged(machine: Machine, design: ObserverDesign, plan: Plan, seed: int, with_oracle: bool) -> dict:
+    """Errors of everything over one shaken scan."""
+    scan = shaken_scan(machine, plan, seed)
+    first = round(SKIPPED_S * machine.sample_rate_Hz)
+    recording = scan.recording
+    table: dict = {}
+    for name, prefix in (("motor encoders", "position"), ("link encoders", "link_position")):
+        axes = recording.matrix([f"{prefix}_{axis}" for axis in machine.axes])
+        table[name] = errors(scan, *nominal_pose(machine, axes), first)
+    blind = without(recording, ("link_position", "imu_", "gyro_"))
+    table["model only"] = errors(scan, *estimated_pose(machine, observe(blind, design.observer("ekf"))), first)
+    table["ukf without link encoders"] = errors(
+        scan, *estimated_pose(machine, observe(without(recording, ("link_position",)), design.observer("ukf"))), first
+    )
+    for kind in ("kf", "ekf", "ukf"):
+        estimate = observe(recording, design.observer(kind))  # type: ignore[arg-type]
+        nis, measured = estimate["estimate_nis"][first:], estimate["estimate_measured"][first:]
+        table[kind] = errors(scan, *estimated_pose(machine, estimate), first) | {
+            "nis_per_measurement": float(nis.sum() / measured.sum()),
+            "share_in_band": share_in_band(nis, measured),
+            "alarm_share": float(estimate["estimate_alarm"][first:].mean()),
+        }
+    if with_oracle:
+        oracle = Oracle(machine)
+        table["oracle"] = errors(scan, *oracle.run(scan, start_of(machine, plan.start_pose, oracle)), first)
+    for quantity in ("shift_um", "turn_urad"):
+        table[f"factor_{quantity}"] = {
+            "motor encoders over ukf": table["motor encoders"][quantity] / table["ukf"][quantity],
+            "link encoders over ukf": table["link encoders"][quantity] / table["ukf"][quantity],
+            **({"ukf over oracle": table["ukf"][quantity] / table["oracle"][quantity]} if with_oracle else {}),
+        }
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
+    parser.add_argument("--design", metavar="FILE", type=Path, help="untuned design to start from; identified unless given")
+    parser.add_argument("--no-oracle", action="store_true", help="leave the oracle out")
+    options = parser.parse_args()
+    machine = load_machine("carm")
+    began = time.perf_counter()
+    design = read_design(options.design) if options.design else emulated_design(machine)
+    plans = scans(machine)
+    training = [shaken_scan(machine, plans[name], 100 + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))]
+    plain = tune(design.model, design.noise, training[:0] or training)
+    design = dataclasses.replace(design, noise=plain.noise)
+    answer = {
+        "seconds_to_design": time.perf_counter() - began,
+        "tuned": {"nis_per_measurement": plain.mean_nis, "share_in_band": plain.share_in_band},
+        "scans": {name: judged(machine, design, plan, 7 + i, not options.no_oracle) for i, (name, plan) in enumerate(plans.items())},
+    }
+    text = json.dumps(answer, indent=2)
+    if options.json == "-":
+        sys.stdout.write(text + "\n")
+    else:
+        Path(options.json).write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
