@@ -122,7 +122,8 @@ def fit_pose(
     k, R, L, n_z = z.shape
     n_u = w.shape[3]
     unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * records.n_outputs
-    n = half_width(model, unknowns, k * R, n_z, L)
+    # poses excited alike do not tell the inputs apart: each pose's own lines must carry the numerator over frequency
+    n = max(half_width(model, unknowns, k * R, n_z, L), half_width(model, (1 + numerator[0]) * n_u, R, 0, L))
     lines, z, w, first = _with_images(records, z, w, n) if model.border == "periodic" else (records.lines, z, w, 0)
     here = first + np.arange(L)
     start = np.clip(here - n, 0, len(lines) - 2 * n - 1)

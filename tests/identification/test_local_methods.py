@@ -162,6 +162,18 @@ def test_neighbouring_poses_lower_the_variance_and_covariances_stay_true(model):
     assert np.mean(gains) > 3.0
 
 
+def test_poses_excited_alike_still_tell_the_inputs_apart():
+    """One excitation for all poses, as the thesis has it; windows by default."""
+    rng = np.random.default_rng(33)
+    made = []
+    for pose in np.linspace(-1.0, 1.0, 5):
+        same = records_of(np.random.default_rng(34), periods=4, noise=(0.0, 0.0, 0.0), pose=(0.0, pose))
+        same.outputs[:] += 1e-3 * rng.standard_normal(same.outputs.shape)
+        made.append(same)
+    response = nd_local(made, LRM, PoseModel((1,), (1,), (2,)))[2]
+    assert np.mean(np.abs(response.G - truth_of()) <= response.bound(0.95, "total")) > 0.9
+
+
 def test_an_edge_pose_falls_back_on_its_own_data():
     records, _ = poses_of(np.random.default_rng(4))
     made = nd_local(records, LRM, PoseModel((1,), (1,), (2,)))
