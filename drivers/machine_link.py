@@ -75,12 +75,14 @@ class CanMachine:
         self.sample = Sample(len(self.axes))
         self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
+        self.stopping = False  # from the first step of a stop to its last: whoever handles signals must not break it off
         self._imu, self._io = imu, io
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
         self._armed = [False] * len(self.axes)
         self._ticking = False
+        self._ours = False  # nobody else runs this machine: only then may anything be sent, even to stop it
         self._io_lost = ""
         self._zeros = np.zeros(len(self.axes))
 
@@ -91,12 +93,15 @@ class CanMachine:
         ------
         NodeAbsent, DuplicateNode, WrongIdentity, ConfigurationRefused, DeviceFault, BusTimeout, BusError
         """
+        if self._ticking:
+            self.stop()
         with self._stopping_on_error():
-            self._ticking = False
+            self._ours = False
             self.network.stop_heartbeat()
+            self.supervision.refuse_second_bench(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
-            self.supervision.refuse_second_bench(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self.supervision.boot(self.settings.nodes)
             notes: list[str] = []
             for node in self.settings.nodes:
@@ -228,35 +233,33 @@ class CanMachine:
     def stop(self) -> None:
         """Quick stop, brakes closed, voltage off, nodes pre-operational; from any state, any number of times, never raising.
 
-        What failed on the way is in `stop_trouble`; every later step was tried all the same.
+        What failed on the way is in `stop_trouble`; every later step was tried all the same. A machine that another bench was found to run,
+        or that was never started, is not touched: neither its bus nor its I/O.
         """
-        self.supervision.stand_down()
-        self._armed = [False] * len(self.axes)
-        self._io_lost = ""
-        attempts = Attempts()
-        if self._ticking:
-            cyclic = self._cyclic
-            bring_to_rest(
-                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._brakes_closed
-            )
-        else:
-            attempts.make("closing the brakes", self._close_all_brakes)
-        self._ticking = False
-        for node in self.settings.nodes:
-            attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
-        self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
+        outer, self.stopping = self.stopping, True
+        try:
+            if self._ours:
+                self._bring_to_rest()
+        finally:
+            self.stopping = outer
 
     def close(self) -> None:
         """Stop, and let every node forget the bench: a reset of communication ends their watch over its heartbeat. Never raises."""
-        self.stop()
-        self.network.stop_heartbeat()
-        attempts = Attempts()
-        for node in self.settings.nodes:
-            attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
-        self.stop_trouble += attempts.trouble
-        for sdo in self._nodes.values():
-            sdo.close()
-        self._nodes = {}
+        outer, self.stopping = self.stopping, True
+        try:
+            self.stop()
+            self.network.stop_heartbeat()
+            attempts = Attempts()
+            if self._ours:
+                for node in self.settings.nodes:
+                    attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
+            self._ours = False  # from here on somebody else may take it
+            self.stop_trouble += attempts.trouble
+            for sdo in self._nodes.values():
+                sdo.close()
+            self._nodes = {}
+        finally:
+            self.stopping = outer
 
     def set_controlword(self, axis: int, controlword: int) -> None:
         """Controlword of an axis' drive from the next tick on."""
@@ -350,6 +353,23 @@ class CanMachine:
 
     def _stopping_on_error(self) -> _StopOnError:
         return _StopOnError(self)
+
+    def _bring_to_rest(self) -> None:
+        self.supervision.stand_down()
+        self._armed = [False] * len(self.axes)
+        self._io_lost = ""
+        attempts = Attempts()
+        if self._ticking:
+            cyclic = self._cyclic
+            bring_to_rest(
+                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._brakes_closed
+            )
+        else:
+            attempts.make("closing the brakes", self._close_all_brakes)
+        self._ticking = False
+        for node in self.settings.nodes:
+            attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
+        self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
     def _tick_at_rest(self) -> None:
         """A tick on the way to a stop: the I/O may be lost, the drives are stopped all the same."""

@@ -97,7 +97,24 @@ def test_a_second_bench_on_the_bus_is_refused_before_anything_is_commanded(rig):
     rig.bus.nodes.append(other)
     with pytest.raises(DuplicateNode, match="another bench is running there"):
         rig.machine.start()
-    assert not any(data[0] in (0x01, 0x81, 0x82) for data in rig.bus.sent(0x000))
+    for _ in range(2):  # whoever is refused has nothing to stop: it would stop the other bench in mid-motion
+        assert rig.bus.sent(0x000) == [] and rig.io.history == []
+        rig.machine.close()
+
+
+def test_a_closed_machine_is_anybodys_and_a_bench_refused_there_leaves_it_alone(rig):
+    rig.ready()
+    rig.machine.close()
+    rig.bus.log.clear()
+    commands = len(rig.io.history)
+    other = ScriptedDrive(127)
+    other.bus = rig.bus
+    other.set(0x1017, 0, 100)
+    rig.bus.nodes.append(other)
+    with pytest.raises(DuplicateNode):
+        rig.machine.start()
+    rig.machine.close()
+    assert rig.bus.sent(0x000) == [] and len(rig.io.history) == commands
 
 
 def test_ticks_before_the_start_and_after_a_stop_are_refused(rig):
@@ -337,11 +354,10 @@ def test_lost_io_does_not_keep_the_drives_from_being_stopped(rig):
     assert any("Modbus server is gone" in trouble for trouble in rig.machine.stop_trouble)
 
 
-@pytest.mark.parametrize("stage", ["new", "started", "enabled", "released", "faulted", "stopped"])
+@pytest.mark.parametrize("stage", ["started", "enabled", "released", "faulted", "stopped"])
 def test_stop_works_from_every_state_and_again(rig, stage):
     machine = rig.machine
-    if stage != "new":
-        machine.start()
+    machine.start()
     if stage in ("enabled", "released", "faulted"):
         machine.enable()
     if stage in ("released", "faulted"):
