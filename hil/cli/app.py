@@ -68,9 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
 def _json_to_standard_output(arguments: list[str]) -> list[str]:
     """A bare `--json` is `--json -`."""
     complete = []
-    for argument, following in zip(arguments, [*arguments[1:], "--"], strict=True):
+    for place, argument in enumerate(arguments):
         complete.append(argument)
-        if argument == "--json" and following.startswith("--"):
+        if argument == "--json" and (place + 1 == len(arguments) or arguments[place + 1].startswith("--")):
             complete.append("-")
     return complete
 

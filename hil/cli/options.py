@@ -119,7 +119,7 @@ def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
 
 def keep_earlier(path: Path) -> str:
     """Move a recording that is already there aside, and say so; "" where there is none. What was recorded is never written over."""
-    if not path.exists():
+    if not path.is_file():
         return ""
     aside = next(kept for n in itertools.count(1) if not (kept := path.with_name(f"{path.stem}.earlier{n}{path.suffix}")).exists())
     path.rename(aside)

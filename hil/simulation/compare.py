@@ -93,6 +93,7 @@ def compare(recording: Recording, simulation: Recording) -> Comparison:
     if shift > 0.5 * period:
         raise RecordingError(f"times differ by up to {shift:.4g} s; compare a simulation of this recording")
     common = [name for name in simulation.channels if name in recording and not name.startswith(INPUTS)]
+    common = [name for name in common if _rows_of_both(name, recording, simulation).any()]  # a channel may stay empty, as work times do
     if not common:
         raise RecordingError("no channel in common besides the inputs; compare a recording with its simulation")
     return Comparison(
@@ -102,14 +103,17 @@ def compare(recording: Recording, simulation: Recording) -> Comparison:
     )
 
 
+def _rows_of_both(name: str, recording: Recording, simulation: Recording) -> np.ndarray:
+    """(N,) where both have a value."""
+    return np.isfinite(recording[name]) & np.isfinite(simulation[name])
+
+
 def _compare_channel(name: str, recording: Recording, simulation: Recording) -> ChannelComparison:
     recorded, simulated = recording.channel(name), simulation.channel(name)
     if recorded.unit != simulated.unit:
         raise RecordingError(f"{name}: recorded in [{recorded.unit}], simulated in [{simulated.unit}]; units must agree")
     y, s = recorded.values, simulated.values
-    both = np.isfinite(y) & np.isfinite(s)
-    if not both.any():
-        raise RecordingError(f"{name}: no row in which both have a value")
+    both = _rows_of_both(name, recording, simulation)
     difference = s[both] - y[both]
     rms = _rms(difference)
     spread = _rms(y[both] - y[both].mean())

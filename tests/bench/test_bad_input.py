@@ -218,7 +218,7 @@ def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch
 
 
 OUTS = {
-    "missing folder": ("nowhere/run.mf4", ["nowhere", "No such file or directory"]),
+    "missing folder": ("nowhere/run.mf4", ["nowhere", "there is no folder"]),
     "no format": ("run.xls", [".xls", ".mf4"]),
     "reading only": ("run.mat", [".mat", ".mf4"]),
 }
