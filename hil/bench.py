@@ -27,7 +27,7 @@ from hil.loop import LoopTiming, SampleLoop, StopRequest
 from hil.machine import Machine
 from hil.realtime import Scheduling, real_time
 from hil.recording import JournalSink, RecorderProcess, recording_metadata
-from hil.wiring import Wiring, lockstep_wiring, wall_wiring
+from hil.wiring import HeedingMachine, Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
 
 SETTLE_S = 4
@@ -252,11 +252,13 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
     feedback = _warm(Feedback(machine.controllers))
     lockstep = options.bus_url.startswith("lockstep:")
     stop_request = StopRequest()
+    links: list[HeedingMachine] = []
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_stopping_on_signals(stop_request))
+        stack.enter_context(_stopping_on_signals(stop_request, lambda: any(link.stopping for link in links)))
         wiring = stack.enter_context(
             lockstep_wiring(machine, options, start_pose, stop_request) if lockstep else wall_wiring(machine, options, stop_request)
         )
+        links.append(wiring.link)
         io = machine.bus.io
         loop = SampleLoop(
             wiring.link,
@@ -339,14 +341,15 @@ def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
 
 
 @contextlib.contextmanager
-def _stopping_on_signals(request: StopRequest) -> Iterator[None]:
-    """SIGINT and SIGTERM end the run at the next tick, motors stopped; a second one is as rude as ever."""
+def _stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> Iterator[None]:
+    """SIGINT and SIGTERM end the run at the next tick, motors stopped; a second one at once, unless the motors are being stopped already:
+    a stop that is broken off may take the voltage from a drive before its brake has closed."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def ask(number: int, frame: FrameType | None) -> None:
-        if request.reason:
+        if request.reason and not stopping():
             raise LoopAborted("interrupted twice; the motors were stopped")
         request.ask(f"asked to stop by {signal.Signals(number).name}")
 

@@ -1,0 +1,71 @@
+"""What ends a run ends it safely: signals that come while the motors are being stopped, and what the drives do until the brakes hold."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from bench_machines import CARM
+
+from hil.bench import Bench, BenchOptions, open_bench
+from hil.errors import LoopAborted
+from hil.experiments import Static
+from virtual_bus.canopen.power_state import PowerState
+
+START = np.array([0.1, -0.2])
+POSE = dict(zip(CARM.axes, map(float, START), strict=True))
+VOLTAGE_OFF = 0x0000
+POWERED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
+
+
+@dataclass
+class Tick:
+    """One tick of a stop, on the emulated machine."""
+
+    commanded_off: list[bool]
+    powered: list[bool]
+    brake_open: list[bool]
+
+
+def watch_stops(bench: Bench, monkeypatch: pytest.MonkeyPatch, at_tick: dict[int, Callable[[], None]] | None = None) -> list[Tick]:
+    """Every tick of every stop from now on; `at_tick` is called after some."""
+    link, seen = bench.wiring.link, []
+    emulated, tick = link.network.can_bus.machine, link._tick_at_rest
+
+    def watched() -> None:
+        tick()
+        seen.append(
+            Tick(
+                [output.controlword == VOLTAGE_OFF for output in link._cyclic.outputs],
+                [drive.power_state in POWERED for drive in emulated.drives.values()],
+                [not closed for closed in emulated.io.brakes_closed],
+            )
+        )
+        (at_tick or {}).get(len(seen), lambda: None)()
+
+    monkeypatch.setattr(link, "_tick_at_rest", watched)
+    return seen
+
+
+def test_a_second_ctrl_c_while_the_motors_are_being_stopped_does_not_break_the_stop_off(tmp_path, monkeypatch):
+    def interrupt():
+        signal.raise_signal(signal.SIGINT)
+
+    with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
+        seen = watch_stops(bench, monkeypatch, {3: interrupt, 4: interrupt})
+        with pytest.raises(LoopAborted, match="asked to stop by SIGINT"):
+            bench.run(Static(1.0, POSE).plans(CARM)[0], tmp_path / "run.mf4", lambda row: interrupt() if row == 128 else None)
+        assert bench.wiring.link.troubles == []
+    assert all(seen[3].brake_open), "the signals came before the brakes had closed"
+    assert all(seen[-1].commanded_off) and not any(seen[-1].powered)
+    assert not any(off and is_open for tick in seen for off, is_open in zip(tick.commanded_off, tick.brake_open, strict=True))
+
+
+def test_a_second_ctrl_c_elsewhere_is_as_rude_as_ever():
+    with open_bench(CARM, BenchOptions("lockstep:"), START):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(LoopAborted, match="interrupted twice"):
+            signal.raise_signal(signal.SIGINT)
