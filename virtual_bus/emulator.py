@@ -21,6 +21,7 @@ from virtual_bus.serial.pty import Pty
 POLL_S = 0.001  # how long one look at the bus takes at most: the grain of time while nothing comes
 SEND_ATTEMPTS = 20  # a full transmit queue empties within a few frame times; after that the frame is lost, as on a real controller
 SEND_PAUSE_S = 0.0005
+STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
 
 
 class Emulated(Protocol):
@@ -119,14 +120,14 @@ def _long_lived_objects_frozen() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """A flag that SIGTERM and SIGINT raise; the handlers found are put back."""
+    """A flag that SIGTERM, SIGINT and a lost terminal's signals raise; the handlers found are put back."""
     stop = False
 
     def ask(signum: int, frame: FrameType | None) -> None:
         nonlocal stop
         stop = True
 
-    before = {signum: signal.signal(signum, ask) for signum in (signal.SIGTERM, signal.SIGINT)}
+    before = {signum: signal.signal(signum, ask) for signum in STOP_SIGNALS}
     try:
         yield lambda: stop
     finally:

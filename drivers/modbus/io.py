@@ -92,8 +92,7 @@ class IoDriver:
             As `Transport.request`; the state keeps its age, a brake command stays pending.
         """
         if self._commanded:
-            self._write_brakes()
-            self._commanded = False
+            self.write_brakes()
         state, io_map = self.state, self._map
         start, count = self._inputs
         answer = self._transport.request(ReadDiscreteInputsRequest(address=start, count=count, dev_id=io_map.unit_id))
@@ -127,9 +126,11 @@ class IoDriver:
                 self._open[axis] = is_open
         self._commanded = True
 
-    def _write_brakes(self) -> None:
+    def write_brakes(self) -> None:
+        """Write the brakes as they were last commanded, and read nothing. Errors as `poll_once`; the command stays pending then."""
         for address, bits in _runs({self._map.brake_coils[axis]: is_open for axis, is_open in self._open.items()}):
             self._transport.request(WriteMultipleCoilsRequest(address=address, bits=bits, dev_id=self._map.unit_id))
+        self._commanded = False
 
     def _read_temperatures(self, start: int, count: int) -> None:
         answer = self._transport.request(ReadInputRegistersRequest(address=start, count=count, dev_id=self._map.unit_id))
@@ -139,6 +140,11 @@ class IoDriver:
             register = self._map.temperature_registers.get(axis)
             if register is not None:
                 self.state.temperature_degC[index] = register_to_temperature(answer.registers[register - start])
+
+
+def brake_requests(io_map: IoMap) -> int:
+    """How many requests it takes to write all brakes: one for each run of neighbouring coils."""
+    return len(_runs(dict.fromkeys(io_map.brake_coils.values(), False)))
 
 
 def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:

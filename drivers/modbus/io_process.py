@@ -1,7 +1,8 @@
 """Polls the I/O device from a process of its own, because a Modbus client waits and the loop must not.
 
-State and brake commands pass through shared memory. Each side writes its own block only, between two increments of the block's sequence
-number, so that the reader can tell a block that was changed under its eyes. When the loop's process dies, the brakes are closed.
+State and brake commands pass through shared memory, and each side writes its own block only. When the loop's process dies or stands still,
+the brakes are closed: the polling process is in a session of its own, so that what ends the loop (a lost terminal, Ctrl-\\) does not end
+it, too.
 """
 
 from __future__ import annotations
@@ -20,71 +21,32 @@ import numpy as np
 import drivers.errors
 from drivers.errors import BusTimeout, DriverError
 from drivers.interface import Sample
-from drivers.modbus.io import IoDriver, IoState
-from drivers.modbus.transport import ClientTransport, parse_io_url
+from drivers.modbus.io import IoDriver, IoState, brake_requests
+from drivers.modbus.shared_block import Block
+from drivers.modbus.transport import REQUEST_AT_MOST_S, ClientTransport, parse_io_url
 from drivers.settings import IoMap
 
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
 START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
-CLOSE_TIMEOUT_S = 2.0
+LOOP_STILL_S = 0.5
+"""So long the loop may stand still with a brake open: over a hundred ticks, which no busy processor explains. A loop that is stopped,
+swapped out or in a debugger does not close its brakes, and without its SYNC and heartbeat the drives hold nothing."""
+
 CLOSE_ATTEMPTS = 5  # of closing the brakes on the way out
-ERROR_BYTES = 512
-READ_ATTEMPTS = 100
-
-
-class _Block:
-    """Some float64 values and a line of text in shared memory, with one writer and any number of readers."""
-
-    def __init__(self, memory: memoryview, values: int) -> None:
-        self._sequence = np.frombuffer(memory, np.int64, 1)
-        self._values = np.frombuffer(memory, np.float64, values, 8)
-        self._text = np.frombuffer(memory, np.uint8, ERROR_BYTES, 8 + 8 * values)
-
-    @staticmethod
-    def bytes(values: int) -> int:
-        """Size in memory."""
-        return 8 + 8 * values + ERROR_BYTES
-
-    @property
-    def sequence(self) -> int:
-        """Even: nobody writes. It grows with every write."""
-        return int(self._sequence[0])
-
-    def write(self, values: np.ndarray, text: str = "") -> None:
-        """Replace the content."""
-        self._sequence[0] += 1
-        self._values[:] = values
-        encoded = text.encode()[:ERROR_BYTES]
-        self._text[: len(encoded)] = np.frombuffer(encoded, np.uint8)
-        self._text[len(encoded) :] = 0
-        self._sequence[0] += 1
-
-    def read(self, into: np.ndarray) -> int:
-        """Copy the values; return the sequence number they belong to, or -1 when the writer was always in the way."""
-        for _ in range(READ_ATTEMPTS):
-            before = self.sequence
-            into[:] = self._values
-            if before == self.sequence and before % 2 == 0:
-                return before
-        return -1
-
-    @property
-    def text(self) -> str:
-        """The line of text."""
-        for _ in range(READ_ATTEMPTS):
-            before = self.sequence
-            encoded = self._text.tobytes()
-            if before == self.sequence and before % 2 == 0:
-                return encoded.rstrip(b"\0").decode(errors="replace")
-        return ""
-
-    def release(self) -> None:
-        """Let go of the memory, so that it can be closed."""
-        del self._sequence, self._values, self._text
+CLOSE_PAUSE_S = 0.2  # between them: a refused connection is refused within microseconds, a device that restarts its server takes longer
+EXIT_S = 1.0  # a Python process that ends, on a loaded machine
+READ_REQUESTS = 2  # of a poll that may be under way
 
 
 def _state_values(axes: int) -> int:
     return 3 + 2 * axes  # time, hold-to-run, door, temperatures, brakes
+
+
+def _command_values(axes: int) -> int:
+    return axes + 2  # brake orders, then:
+
+
+_TICKS, _END = -2, -1  # how often the loop has asked for the state; whether polling shall end
 
 
 class IoProcess:
@@ -96,18 +58,26 @@ class IoProcess:
         Where everything lives; its `url` says how to reach the device.
     axes : tuple of str
         Order of the axes in arrays.
+
+    Attributes
+    ----------
+    trouble : str
+        After `close`: why the brakes may still be open; empty when they were closed, or never opened.
     """
 
     def __init__(self, io_map: IoMap, axes: tuple[str, ...]) -> None:
         parse_io_url(io_map.url)
+        self.trouble = ""
         self._map = io_map
         self._axes = axes
-        self._brakes = np.zeros(len(axes))
+        self._orders = 0
+        self._opened = False
+        self._told = np.zeros(_command_values(len(axes)))  # an axis' brake: number of its newest order, negative when it is to close
         self._values = np.zeros(_state_values(len(axes)))
         self._state = IoState(len(axes))
         self._seen = 0
         self._closed = False
-        self._memory = SharedMemory(create=True, size=_Block.bytes(len(self._values)) + _Block.bytes(len(axes) + 1))
+        self._memory = SharedMemory(create=True, size=Block.bytes(len(self._values)) + Block.bytes(len(self._told)))
         self._published, self._command = _blocks(self._memory, len(axes))
         # A fresh interpreter: a forked one would inherit the loop's memory, locked and all, and what its threads hold.
         context = multiprocessing.get_context("spawn")
@@ -144,33 +114,53 @@ class IoProcess:
         """Nothing to do: the other process polls by itself."""
 
     def update(self, sample: Sample) -> None:
-        """Copy the newest state into the sample."""
+        """Copy the newest state into the sample; for every tick: when the ticks stop, the other process closes the brakes (`LOOP_STILL_S`)."""
+        self._told[_TICKS] += 1.0
+        self._command.write(self._told)
         if self._published.sequence != self._seen:
             self._take_over()
         self._state.copy_to(sample, time.monotonic(), self._map.stale_after_s)
 
     def command_brakes(self, brakes: Mapping[str, bool]) -> None:
         """Open (True) or close the brakes of the named axes; noticed by the other process within a hundredth of a second."""
+        self._orders += 1
         for index, axis in enumerate(self._axes):
             if axis in brakes:
-                self._brakes[index] = brakes[axis]
-        self._command.write(np.append(self._brakes, 0.0))
+                self._told[index] = self._orders if brakes[axis] else -self._orders
+                self._opened = self._opened or brakes[axis]
+        self._command.write(self._told)
 
     def close(self) -> None:
-        """Close the brakes and end the process."""
+        """Close the brakes, if any was ever opened, and end the process; what went wrong is in `trouble`. Never raises."""
         if self._closed:
             return
         self._closed = True
-        self._command.write(np.append(np.zeros(len(self._axes)), 1.0))
-        if self._process.pid is not None:
-            self._process.join(CLOSE_TIMEOUT_S)
-            if self._process.is_alive():
-                self._process.kill()
-                self._process.join()
-        self._published.release()
-        self._command.release()
-        self._memory.close()
-        self._memory.unlink()
+        self._told[_END] = 1.0
+        self._command.write(self._told)
+        try:
+            if self._process.pid is not None:
+                self._end_process()
+        finally:
+            self._published.release()
+            self._command.release()
+            self._memory.close()
+            self._memory.unlink()
+
+    def _end_process(self) -> None:
+        bound_s = close_at_most_s(self._map)
+        self._process.join(bound_s)
+        late = self._process.is_alive()
+        if late:
+            self._process.kill()
+            self._process.join()
+        if not self._opened:
+            return
+        if late:
+            self.trouble = f"io on {self._map.url}: the polling process did not end within {bound_s:.1f} s; brakes may be open"
+        elif self._process.exitcode:
+            self.trouble = f"io on {self._map.url}: the polling process ended with status {self._process.exitcode}; brakes may be open"
+        else:
+            self.trouble = self.error
 
     def _take_over(self) -> None:
         sequence = self._published.read(self._values)
@@ -185,38 +175,66 @@ class IoProcess:
         state.brakes_open[:] = values[3 + axes :]
 
 
-def _blocks(memory: SharedMemory, axes: int) -> tuple[_Block, _Block]:
+def _blocks(memory: SharedMemory, axes: int) -> tuple[Block, Block]:
     """The state, written by the polling process, and the command, written by the loop's."""
     values = _state_values(axes)
-    split = _Block.bytes(values)
+    split = Block.bytes(values)
     buffer = memory.buf
     assert buffer is not None, "shared memory was closed"
-    return _Block(buffer[:split], values), _Block(buffer[split:], axes + 1)
+    return Block(buffer[:split], values), Block(buffer[split:], _command_values(axes))
+
+
+def close_at_most_s(io_map: IoMap) -> float:
+    """How long the polling process may take to close the brakes and end [s]: the poll under way, and every attempt, at its longest."""
+    writes = brake_requests(io_map)
+    requests = writes + READ_REQUESTS + CLOSE_ATTEMPTS * writes
+    return requests * REQUEST_AT_MOST_S + (CLOSE_ATTEMPTS - 1) * CLOSE_PAUSE_S + EXIT_S
 
 
 def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, parent: int) -> None:
     """The polling process: until it is told to end, asked to by a signal, or left alone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the loop decides what it means
-    signal.signal(signal.SIGTERM, lambda *_: _raise_exit())
+    _leave_session()
     _leave_real_time()
     memory = SharedMemory(name=memory_name)
     published, command = _blocks(memory, len(axes))
     driver = IoDriver(io_map, ClientTransport(io_map.url), axes)
+    poller = _Poller(io_map, axes, driver, published, command, parent)
+    signal.signal(signal.SIGTERM, poller.ask_to_end)  # sets a flag: an exception, the second at the latest, would break the closing off
     try:
-        _Poller(io_map, axes, driver, published, command, parent).run()
+        poller.run()
     finally:
-        for _ in range(CLOSE_ATTEMPTS):
-            driver.command_brakes(dict.fromkeys(axes, False))
-            with contextlib.suppress(DriverError):
-                driver.poll_once(time.monotonic())
-                break
+        poller.say(_close_brakes(driver, axes) if poller.opened else "")
         published.release()
         command.release()
         memory.close()
+        if poller.orphaned():
+            with contextlib.suppress(OSError):
+                memory.unlink()  # nobody else is left to do it
 
 
-def _raise_exit() -> None:
-    raise SystemExit
+def _close_brakes(driver: IoDriver, axes: tuple[str, ...]) -> str:
+    """Try to, some times; why it could not be done, or ''."""
+    trouble = ""
+    driver.command_brakes(dict.fromkeys(axes, False))
+    for attempt in range(CLOSE_ATTEMPTS):
+        if attempt:
+            time.sleep(CLOSE_PAUSE_S)
+        try:
+            driver.write_brakes()
+            return ""
+        except Exception as error:  # the next attempt is made whatever this one ran into
+            trouble = f"{error}; the brakes could not be closed in {CLOSE_ATTEMPTS} attempts and may be open"
+    return trouble
+
+
+def _leave_session() -> None:
+    """What the loop's terminal sends to everybody in front of it must not reach the one who closes the brakes."""
+    if hasattr(os, "setsid"):
+        with contextlib.suppress(OSError):
+            os.setsid()
+    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _leave_real_time() -> None:
@@ -229,54 +247,43 @@ def _leave_real_time() -> None:
 class _Poller:
     """Polls, publishes, obeys."""
 
-    def __init__(
-        self, io_map: IoMap, axes: tuple[str, ...], driver: IoDriver, published: _Block, command: _Block, parent: int
-    ) -> None:
+    def __init__(self, io_map: IoMap, axes: tuple[str, ...], driver: IoDriver, published: Block, command: Block, parent: int) -> None:
+        self.opened = False  # whether it was ever told to open a brake
         self._map = io_map
         self._axes = axes
         self._driver = driver
         self._published = published
         self._command = command
         self._parent = parent
-        self._obeyed = 0
-        self._wanted = np.zeros(len(axes) + 1)
+        self._read_sequence = 0
+        self._reading = np.zeros(_command_values(len(axes)))
+        self._wanted = self._reading.copy()  # the newest command that was read whole
+        self._obeyed = self._reading[:_TICKS].copy()
+        self._open = np.zeros(len(axes), dtype=bool)  # as told to the driver
+        self._ticks = 0.0
+        self._ticked_s = time.monotonic()
+        self._asked_to_end = False
 
     def run(self) -> None:
         """Until told to end, or the loop's process is gone."""
-        while not self._wanted[-1] and not self._orphaned():
-            self._obey()
+        while not self._asked_to_end and not self.orphaned():
+            self._heed()
+            if self._wanted[_END]:
+                return
             self._poll()
             self._rest()
 
-    def _poll(self) -> None:
+    def ask_to_end(self, *_: object) -> None:
+        """Signal handler: end after the poll under way."""
+        self._asked_to_end = True
+
+    def say(self, text: str) -> None:
+        """Publish the state with a line of text."""
         state = self._driver.state
-        failure = ""
-        try:
-            self._driver.poll_once(time.monotonic())
-        except DriverError as error:
-            failure = f"{type(error).__name__}: {error}"
-            if time.monotonic() - state.time_s > self._map.stale_after_s:
-                # After a long silence nobody knows what the machine did: brakes stay closed until they are commanded anew.
-                self._driver.command_brakes(dict.fromkeys(self._axes, False))
         values = np.concatenate(((state.time_s, state.hold_to_run, state.door_closed), state.temperature_degC, state.brakes_open))
-        self._published.write(values, failure)
+        self._published.write(values, text)
 
-    def _obey(self) -> None:
-        if self._command.sequence == self._obeyed:
-            return
-        sequence = self._command.read(self._wanted)
-        if sequence >= 0:
-            self._obeyed = sequence
-            self._driver.command_brakes({axis: bool(is_open) for axis, is_open in zip(self._axes, self._wanted, strict=False)})
-
-    def _rest(self) -> None:
-        """Until the next poll is due, a command waits, or the loop's process is gone."""
-        until = time.monotonic() + self._map.poll_period_s
-        while (left := until - time.monotonic()) > 0.0:
-            if self._command.sequence != self._obeyed or self._orphaned(min(left, SLICE_S)):
-                return
-
-    def _orphaned(self, timeout_s: float = 0.0) -> bool:
+    def orphaned(self, timeout_s: float = 0.0) -> bool:
         """Whether the loop's process is gone; waits for that at most so long.
 
         The sentinel tells at once but can be held open by another child of the loop's process; the parent's number tells where it exists.
@@ -284,3 +291,53 @@ class _Poller:
         loop = multiprocessing.parent_process()
         gone = loop is not None and bool(wait([loop.sentinel], timeout_s))
         return gone or (os.name == "posix" and os.getppid() != self._parent)
+
+    def _poll(self) -> None:
+        failure = ""
+        try:
+            self._driver.poll_once(time.monotonic())
+        except DriverError as error:
+            failure = f"{type(error).__name__}: {error}"
+            if time.monotonic() - self._driver.state.time_s > self._map.stale_after_s:
+                self._close_until_told()  # after a long silence nobody knows what the machine did
+        self.say(failure)
+
+    def _heed(self) -> bool:
+        """Take over what the loop's process says; whether the brakes must be written for it."""
+        if self._command.sequence != self._read_sequence:
+            sequence = self._command.read(self._reading)
+            if sequence >= 0:
+                self._read_sequence = sequence
+                self._wanted[:] = self._reading
+        now_s = time.monotonic()
+        if self._wanted[_TICKS] != self._ticks:
+            self._ticks = float(self._wanted[_TICKS])
+            self._ticked_s = now_s
+        if (self._wanted[:_TICKS] != self._obeyed).any():
+            self._ticked_s = now_s
+            self._obey()
+            return True
+        return now_s - self._ticked_s > LOOP_STILL_S and self._close_until_told()
+
+    def _obey(self) -> None:
+        orders = self._wanted[:_TICKS]
+        new = orders != self._obeyed
+        self._obeyed[:] = orders
+        self._open[new] = orders[new] > 0.0
+        self.opened = self.opened or bool(self._open.any())
+        self._driver.command_brakes({self._axes[index]: bool(self._open[index]) for index in np.flatnonzero(new)})
+
+    def _close_until_told(self) -> bool:
+        """Close the brakes that are open, until they are commanded anew; whether any was."""
+        if not self._open.any():
+            return False
+        self._open[:] = False
+        self._driver.command_brakes(dict.fromkeys(self._axes, False))
+        return True
+
+    def _rest(self) -> None:
+        """Until the next poll is due, brakes must be written, or polling is to end."""
+        until = time.monotonic() + self._map.poll_period_s
+        while (left := until - time.monotonic()) > 0.0:
+            if self._asked_to_end or self._heed() or self._wanted[_END] or self.orphaned(min(left, SLICE_S)):
+                return

@@ -20,6 +20,7 @@ from drivers.modbus.registers import ExceptionCode
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
+REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, of which a dribbling answer doubles the time
 MBAP_UNIT_OFFSET = 6
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # faults leave this module as exceptions, not on standard error
