@@ -138,7 +138,7 @@ class CanMachine:
         Raises
         ------
         MotionRefused
-            A check failed.
+            A check failed, or the permission to move was taken back: hold-to-run, door, I/O.
         DeviceFault, HeartbeatLost, BusError
         """
         holding = self._zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
@@ -185,7 +185,7 @@ class CanMachine:
         Raises
         ------
         MotionRefused
-            A brake's feedback does not follow.
+            A brake's feedback does not follow, or the permission to move was taken back: hold-to-run, door, I/O.
         DeviceFault, HeartbeatLost, BusError
         """
         with self._stopping_on_error():
@@ -285,6 +285,22 @@ class CanMachine:
         io = self.settings.io
         return io is None or self.sample.io_age_s <= io.stale_after_s
 
+    def refusal(self) -> str:
+        """Why nothing may move by the newest state of hold-to-run, door and I/O, in words; '' when it may, or nothing watches."""
+        sample, io = self.sample, self.settings.io
+        if self._io is None or io is None:
+            return ""
+        if not self.io_is_fresh():
+            return (
+                f"the I/O has not answered for {sample.io_age_s:.2f} s, {io.stale_after_s:.2f} s are allowed: "
+                "nobody knows of hold-to-run, door and brakes; check its line and supply"
+            )
+        if not sample.hold_to_run:
+            return "hold-to-run is not pressed; press and hold it"
+        if not sample.door_closed:
+            return "the door is open; close it"
+        return ""
+
     def sdo(self, axis: int) -> SdoNode:
         """Object dictionary of an axis' drive."""
         return self._nodes[self.drives[axis].node_id]
@@ -317,13 +333,10 @@ class CanMachine:
 
     def _check_permission(self) -> None:
         """One tick, and what must be true before anything moves."""
-        sample = self.exchange(self._zeros)
-        if self._io is None:
-            return
-        if not sample.hold_to_run:
-            raise MotionRefused("hold-to-run is not pressed; press and hold it")
-        if not sample.door_closed:
-            raise MotionRefused("the door is open; close it")
+        self.exchange(self._zeros)
+        refusal = self.refusal()
+        if refusal:
+            raise MotionRefused(refusal)
 
     def _before_sync(self) -> None:
         if self._imu is not None:

@@ -62,8 +62,8 @@ class Machine(Protocol):
     def has_brake(self, axis: int) -> bool:
         """Whether the I/O commands a brake of this axis."""
 
-    def io_is_fresh(self) -> bool:
-        """Whether the I/O's newest state is young enough to be believed."""
+    def refusal(self) -> str:
+        """Why nothing may move by the newest state of hold-to-run, door and I/O; '' when it may."""
 
     def sdo(self, axis: int) -> SdoNode:
         """Object dictionary of the axis' drive."""
@@ -199,16 +199,21 @@ def ticks_in(machine: Machine, seconds: float) -> int:
 
 
 def tick(machine: Machine, command: np.ndarray) -> Sample:
-    """One exchange in which no device may report a fault.
+    """One exchange in which no device may report a fault and nobody may take back the permission to move.
 
     Raises
     ------
     DeviceFault
         Whatever any node reported, in words.
+    MotionRefused
+        Hold-to-run was released, the door opened, or the I/O that would tell has gone silent.
     """
     sample = machine.exchange(command)
     if sample.fault:
         raise DeviceFault(sample.fault)
+    refusal = machine.refusal()
+    if refusal:
+        raise MotionRefused(refusal)
     return sample
 
 
@@ -225,14 +230,10 @@ def _move_brakes(machine: Machine, axes: Sequence[int], hold: Hold, *, wanted: b
     while True:
         sample = tick(machine, hold(machine.sample))
         waiting = [machine.axes[axis] for axis in braked if bool(sample.brakes_open[axis]) != wanted]
-        if not waiting and machine.io_is_fresh():
+        if not waiting:
             return
         if machine.clock.now() > deadline:
             word = "open" if wanted else "closed"
-            if not waiting:
-                raise MotionRefused(
-                    f"brakes: the I/O has not answered for {sample.io_age_s:.2f} s, so nobody knows whether they are {word}"
-                )
             raise MotionRefused(
                 f"brake of {', '.join(waiting)}: not {word} within {BRAKE_TIMEOUT_S:.1f} s by its feedback; check brake, relay and input"
             )

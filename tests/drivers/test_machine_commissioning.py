@@ -77,6 +77,64 @@ def test_nothing_moves_without_permission(rig, switch, words, method):
     assert rig.at_rest()
 
 
+TAKEN_BACK = {
+    "hold_to_run": (lambda io: setattr(io, "hold_to_run", False), "hold-to-run is not pressed"),
+    "door": (lambda io: setattr(io, "door_closed", False), "the door is open"),
+    "silent io": (lambda io: setattr(io, "age_s", 0.51), r"the I/O has not answered for 0\.51 s, 0\.50 s are allowed"),
+    "io never heard": (lambda io: setattr(io, "age_s", float("nan")), "the I/O has not answered"),
+}
+
+
+def take_back_when(rig, happens, take_back):
+    """Take the permission back in the first tick in which something is so; the SYNCs on the bus by then are returned when asked."""
+    synced, update, at = rig.bus.sent, rig.io.update, []
+
+    def watch(sample):
+        if not at and happens():
+            at.append(len(synced(0x080)))
+            take_back(rig.io)
+        update(sample)
+
+    rig.io.update = watch
+    return at
+
+
+@pytest.mark.parametrize(("take_back", "words"), TAKEN_BACK.values(), ids=TAKEN_BACK.keys())
+@pytest.mark.parametrize("stage", ["pushed", "homed", "held", "opening", "closing"])
+def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage, take_back, words):
+    rig = Rig(method=33)
+    machine, drive = rig.machine, rig.drives[0]
+    machine.start()
+    if stage in ("pushed", "homed"):
+        drive.homing_ticks, drive.friction = 400, 30.0
+        pushing = stage == "pushed"
+        happens = {
+            "pushed": lambda: drive.brake_open and drive.value(0x6078) > 10,
+            "homed": lambda: drive.brake_open and drive.value(0x6061) == 6 and drive.value(0x6040) == 0x1F,
+        }[stage]
+        at = take_back_when(rig, happens, take_back)
+        with pytest.raises(MotionRefused, match=words):
+            machine.home(check_first_move=pushing)
+    else:
+        machine.enable()
+        if stage == "closing":
+            machine.release_brakes(lambda _: ZERO)
+        happens = {"held": lambda: True, "opening": lambda: any(rig.io._wanted.values()), "closing": lambda: not all(rig.io._wanted.values())}
+        at = take_back_when(rig, happens[stage], take_back)
+        with pytest.raises(MotionRefused, match=words):
+            (machine.close_brakes if stage == "closing" else machine.release_brakes)(lambda _: ZERO)
+    words_sent = [int.from_bytes(data[:2], "little") for data in rig.bus.sent(0x201)]
+    assert words_sent[at[0]] == 0x0002  # the very next frame is a quick stop
+    assert rig.at_rest()
+
+
+def test_a_machine_without_io_needs_nobodys_permission():
+    rig = Rig(io=False)
+    rig.machine.start()
+    rig.machine.sample.hold_to_run = rig.machine.sample.door_closed = False
+    rig.machine.home(check_first_move=False)
+
+
 def test_brakes_open_only_after_the_drives_hold(rig):
     rig.machine.enable()
     holding = np.array([0.5, -0.5])
