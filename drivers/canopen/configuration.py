@@ -21,7 +21,7 @@ MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0
 
 OPTION_CODES = (
     (0x6007, 1),  # abort connection (heartbeat of the bench lost, bus off): fault, so the motor stops and somebody has to acknowledge it
-    (0x605A, 2),  # quick stop: slow down on the quick stop ramp, then switch on disabled
+    (0x605A, 6),  # quick stop: slow down on the quick stop ramp and hold; the bench takes the voltage once the brakes have closed
     (0x605B, 0),  # shutdown: disable the drive function; the brake holds by then
     (0x605C, 1),  # disable operation: slow down on the slow down ramp
     (0x605E, 2),  # fault reaction: slow down on the quick stop ramp

@@ -64,6 +64,22 @@ def test_a_second_ctrl_c_while_the_motors_are_being_stopped_does_not_break_the_s
     assert not any(off and is_open for tick in seen for off, is_open in zip(tick.commanded_off, tick.brake_open, strict=True))
 
 
+def test_a_drive_holds_its_axis_until_its_brake_has_closed(tmp_path, monkeypatch):
+    """The brake's mechanics are slow here: a drive that switches itself off at standstill would let the axis fall before."""
+
+    with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
+        bench.wiring.link.network.can_bus.machine.io._brake_delay_s = 0.3
+        seen = watch_stops(bench, monkeypatch)
+        with pytest.raises(LoopAborted, match="asked to stop"):
+            bench.run(
+                Static(1.0, POSE).plans(CARM)[0],
+                tmp_path / "run.mf4",
+                lambda row: bench.loop.stop_request.ask("asked to stop") if row == 128 else None,
+            )
+    assert sum(all(tick.brake_open) for tick in seen) > 0.3 * CARM.sample_rate_Hz
+    assert not any(is_open and not power for tick in seen for is_open, power in zip(tick.brake_open, tick.powered, strict=True))
+
+
 def test_a_second_ctrl_c_elsewhere_is_as_rude_as_ever():
     with open_bench(CARM, BenchOptions("lockstep:"), START):
         signal.raise_signal(signal.SIGINT)

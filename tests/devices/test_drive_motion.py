@@ -9,7 +9,7 @@ import pytest
 from device_wires import COUNTS_PER_TURN, PERIOD_S, RESOLUTION
 from lockstep_client import Master, one_axis, one_axis_bus
 
-from virtual_bus.canopen.motion import STANDSTILL_SAMPLES, VelocityGains, VelocityLoop
+from virtual_bus.canopen.motion import STANDSTILL_S, VelocityGains, VelocityLoop
 
 OPERATION_ENABLED, FAULT, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED = 0x27, 0x08, 0x07, 0x40
 TARGET_REACHED, INTERNAL_LIMIT, HOMING_ATTAINED, HOMING_ERROR, FOLLOWS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 12
@@ -377,8 +377,8 @@ def test_the_counter_wraps_at_32_bits() -> None:
 # ---- the drive's own velocity loop ---------------------------------------------------------------------
 
 
-def loop() -> VelocityLoop:
-    return VelocityLoop(VelocityGains(proportional=0.1, integral=0.5), PERIOD_S, standstill_counts_s=10.0)
+def loop(period_s: float = PERIOD_S) -> VelocityLoop:
+    return VelocityLoop(VelocityGains(proportional=0.1, integral=0.5), period_s, standstill_counts_s=10.0)
 
 
 def test_a_loop_against_its_limit_does_not_wind_up() -> None:
@@ -389,11 +389,14 @@ def test_a_loop_against_its_limit_does_not_wind_up() -> None:
     assert velocity.torque(0.0, 1e9, 1000.0, 100.0) < 0.0, "it turns round at once"
 
 
-def test_a_motor_stands_when_it_has_stood_for_a_while() -> None:
-    velocity = loop()
+@pytest.mark.parametrize("period_s", [PERIOD_S, 1e-3])
+def test_a_motor_stands_when_it_has_stood_for_a_while_however_fast_it_is_sampled(period_s: float) -> None:
+    velocity = loop(period_s)
     velocity.start(0.0, 0.0)
-    for _ in range(STANDSTILL_SAMPLES - 1):
+    elapsed_s = period_s
+    while elapsed_s < STANDSTILL_S - 1e-9:
         velocity.torque(0.0, 1e9, 5.0, 100.0)
+        elapsed_s += period_s
     assert not velocity.standing
     velocity.torque(0.0, 1e9, 5.0, 100.0)
     assert velocity.standing

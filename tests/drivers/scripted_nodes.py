@@ -5,6 +5,7 @@ Virtual time passes by one period per SYNC and while somebody waits in `recv`; e
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from pathlib import Path
@@ -15,6 +16,7 @@ from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity,
 
 PERIOD_S = 1 / 256
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen" / "eds_files"
+STANDING_TICKS = 3  # until a drive in quick stop takes its motor for standing
 TICK_S = 0.001  # resolution of heartbeats while somebody waits
 
 
@@ -271,6 +273,7 @@ class ScriptedDrive(ScriptedNode):
         self.speed, self.counts, self.link_counts = 0.0, 1000.0, 4194304.0
         self.homing_ticks, self.homing_result, self._homing_left, self._homing_bits = 1, "attained", 0, 0x400
         self.refuses_enable = False
+        self.ramp, self._standing_ticks = 0.0, 0  # quick stop: counts per tick^2
         self.set(0x6041, 0, 0x240)
 
     def fail(self, code: int) -> None:
@@ -293,6 +296,7 @@ class ScriptedDrive(ScriptedNode):
             self.link_counts += self.speed * 13.65  # 2^23 / (4096 * 150): link counts per motor count
         elif not self.brake_open:
             self.speed = 0.0
+        self._quick_stop()
         self.set(0x6064, 0, round(self.counts))
         self.set(0x6078, 0, torque)
         self.set(0x6041, 0, STATUSWORDS[self.power] | (self._homing_bits if self.value(0x6061) == 6 else 0))
@@ -314,6 +318,16 @@ class ScriptedDrive(ScriptedNode):
             self.power = "switched on"
         elif word & 0x8F == 0x0F and self.power == "switched on" and not self.refuses_enable:
             self.power = "operation enabled"
+
+    def _quick_stop(self) -> None:
+        """605Ah: 5 to 8 stay in quick stop active once at standstill, the others switch the drive off."""
+        if self.power != "quick stop active":
+            self._standing_ticks = 0
+            return
+        self.speed -= math.copysign(min(abs(self.speed), self.ramp), self.speed)
+        self._standing_ticks += self.speed == 0.0
+        if self._standing_ticks >= STANDING_TICKS and self.value(0x605A) < 5:
+            self.power = "switch on disabled"
 
     def _homing(self, word: int) -> None:
         if self.value(0x6061) != 6 or not word & 0x10:

@@ -384,6 +384,22 @@ def test_stop_orders_quick_stop_before_voltage_off_and_waits_for_the_brakes_in_b
     assert set(words[quick_stops:]) == {0x0000}
 
 
+def test_no_drive_loses_its_voltage_during_a_stop_before_its_brake_has_closed(rig, monkeypatch):
+    rig.ready()
+    rig.io.delay_polls = 20  # brakes take longer than the drives' standstill
+    seen = []
+    original = ScriptedDrive.on_sync
+
+    def watch(drive):
+        original(drive)
+        seen.append((drive.power, drive.brake_open))
+
+    monkeypatch.setattr(ScriptedDrive, "on_sync", watch)
+    rig.machine.stop()
+    assert seen.count(("quick stop active", True)) > 20 and seen[-1] == ("switch on disabled", False)
+    assert ("switch on disabled", True) not in seen
+
+
 def test_a_brake_that_jams_open_does_not_hold_up_the_stop_for_ever(rig):
     rig.ready()
     rig.io.jammed = {"roll"}

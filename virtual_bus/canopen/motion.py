@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-STANDSTILL_SAMPLES = 20  # below the standstill speed for so long: the motor stands
+STANDSTILL_S = 0.078  # below the standstill speed for so long: the motor stands
 _SPEED_FILTER = 0.25  # share of the newest difference: the encoder's counts are coarse at slow speed
 
 
@@ -46,6 +47,7 @@ class VelocityLoop:
         self._set_counts_s = 0.0
         self._integral = 0.0
         self._still = 0
+        self._still_samples = math.ceil(STANDSTILL_S / period_s)
 
     def start(self, speed_counts_s: float, torque_permille: float) -> None:
         """Take over at the present speed and torque."""
@@ -56,7 +58,7 @@ class VelocityLoop:
     @property
     def standing(self) -> bool:
         """The set point is zero and the motor has stood for a while."""
-        return self._still >= STANDSTILL_SAMPLES
+        return self._still >= self._still_samples
 
     def torque(self, target_counts_s: float, acceleration_counts_s2: float, speed_counts_s: float, limit_permille: float) -> float:
         """Torque [per mille of rated] for this sample; the set point approaches the target by the acceleration."""
