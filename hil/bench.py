@@ -342,8 +342,8 @@ def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
 
 @contextlib.contextmanager
 def _stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> Iterator[None]:
-    """SIGINT and SIGTERM end the run at the next tick, motors stopped; a second one at once, unless the motors are being stopped already:
-    a stop that is broken off may take the voltage from a drive before its brake has closed."""
+    """SIGINT, SIGTERM, SIGHUP and SIGQUIT end the run at the next tick, motors stopped; a second one at once, unless the motors are being
+    stopped already: a stop that is broken off may take the voltage from a drive before its brake has closed."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -353,7 +353,8 @@ def _stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> 
             raise LoopAborted("interrupted twice; the motors were stopped")
         request.ask(f"asked to stop by {signal.Signals(number).name}")
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    asking = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]  # not all everywhere
+    before = {number: signal.signal(number, ask) for number in asking}
     try:
         yield
     finally:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import can
 import numpy as np
 
-from drivers.errors import BusUnavailable
+from drivers.errors import BusError, BusUnavailable
 from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
@@ -137,11 +137,25 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
         io = None
         if settings.io is not None:
-            io = IoProcess(settings.io, machine.axes)
-            stack.callback(io.close)
-            io.start()
+            io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
         clock = WallClock()
         yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, False)
+
+
+@contextlib.contextmanager
+def _polling(io: IoProcess) -> Iterator[IoProcess]:
+    """The I/O polled; on the way out, that its brakes may still be open is an error of its own or a note to the one there is."""
+    try:
+        io.start()
+        yield io
+    except BaseException as error:
+        io.close()
+        if io.trouble:
+            error.add_note(io.trouble)
+        raise
+    io.close()
+    if io.trouble:
+        raise BusError(io.trouble)
 
 
 def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) -> BusSettings:

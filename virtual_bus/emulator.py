@@ -42,7 +42,7 @@ class Ports:
 
 
 def run_emulator(bus: can.BusABC, machine: EmulatedMachine, on_ready: Callable[[Ports], None], io_port: int = 0) -> None:
-    """Emulate a machine until SIGTERM or SIGINT.
+    """Emulate a machine until one of `STOP_SIGNALS` asks to end.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def run_emulator(bus: can.BusABC, machine: EmulatedMachine, on_ready: Callable[[
 
 
 def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) -> None:
-    """Emulate one device until SIGTERM or SIGINT."""
+    """Emulate one device until one of `STOP_SIGNALS` asks to end."""
     _serve(bus, device, on_ready, lambda: None)
 
 
@@ -120,7 +120,7 @@ def _long_lived_objects_frozen() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """A flag that SIGTERM, SIGINT and a lost terminal's signals raise; the handlers found are put back."""
+    """A flag that `STOP_SIGNALS` raise; the handlers found are put back."""
     stop = False
 
     def ask(signum: int, frame: FrameType | None) -> None:

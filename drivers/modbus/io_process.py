@@ -114,7 +114,7 @@ class IoProcess:
         """Nothing to do: the other process polls by itself."""
 
     def update(self, sample: Sample) -> None:
-        """Copy the newest state into the sample; for every tick: when the ticks stop, the other process closes the brakes (`LOOP_STILL_S`)."""
+        """Copy the newest state into the sample; for every tick: without ticks the other process closes the brakes (`LOOP_STILL_S`)."""
         self._told[_TICKS] += 1.0
         self._command.write(self._told)
         if self._published.sequence != self._seen:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -250,16 +251,16 @@ def test_a_stop_request_while_homing_stops_there_and_not_at_the_first_row():
         assert bench.commissioning == ()
 
 
-def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder):
-    import signal
-
-    before = signal.getsignal(signal.SIGTERM)
+@pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)])
+def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder, name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
 
     def interrupt(bench, row):
         if row == 128:
-            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(number)
 
-    with pytest.raises(LoopAborted, match=r"row 129: asked to stop by SIGTERM|^asked to stop by SIGTERM"):
-        run_in_lockstep(folder, Static(2.0, POSE).plans(CARM), name="interrupted", progress=interrupt)
-    assert 129 <= read_recording(folder / "interrupted_0.mf4").rows <= 130
-    assert signal.getsignal(signal.SIGTERM) is before
+    with pytest.raises(LoopAborted, match=rf"row 129: asked to stop by {name}|^asked to stop by {name}"):
+        run_in_lockstep(folder, Static(2.0, POSE).plans(CARM), name=f"interrupted_{name}", progress=interrupt)
+    assert 129 <= read_recording(folder / f"interrupted_{name}_0.mf4").rows <= 130
+    assert signal.getsignal(number) is before

@@ -50,7 +50,7 @@ class Client(threading.Thread):
 
 
 def emulate(channel: str, serve: Callable[[can.BusABC, Callable[..., None]], None], work: Callable[..., None], end_with: int) -> None:
-    before = {signum: signal.getsignal(signum) for signum in (signal.SIGTERM, signal.SIGINT)}
+    before = {signum: signal.getsignal(signum) for signum in {signal.SIGTERM, signal.SIGINT, end_with}}
     with can.Bus(channel, interface="virtual") as theirs, can.Bus(channel, interface="virtual") as ours:
         clients: list[Client] = []
 
@@ -65,7 +65,10 @@ def emulate(channel: str, serve: Callable[[can.BusABC, Callable[..., None]], Non
     assert {signum: signal.getsignal(signum) for signum in before} == before, "the handlers found are put back"
 
 
-@pytest.mark.parametrize("end_with", [signal.SIGTERM, signal.SIGINT])
+STOPS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
+
+
+@pytest.mark.parametrize("end_with", STOPS)
 def test_a_bare_device_serves_until_it_is_told_to_stop(end_with: int) -> None:
     def work(bus: can.BusABC) -> None:
         answer = ask(bus, 0x605, bytes.fromhex("40 18 10 02 00 00 00 00"), 0x585)
