@@ -23,7 +23,7 @@ from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.stopping import Attempts, bring_to_rest
+from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
 from drivers.canopen.supervision import Supervision
 from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError, MotionRefused
 from drivers.interface import Clock, Sample
@@ -84,6 +84,7 @@ class CanMachine:
         self._ticking = False
         self._ours = False  # nobody else runs this machine: only then may anything be sent, even to stop it
         self._io_lost = ""
+        self._standstill = self._new_standstill()
         self._zeros = np.zeros(len(self.axes))
 
     def start(self) -> None:
@@ -374,9 +375,8 @@ class CanMachine:
         attempts = Attempts()
         if self._ticking:
             cyclic = self._cyclic
-            bring_to_rest(
-                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._brakes_closed
-            )
+            self._standstill = self._new_standstill()
+            bring_to_rest(attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._axis_at_rest)
         else:
             attempts.make("closing the brakes", self._close_all_brakes)
         self._ticking = False
@@ -387,6 +387,7 @@ class CanMachine:
     def _tick_at_rest(self) -> None:
         """A tick on the way to a stop: the I/O may be lost, the drives are stopped all the same."""
         self._cyclic.run(self._zeros.tolist(), self.sample, self._before_sync)
+        self._standstill.update(self.sample.position)
         if self._io is None or self._io_lost:
             return
         try:
@@ -398,8 +399,14 @@ class CanMachine:
     def _close_all_brakes(self) -> None:
         self.command_brakes({axis: False for axis in self.axes})
 
-    def _brakes_closed(self) -> bool:
-        return self.io_is_fresh() and not any(self.has_brake(axis) and self.sample.brakes_open[axis] for axis in range(len(self.axes)))
+    def _axis_at_rest(self, axis: int, powered: bool) -> bool:
+        """By the brake's feedback, as far as it is to be believed; without one by the position, unless there is no voltage to hold with."""
+        if self.has_brake(axis):
+            return self.io_is_fresh() and not self.sample.brakes_open[axis]
+        return not powered or self._standstill.of(axis)
+
+    def _new_standstill(self) -> Standstill:
+        return Standstill(np.array([scaling.position_resolution for scaling in self.scalings]), self.period_s)
 
 
 class _StopOnError:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from drivers.canopen import cia402
 from drivers.canopen.cia402 import State
@@ -11,6 +14,8 @@ from drivers.interface import Clock
 
 QUICK_STOP_PATIENCE_S = 0.6  # for slowing down, and for the brakes to close
 DISABLE_PATIENCE_S = 0.2
+STANDSTILL_S = 0.05  # an axis whose position has not changed for so long stands
+STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
 POWERED = frozenset(
     {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
 )
@@ -30,6 +35,34 @@ class Attempts:
             self.trouble.append(f"{step}: {error}")
 
 
+class Standstill:
+    """Watches, tick by tick, which axes have stood still for `STANDSTILL_S`; a position that is missing is not known to stand.
+
+    Parameters
+    ----------
+    resolution : (n_axes,) array
+        One count of each axis [rad or m].
+    period_s : float
+        Between ticks.
+    """
+
+    def __init__(self, resolution: np.ndarray, period_s: float) -> None:
+        self._window = STANDSTILL_COUNTS * resolution
+        self._needed = math.ceil(STANDSTILL_S / period_s)
+        self._anchor = np.full(len(resolution), np.nan)
+        self._ticks = np.zeros(len(resolution), dtype=np.int64)
+
+    def update(self, position: np.ndarray) -> None:
+        """Take the newest positions (n_axes,)."""
+        still = np.abs(position - self._anchor) <= self._window
+        self._ticks = np.where(still, self._ticks + 1, 0)
+        self._anchor = np.where(still, self._anchor, position)
+
+    def of(self, axis: int) -> bool:
+        """Whether that axis stands."""
+        return bool(self._ticks[axis] >= self._needed)
+
+
 def bring_to_rest(
     attempts: Attempts,
     clock: Clock,
@@ -37,9 +70,9 @@ def bring_to_rest(
     outputs: Sequence[AxisOutput],
     tick: Callable[[], object],
     close_brakes: Callable[[], object],
-    brakes_closed: Callable[[], bool],
+    at_rest: Callable[[int, bool], bool],
 ) -> None:
-    """Quick stop at once, brakes at once; voltage off only when the brakes have closed or their patience is over, so that nothing falls.
+    """Quick stop at once, brakes at once; voltage off only when every axis is at rest or its patience is over, so that nothing falls.
 
     Parameters
     ----------
@@ -48,8 +81,11 @@ def bring_to_rest(
     inputs, outputs : of the axes
     tick : callable
         One SYNC with zero targets, raising nothing but a dead bus.
-    close_brakes, brakes_closed : callable
-        Command, and feedback.
+    close_brakes : callable
+        Command.
+    at_rest : callable
+        Takes an axis and whether its drive is powered. Whether nothing happens any more when the voltage goes: its brake has closed, or,
+        where the bench works none, its drive has brought it to a standstill.
     """
 
     def tick_until(patience_s: float, done: Callable[[], bool]) -> None:
@@ -65,7 +101,12 @@ def bring_to_rest(
         output.controlword = cia402.QUICK_STOP
     attempts.make("quick stop", tick)
     attempts.make("closing the brakes", close_brakes)
-    attempts.make("slowing down", tick_until, QUICK_STOP_PATIENCE_S, lambda: brakes_closed() and State.OPERATION_ENABLED not in states())
+    attempts.make(
+        "slowing down",
+        tick_until,
+        QUICK_STOP_PATIENCE_S,
+        lambda: all(state is not State.OPERATION_ENABLED and at_rest(axis, state in POWERED) for axis, state in enumerate(states())),
+    )
     for output in outputs:
         output.controlword = cia402.DISABLE_VOLTAGE
     attempts.make("disabling voltage", tick_until, DISABLE_PATIENCE_S, lambda: POWERED.isdisjoint(states()))

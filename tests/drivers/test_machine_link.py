@@ -400,6 +400,50 @@ def test_no_drive_loses_its_voltage_during_a_stop_before_its_brake_has_closed(ri
     assert ("switch on disabled", True) not in seen
 
 
+def quick_stop_of_a_turning_axis(ramp, monkeypatch):
+    """One axis without a brake turns by 20 counts a tick and is stopped: its (power, speed) tick by tick, and how long the stop took."""
+    rig = Rig(io=False)
+    rig.machine.start()
+    rig.machine.enable()
+    drive = rig.drives[0]
+    drive.brake_open, drive.speed, drive.ramp = True, 20.0, ramp
+    seen = []
+    original = ScriptedDrive.on_sync
+
+    def watch(node):
+        original(node)
+        if node is drive:
+            seen.append((node.power, node.speed))
+
+    monkeypatch.setattr(ScriptedDrive, "on_sync", watch)
+    start = rig.bus.time_s
+    rig.machine.stop()
+    assert [d.power for d in rig.drives] == ["switch on disabled"] * 2
+    return seen, rig.bus.time_s - start
+
+
+def test_an_axis_without_a_brake_keeps_its_voltage_until_it_stands(monkeypatch):
+    seen, seconds = quick_stop_of_a_turning_axis(1.0, monkeypatch)
+    assert all(speed == 0.0 for power, speed in seen if power == "switch on disabled")
+    assert seen.count(("quick stop active", 0.0)) == pytest.approx(0.05 / PERIOD_S, abs=2)
+    assert seconds < 0.2
+
+
+def test_an_axis_without_a_brake_that_never_stands_does_not_hold_up_the_stop_for_ever(monkeypatch):
+    _, seconds = quick_stop_of_a_turning_axis(0.0, monkeypatch)
+    assert 0.6 < seconds < 0.7
+
+
+def test_an_axis_without_a_brake_whose_position_is_lost_is_not_taken_for_standing(monkeypatch):
+    rig = Rig(io=False)
+    rig.machine.start()
+    rig.machine.enable()
+    rig.drives[0].mute_pdo = True
+    start = rig.bus.time_s
+    rig.machine.stop()
+    assert rig.bus.time_s - start > 0.6
+
+
 def test_a_brake_that_jams_open_does_not_hold_up_the_stop_for_ever(rig):
     rig.ready()
     rig.io.jammed = {"roll"}
