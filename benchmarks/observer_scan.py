@@ -2,8 +2,8 @@
 
     python benchmarks/observer_scan.py --json -
 
-The observer's model is identified from multisines on the undisturbed emulated C-arm, its disturbances are tuned on one shaken scan and it is
-judged on another. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the emulated
+The observer's model is identified from multisines on the undisturbed emulated C-arm, its disturbances are tuned on shaken scans and it is
+judged on others. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the emulated
 machine's own equations with the true noise, the true spectrum of the shaking and the true places where it acts.
 """
 
@@ -25,7 +25,7 @@ from controllers.feedback import Feedback
 from controllers.observers.consistency import share_in_band
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
-from hil.observing import ObserverDesign, design_observer, emulated_design, observe, read_design, tune, write_design  # noqa: F401
+from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune
 from hil.observing.geometry import observed_chain
 from hil.recording import Channel, Recording
 from virtual_bus.physics import Physics
@@ -323,7 +323,7 @@ def main() -> None:
     design = read_design(options.design) if options.design else emulated_design(machine)
     plans = scans(machine)
     training = [shaken_scan(machine, plans[name], 100 + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))]
-    plain = tune(design.model, design.noise, training[:0] or training)
+    plain = tune(design.model, design.noise, training)
     design = dataclasses.replace(design, noise=plain.noise)
     answer = {
         "seconds_to_design": time.perf_counter() - began,

@@ -83,10 +83,7 @@ def point_in_world(axes, points, revolute, q, end):
     position = end
     for i in range(len(revolute) - 1, -1, -1):
         axis = row(axes, i)
-        if revolute[i]:
-            position = turned_back(axis, -np.sin(q[i]), np.cos(q[i]), position)
-        else:
-            position = plus(position, scaled(axis, q[i]))
+        position = turned_back(axis, -np.sin(q[i]), np.cos(q[i]), position) if revolute[i] else plus(position, scaled(axis, q[i]))
         position = plus(position, row(points, i))
     return position
 
@@ -102,15 +99,12 @@ def direction_in_world(axes, revolute, q, direction):
 
 @exactly_inlined
 def axis_screw(axes, points, revolute, q, end, which):
-    """Velocity of the point `end` and angular rate, both in the last frame, per unit speed of axis `which`: a column of the body Jacobian."""
+    """Velocity of the point `end` and angular rate in the last frame per unit speed of axis `which`: a column of the body Jacobian."""
     n = len(revolute)
     arm = end
     for i in range(n - 1, which, -1):
         axis = row(axes, i)
-        if revolute[i]:
-            arm = turned_back(axis, -np.sin(q[i]), np.cos(q[i]), arm)
-        else:
-            arm = plus(arm, scaled(axis, q[i]))
+        arm = turned_back(axis, -np.sin(q[i]), np.cos(q[i]), arm) if revolute[i] else plus(arm, scaled(axis, q[i]))
         arm = plus(arm, row(points, i))
     turn = row(axes, which)
     shift = cross(turn, arm)

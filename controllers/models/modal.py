@@ -7,8 +7,9 @@ The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
     motor side  m = q_r + Φ_m η,    link side  l = q_r + Φ_l η
     twist of an observed body about where q_r alone would put it: Ψ η, at the body's centre and in its frame
 
-d_r and d_i are what else pushes: gravity as a function of the pose, and as disturbances friction and hands. Centrifugal and Coriolis terms of the axes are in the inertial sensors' rows, those
-of the modes are neglected (Sec. 5.4.1). Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`).
+d_r and d_i are what else pushes: gravity as a function of the pose, and as disturbances friction and hands. Centrifugal and Coriolis terms
+of the axes are in the inertial sensors' rows, those of the modes are neglected (Sec. 5.4.1). Every parameter is a trigonometric polynomial
+of the scheduling pose (`harmonics`).
 """
 
 from __future__ import annotations
@@ -197,7 +198,7 @@ def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.nd
             gradients[1][place, i] = (read(sensor, pose, unit, zero) - read(sensor, pose, -unit, zero)) / 2.0
             gradients[2][place, i] = read(sensor, pose, zero, unit) - still
     down = -sensors[0].rotation @ read(sensors[0], pose, zero, zero)[:3] if sensors else np.zeros(3)
-    return RestGradients(*gradients, down)
+    return RestGradients(gradients[0], gradients[1], gradients[2], down)
 
 
 @exactly_compiled

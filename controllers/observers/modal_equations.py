@@ -15,7 +15,7 @@ import numpy as np
 from controllers.compiled import exactly_inlined
 from controllers.models.chain import chain_motion
 from controllers.models.modal import schedule
-from controllers.models.vectors import cross, minus, plus, row, scaled
+from controllers.models.vectors import cross, minus, plus, scaled
 
 SENSOR_SIGNALS = 12
 """Per inertial sensor: acceleration and velocity by the modes, turn and turning rate by the modes."""
@@ -89,7 +89,9 @@ def prepare(constants, pose, scheduled):
         first = i * stride
         stiffness, damping = values[first], values[first + 1]
         modes_at[i, 0], modes_at[i, 1] = stiffness, damping
-        modes_at[i, 2], modes_at[i, 3], modes_at[i, 4], modes_at[i, 5], modes_at[i, 6], modes_at[i, 7] = mode_step(stiffness, damping, period)
+        modes_at[i, 2], modes_at[i, 3], modes_at[i, 4], modes_at[i, 5], modes_at[i, 6], modes_at[i, 7] = mode_step(
+            stiffness, damping, period
+        )
         for k in range(2 * n):
             encoders[i, k] = values[first + 2 + k]
         for k in range(n):
@@ -143,7 +145,7 @@ def modal_force(scheduled, n, u, disturbance, i):
 def transition(constants, scheduled, x, u, out):
     """State one sample later while u acts, laid out as `Scheduled.acting`. Linear in x where no mode is adapted.
 
-    A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, as it is then seen by the sensors.
+    A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, and so the sensors see it.
     """
     n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
     period, adapted, decay, at = constants.period_s, constants.adapted, constants.decay, scheduled.modes

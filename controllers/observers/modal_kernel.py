@@ -43,7 +43,7 @@ class Memory(NamedTuple):
 
 @exactly_compiled
 def process_noise(constants, scheduled, array, first):
-    """Rows of deviations that one sample adds, into array[first:]: through the model from commands and disturbances, then one state each."""
+    """Rows of deviations that one sample adds, into array[first:]: commands and disturbances through the model, then one state each."""
     n, modes, states, sources = constants.sizes[0], constants.sizes[1], constants.sizes[4], constants.sizes[6]
     std, rigid = constants.noise_std, scheduled.rigid
     for i in range(sources):

@@ -50,7 +50,12 @@ class ModalObserver:
     """
 
     def __init__(
-        self, model: ModalModel, noise: ObserverNoise, kind: FilterKind = "ukf", adapted: Sequence[int] = (), isocenter_m: np.ndarray | None = None
+        self,
+        model: ModalModel,
+        noise: ObserverNoise,
+        kind: FilterKind = "ukf",
+        adapted: Sequence[int] = (),
+        isocenter_m: np.ndarray | None = None,
     ) -> None:
         if kind not in KINDS:
             raise DesignError(f"observer {kind!r}: must be one of {', '.join(KINDS)}")

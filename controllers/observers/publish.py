@@ -64,7 +64,7 @@ def geometric_parameters(constants, motion, isocenter, out):
 
 @exactly_compiled
 def displacement_rows(constants, values, motor, rows):
-    """rows (2 axes + 6, axes + modes): motor side, link side and displacement from [q_r, η], the displacement relative to the motor side."""
+    """rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η]."""
     n, modes = constants.sizes[0], constants.sizes[1]
     stride = 2 + 3 * n + 6 * constants.sizes[2]
     end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]

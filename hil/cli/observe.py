@@ -88,7 +88,7 @@ def observe(
     for note in (*estimate.notes, *seen.lines):
         answer.say(note)
     answer.say(
-        f"NIS {document['mean_nis']:.2f} per measurement (1 is consistent), {100.0 * document['share_in_band']:.1f} % of rows in the 95 % band,"
+        f"NIS {document['mean_nis']:.2f} per measurement (1 fits), {100.0 * document['share_in_band']:.1f} % of rows in the 95 % band,"
         f" alarm in {100.0 * document['alarm_share']:.1f} % of rows"
     )
     answer.write({"estimate": out, **document})

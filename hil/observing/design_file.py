@@ -81,7 +81,12 @@ def read_design(path: str | Path) -> ObserverDesign:
     except DesignError as error:
         raise UnusableInput(f"{path}: {error}") from None
     return ObserverDesign(
-        model, noise, arrays["isocenter_m"], str(arrays["machine"]), str(arrays["machine_hash"]), tuple(str(note) for note in arrays["notes"])
+        model,
+        noise,
+        arrays["isocenter_m"],
+        str(arrays["machine"]),
+        str(arrays["machine_hash"]),
+        tuple(str(note) for note in arrays["notes"]),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -89,9 +90,6 @@ def read_estimate(path: str | Path) -> Estimate:
         raise UnusableInput(f"{path}: not an EST file ({error})") from None
     if int(arrays.get("estimate_format", -1)) != FORMAT:
         raise UnusableInput(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
-    return Estimate(
-        **{name: arrays[name] for name in _ARRAYS},
-        **{name: tuple(str(text) for text in arrays[name]) for name in _NAMES},
-        filter=str(arrays["filter"]),
-        machine_hash=str(arrays["machine_hash"]),
-    )
+    fields: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+    fields |= {name: tuple(str(text) for text in arrays[name]) for name in _NAMES}
+    return Estimate(**fields, filter=str(arrays["filter"]), machine_hash=str(arrays["machine_hash"]))

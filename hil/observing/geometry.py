@@ -1,4 +1,4 @@
-"""What the observer takes from a machine file: where axes, detector, source and IMUs are. Masses, springs and dampers it takes from nobody."""
+"""What the observer takes from a machine file: where axes, detector, source and IMUs are. No masses, springs or dampers."""
 
 from __future__ import annotations
 

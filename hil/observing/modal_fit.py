@@ -96,7 +96,7 @@ class _Problem:
         self.rest_gradients, self.down = (rest.position, rest.speed, rest.acceleration), rest.down
 
     def paths(self, stiffness: complex, damping: float, lag: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Responses (L,) from the command to deflection now, and to deflection, speed, acceleration as a sensor with this lag shows them."""
+        """Responses (L,) of deflection now, and of deflection, speed and acceleration as a sensor with this lag shows them."""
         p11, p12, p21, p22, g1, g2 = _held_step(stiffness, damping, self.period)
         # x(k+1) = Φ x(k) + Γ c(k-1)
         determinant = (self.z - p11) * (self.z - p22) - p12 * p21
@@ -187,7 +187,9 @@ class _Problem:
         start = np.concatenate((np.column_stack((np.ones(modes), 2.0 * damping)).ravel(), np.tile([0.1, 0.2], self.axes)))
         low = np.concatenate((np.tile([0.8, 1e-4], modes), np.tile([-40.0, 0.0], self.axes)))
         high = np.concatenate((np.tile([1.25, 0.4], modes), np.tile([40.0, 20.0], self.axes)))
-        solved = optimize.least_squares(lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", ftol=1e-5, max_nfev=20)
+        solved = optimize.least_squares(
+            lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", ftol=1e-5, max_nfev=20
+        )
         return solved.x * scale
 
 
@@ -267,7 +269,7 @@ def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | N
     found, details = signal.find_peaks(height, prominence=PEAK_PROMINENCE)
     if not len(found):
         raise BadAnswer(
-            f"no further resonance stands out at pose {np.degrees(problem.pose).round(1).tolist()} deg: ask for fewer modes or measure longer"
+            f"no further resonance stands out at {np.degrees(problem.pose).round(1).tolist()} deg: ask for fewer modes or measure longer"
         )
     best = found[np.argsort(details["prominences"])[::-1][:modes]]
     return np.sort(problem.f[best])

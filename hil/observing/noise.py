@@ -51,7 +51,7 @@ def measurement_noise(model: ModalModel, machine: Machine, records: Sequence[Rec
 
 
 def command_noise(machine: Machine, responses: Sequence[FrequencyResponse], records: Sequence[Recording]) -> np.ndarray:
-    """Standard deviations (n_axes,) of what acts beside the command: its rounding, and the responses' own uncertainty times what was sent."""
+    """Standard deviations (n_axes,) of what acts beside the command: its rounding, and the responses' uncertainty times what was sent."""
     rounding = np.array([drive.resolution * LATTICE for drive in machine.plant.drives])
     if not responses or not records:
         return np.maximum(rounding, 1e-6)

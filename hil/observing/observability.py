@@ -1,7 +1,7 @@
 """What the sensors can tell of the observer's states, and what not: the rank condition (5.14), in numbers.
 
-Ranks of (5.14) say nothing about how well. So the information that a second of measurements brings is compared with what is believed before:
-a direction in which it brings less than that is not observed, whatever the rank says.
+Ranks of (5.14) say nothing about how well. So the information that a second of measurements brings is compared with what is believed
+before: a direction in which it brings less than that is not observed, whatever the rank says.
 """
 
 from __future__ import annotations

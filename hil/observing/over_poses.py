@@ -13,7 +13,7 @@ from hil.errors import BadAnswer
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.geometry import observed_chain
-from hil.observing.modal_fit import TURN_LENGTH_m, PoseFit, fit_pose
+from hil.observing.modal_fit import PoseFit, TURN_LENGTH_m, fit_pose
 
 HIGHEST_HARMONIC = 3
 """Of an axis position: inertias vary with the second harmonic, frequencies and shapes with what division makes of it."""
@@ -25,9 +25,7 @@ LEAST_LIKENESS = 0.3
 """Cosine between a mode's shapes at neighbouring poses below which it is not taken for the same mode."""
 
 
-def fit_observed_model(
-    machine: Machine, responses: Sequence[FrequencyResponse], modes: int = 4
-) -> tuple[ModalModel, tuple[PoseFit, ...]]:
+def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse], modes: int = 4) -> tuple[ModalModel, tuple[PoseFit, ...]]:
     """The modal model of a machine from frequency responses at one pose or more.
 
     Parameters
@@ -94,9 +92,7 @@ def embedded(coefficients: np.ndarray, known: tuple[int, ...], wanted: tuple[int
     return wide
 
 
-def _fits(
-    responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[InertialSensor, ...], modes: int
-) -> tuple[PoseFit, ...]:
+def _fits(responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[InertialSensor, ...], modes: int) -> tuple[PoseFit, ...]:
     """Fits in the order of the poses' distance from the middle one, every mode followed from the nearest pose fitted before."""
     poses = np.array([response.pose for response in responses])
     order = np.argsort(np.linalg.norm(poses - np.median(poses, axis=0), axis=1), kind="stable")
@@ -169,7 +165,5 @@ def _notes(fits: Sequence[PoseFit], left: np.ndarray, modes: int) -> tuple[str, 
     for i in range(modes):
         frequency = np.sqrt([fit.stiffness[i] for fit in fits]) / (2.0 * np.pi)
         spread = float(np.abs(left[:, i * stride]).max() / np.mean([fit.stiffness[i] for fit in fits]) / 2.0)
-        notes.append(
-            f"mode {i + 1}: {frequency.min():.2f} to {frequency.max():.2f} Hz over the poses, met to {100.0 * spread:.2f} %"
-        )
+        notes.append(f"mode {i + 1}: {frequency.min():.2f} to {frequency.max():.2f} Hz over the poses, met to {100.0 * spread:.2f} %")
     return tuple(notes)

@@ -1,7 +1,7 @@
 """What gravity does to a machine at rest, from recordings in which it stood or swung about a pose: the quasi-static part of (5.37).
 
-At rest a mode is bent by gravity's push on it and by the command that holds the axes. Link sides against motor sides and the accelerometer's
-tilt against the encoders tell how far; the accelerometer's biases, the same in every pose, are told apart by the poses' difference.
+At rest a mode is bent by gravity's push on it and by the command that holds the axes. Link sides against motor sides and the
+accelerometer's tilt against the encoders tell how far; its biases, the same in every pose, are told apart by the poses' difference.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def standing_mean(recording: Recording, model: ModalModel) -> Standing:
         return np.nanmean(values, axis=0)
 
     channels, n = model.channels(), len(model.axes)
-    return Standing(mean(channels[:n]), mean(channels[n : 2 * n]), mean([f"command_{axis}" for axis in model.axes]), mean(channels[2 * n :]))
+    return Standing(
+        mean(channels[:n]), mean(channels[n : 2 * n]), mean([f"command_{axis}" for axis in model.axes]), mean(channels[2 * n :])
+    )
 
 
 def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray]:

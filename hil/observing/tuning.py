@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import share_in_band
 from controllers.observers.modal_observer import FilterKind, ModalObserver
@@ -85,7 +86,8 @@ def rows_of(recording: Recording, model: ModalModel) -> tuple[np.ndarray, np.nda
         Another sample rate than the model's, no encoder and no inertial channel at all, or a hole in the commands.
     """
     if abs(recording.sample_rate_Hz / model.sample_rate_Hz - 1.0) > 1e-3:
-        raise RecordingError(f"the recording has {recording.sample_rate_Hz:g} rows a second; the observer runs at {model.sample_rate_Hz:g} Hz")
+        rate = recording.sample_rate_Hz
+        raise RecordingError(f"the recording has {rate:g} rows a second; the observer runs at {model.sample_rate_Hz:g} Hz")
     channels = model.channels()
     if not any(name in recording for name in channels):
         raise RecordingError(f"the recording has none of the channels an observer looks at: {', '.join(channels)}")
@@ -141,6 +143,4 @@ def tune(
     observer = ModalObserver(model, tuned, kind)
     summaries = [observer.likelihood(measured, commands)[1][SETTLED_ROWS:] for measured, commands in data]
     together = np.concatenate(summaries)
-    return Tuning(
-        tuned, float(together[:, 0].sum() / together[:, 1].sum()), share_in_band(together[:, 0], together[:, 1])
-    )
+    return Tuning(tuned, float(together[:, 0].sum() / together[:, 1].sum()), share_in_band(together[:, 0], together[:, 1]))

@@ -1,0 +1,213 @@
+"""Claims about the observer of the emulated C-arm: its model, its replay, its files and its command."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from drivers.interface import Sample
+from hil.bench import BenchOptions, open_bench
+from hil.cli import main
+from hil.errors import BadAnswer, RecordingError, UnusableInput
+from hil.experiments import Scan, Static
+from hil.machine import Machine, load_machine
+from hil.observing import (
+    ObserverDesign,
+    design_observer,
+    observe,
+    read_design,
+    read_estimate,
+    tune,
+    write_design,
+    write_estimate,
+)
+from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.observing.live import LiveObserver
+from hil.recording import Channel, Recording, read_recording
+from hil.simulation import Simulator
+from virtual_bus.physics import Physics
+
+TILT_rad = 6e-5  # 0.6 mm/s^2 of an accelerometer's bias not told from tilt
+POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("carm")
+
+
+@pytest.fixture(scope="module")
+def design(machine: Machine) -> ObserverDesign:
+    """Identified on the emulated C-arm around roll 0, tuned on an undisturbed scan."""
+    poses = [{"roll": roll} for roll in POSES_rad]
+    simulator = Simulator(machine)
+    standing = [emulated_recording(machine, Static(4.0, pose).plans(machine)[0], 40 + i, simulator) for i, pose in enumerate(poses)]
+    scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60, simulator)
+    untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3)
+    return dataclasses.replace(untuned, noise=tune(untuned.model, untuned.noise, [scan], evaluations=60).noise)
+
+
+@pytest.fixture(scope="module")
+def scan(machine: Machine) -> Recording:
+    return emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 61)
+
+
+def test_identified_modes_are_the_emulated_machines_also_between_the_poses(machine: Machine, design: ObserverDesign) -> None:
+    for roll in (0.0, 0.45):
+        pose = np.array([0.0, roll])
+        poles = np.linalg.eigvals(Physics(machine.plant, noise=False).linearise(pose).A)
+        light = poles[(poles.imag > 2.0 * np.pi * 5.0) & (np.abs(poles) < 2.0 * np.pi * 24.0)]
+        light = light[np.argsort(np.abs(light))]
+        assert design.model.frequencies_Hz(pose) == pytest.approx(np.abs(light) / (2.0 * np.pi), rel=0.01)
+        assert design.model.damping_ratios(pose) == pytest.approx(-light.real / np.abs(light), rel=0.08)
+
+
+def test_biases_and_gravity_are_told_apart(design: ObserverDesign) -> None:
+    note = next(note for note in design.notes if "biases" in note)
+    biases = [float(part) for part in note.split(": ")[1].split(",")]
+    assert biases[:3] == pytest.approx([0.002, -0.001, 0.003], abs=7e-4)
+    assert biases[3:] == pytest.approx([2e-4, -1e-4, 1e-4], abs=1e-4)
+
+
+def test_the_tuned_filter_is_consistent_on_another_scan(design: ObserverDesign, scan: Recording) -> None:
+    estimate = observe(scan, design.observer("ukf"))
+    nis, measured = estimate["estimate_nis"][128:], estimate["estimate_measured"][128:]
+    assert 0.8 < nis.sum() / measured.sum() < 1.3
+    assert estimate["estimate_alarm"][128:].mean() < 0.02
+
+
+def test_the_detectors_rocking_is_seen_though_no_encoder_sees_it(machine: Machine, design: ObserverDesign) -> None:
+    plan = Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0]
+    recording = emulated_recording(machine, plan, 77)
+    physics = Physics(machine.plant, noise=False)
+    estimate = observe(recording, design.observer("ukf"))
+    for row, roll in ((100, -0.5), (-60, 0.5)):  # at rest before and after
+        physics.place(np.array([0.0, roll]))
+        q = dict(zip([joint.name for joint in machine.plant.tree.joints], physics.truth()["joint_position"], strict=True))
+        rock = q["detector_mount"] * np.array([0.4, 0.916515138991168, 0.0]) + np.array([0.0, q["roll_gear"], 0.0])
+        rock[0] += q["propeller_gear"] * np.cos(roll)
+        found = np.array([estimate[f"estimate_detector_r{axis}"][row] for axis in "xyz"])
+        assert np.linalg.norm(found - rock) < max(0.1 * np.linalg.norm(rock), TILT_rad), f"{found} against {rock}"
+
+
+def test_a_live_observer_and_its_replay_agree_to_the_bit(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+    live = LiveObserver(design.observer("ukf"))
+    plan = Scan("roll", -0.1, 0.1, 0.2, dwell_s=0.3).plans(machine)[0]
+    rows: list[np.ndarray] = []
+    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench:
+        inner = bench.loop.link
+
+        class Watching:
+            """The link with the observer's step where the loop has it: after the exchange, before the feedback."""
+
+            def exchange(self, command: np.ndarray) -> Sample:
+                sample = inner.exchange(command)
+                live.step(sample, command)
+                rows.append(live.estimate.copy())
+                return sample
+
+            def __getattr__(self, name: str):  # type: ignore[no-untyped-def]
+                return getattr(inner, name)
+
+        bench.loop.link = Watching()  # type: ignore[assignment]
+
+        def row_zero_follows() -> None:
+            live.restart()
+            rows.clear()
+
+        bench.wiring.start_truth = row_zero_follows  # type: ignore[method-assign]
+        bench.run(plan, tmp_path / "live.mf4")
+    recording = read_recording(tmp_path / "live.mf4")
+    replayed = observe(recording, design.observer("ukf")).values
+    assert np.array_equal(np.array(rows[: recording.rows]), replayed, equal_nan=True)
+    assert np.isfinite(replayed[-1]).all()
+
+
+def test_a_design_file_keeps_every_bit(design: ObserverDesign, scan: Recording, tmp_path) -> None:
+    write_design(design, tmp_path / "carm.observer.npz")
+    again = read_design(tmp_path / "carm.observer.npz")
+    short = scan.part(slice(0, 100))
+    assert np.array_equal(observe(short, design.observer()).values, observe(short, again.observer()).values, equal_nan=True)
+
+
+def test_estimates_are_read_by_numpy_alone_and_join_a_recording(design: ObserverDesign, scan: Recording, tmp_path) -> None:
+    short = scan.part(slice(0, 100))
+    estimate = observe(short, design.observer("ekf"))
+    write_estimate(estimate, tmp_path / "run.est.npz")
+    with np.load(tmp_path / "run.est.npz") as est:
+        column = list(est["names"]).index("estimate_detector_ry")
+        assert np.array_equal(est["values"][:, column], estimate["estimate_detector_ry"])
+        assert est["units"][column] == "rad"
+    assert np.array_equal(read_estimate(tmp_path / "run.est.npz").states, estimate.states)
+    write_estimate(estimate, tmp_path / "run.mf4", short)
+    joined = read_recording(tmp_path / "run.mf4")
+    assert np.array_equal(joined["estimate_detector_ry_variance"], estimate["estimate_detector_ry_variance"])
+    assert joined.channel("estimate_detector_ry_variance").unit == "rad^2" and "position_roll" in joined
+
+
+def test_a_recording_without_link_encoders_is_replayed_and_that_is_said(design: ObserverDesign, scan: Recording) -> None:
+    bare = Recording({n: c for n, c in scan.channels.items() if not n.startswith("link_position")}, scan.metadata).part(slice(0, 300))
+    estimate = observe(bare, design.observer("ukf"))
+    assert np.isfinite(estimate.values).all()
+    assert any("link_position_roll" in note for note in estimate.notes)
+    whole = observe(scan.part(slice(0, 300)), design.observer("ukf"))
+    assert estimate["estimate_detector_x_variance"][-1] > 2.0 * whole["estimate_detector_x_variance"][-1]
+
+
+def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design: ObserverDesign, scan: Recording, tmp_path) -> None:
+    observer = design.observer("ekf")
+    nothing = Recording({"time": scan.channels["time"], "temperature_roll": Channel("degC", np.zeros(scan.rows))}, {})
+    with pytest.raises(RecordingError, match="none of the channels"):
+        observe(nothing, observer)
+    holes = dict(scan.channels)
+    values = scan["command_roll"].copy()
+    values[7] = np.nan
+    holes["command_roll"] = Channel("A", values)
+    with pytest.raises(RecordingError, match="missing in row 7"):
+        observe(Recording(holes, scan.metadata), observer)
+    with pytest.raises(UnusableInput, match="frequency responses"):
+        design_observer(machine, [])
+    (tmp_path / "other.npz").write_bytes(b"nothing")
+    for read in (read_design, read_estimate):
+        with pytest.raises(UnusableInput, match="not an"):
+            read(tmp_path / "other.npz")
+        with pytest.raises(UnusableInput, match="no such file"):
+            read(tmp_path / "absent.npz")
+    with pytest.raises(UnusableInput, match="geometry"):
+        design_observer(load_machine("emps"), emulated_responses_none())
+    with pytest.raises(BadAnswer, match="no further resonance"):
+        design_observer(machine, emulated_responses(machine, [{"roll": 0.0}]), modes=9)
+
+
+def emulated_responses_none() -> list:
+    """Any list that is not empty: the geometry is asked first."""
+    return [None]
+
+
+def test_the_command_writes_estimates_and_says_whether_to_believe_them(
+    design: ObserverDesign, scan: Recording, tmp_path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hil.recording import write_recording
+
+    write_recording(scan.part(slice(0, 400)), tmp_path / "scan.mf4")
+    write_design(design, tmp_path / "carm.observer.npz")
+    arguments = ["observe", "carm", str(tmp_path / "scan.mf4"), "-o", str(tmp_path / "scan.est.npz")]
+    with pytest.raises(SystemExit) as left:
+        main([*arguments, "--design", str(tmp_path / "carm.observer.npz"), "--json", "-"])
+    assert left.value.code == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["rows"] == 400 and 0.5 < document["mean_nis"] < 1.5 and document["alarm_share"] < 0.05
+    assert len(read_estimate(tmp_path / "scan.est.npz").time_s) == 400
+    for more, word in (
+        (["--filter", "pf"], "kf, ekf, ukf"),
+        (["--adapt", "7"], "modes 1 to 3"),
+        (["--design", "absent.npz"], "no such file"),
+    ):
+        extra = more if "--design" in more else [*more, "--design", str(tmp_path / "carm.observer.npz")]
+        with pytest.raises(SystemExit) as left:
+            main([*arguments, *extra])
+        error = capsys.readouterr().err
+        assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
