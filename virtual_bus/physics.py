@@ -10,6 +10,7 @@ import numpy as np
 
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.statics import holding_effort, resting_state
+from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
 from virtual_bus.settings import PlantSettings
 
@@ -53,12 +54,14 @@ class Physics:
         self._work = self.plant.new_work()
         self._sensors = compiled_sensors()
         self._sensor_model = sensor_model(settings)
+        self._memory = new_memory(settings)
         self._readings = new_readings(settings)
         self._imu = np.zeros(6 * len(settings.imus))
         self._noise = _Noise(settings, seed) if noise else None
         self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
         self._latched = _new_latched(settings)
         self._effort = np.zeros(len(self.axes))
+        self._currents = np.zeros(len(self.axes))
         self._brakes = np.zeros(len(self.axes))
         self._temperature_rise = np.zeros(len(self.axes))
         self._zero_counts = np.zeros(len(self.axes), dtype=np.int64)
@@ -84,6 +87,7 @@ class Physics:
         self._brakes[:] = 1.0
         self._temperature_rise[:] = 0.0
         self._samples = 0
+        self._sensors.start(self._state, self._sensor_model, self._memory)
         self._zero_counts[:] = 0
         self._zero_counts[:] = self.latch_exactly().position_counts
 
@@ -105,8 +109,11 @@ class Physics:
 
     def _measure(self, noise: np.ndarray) -> Latched:
         self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
+        self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         readings, latched = self._readings, self._latched
-        self._sensors.measure(self._state, self._effort, self._temperature_rise, self._imu, noise, self._sensor_model, readings)
+        self._sensors.measure(
+            self._state, self._currents, self._temperature_rise, self._imu, noise, self._sensor_model, self._memory, readings
+        )
         latched.position_counts[:] = _counts(readings.position, self._sensor_model.position_resolution) - self._zero_counts
         latched.link_counts[:] = _counts(readings.link_position, self._sensor_model.link_resolution)
         latched.position[:] = readings.position
@@ -118,8 +125,10 @@ class Physics:
 
     def advance(self) -> None:
         """Let one sample period pass."""
+        self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         self.plant.advance(self._state, self._effort, self._brakes, self.model, self._work)
-        self._sensors.warm_up(self._temperature_rise, self._effort, self._sensor_model)
+        self._sensors.warm_up(self._temperature_rise, self._currents, self._sensor_model)
+        self._sensors.remember(self._sensor_model, self._memory)
         self._samples += 1
 
     def truth(self) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ import numpy as np
 
 import controllers.feedback
 import controllers.sections
+from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.sensors.measure import sensor_sources
 
@@ -44,29 +45,37 @@ class Rows(NamedTuple):
 KERNEL = '''"""Generated: closed loop of one plant; do not edit."""
 
 import numpy as np
-from PLANT import advance, imu_reading
+from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
+from PLANT import advance, drive_currents, imu_reading
 
 from controllers.feedback import feedback_step
 from virtual_bus.plant.jit import compiled_and_cached
 from virtual_bus.sensors.encoder import quantised
-from virtual_bus.sensors.measure import measure
+from virtual_bus.sensors.measure import measure, remember, start
 
 
 @compiled_and_cached
-def run(closed, state, target, target_resolution, model, work, sensors, readings, imu_motion, loop, rows):
+def run(closed, state, target, target_resolution, model, work, sensors, memory, readings, imu_motion, loop, rows):
     """All rows, in place; returns the first row without a finite position, or -1. `target` (n,): what the drives hold before row 0."""
     axes = target.shape[0]
     effort = np.zeros(axes)
+    currents = np.zeros(axes)
     command = np.zeros(axes)
     brakes = np.zeros(axes)
     no_rise = np.zeros(axes)
     noise = np.zeros(axes + imu_motion.shape[0])
+    start(state, encoder_error_of, sensors, memory)
     for k in range(rows.reference.shape[0]):
         for i in range(axes):
             effort[i] = quantised(target[i], target_resolution[i])
         if imu_motion.shape[0] > 0:
             imu_reading(state, effort, brakes, model, work, imu_motion)
-        measure(state, effort, no_rise, imu_motion, noise, sensors, readings)
+        currents[:] = effort
+        if model[0].has_drive_effects:
+            drive_currents(state, effort, model, currents)
+        measure(
+            state, currents, no_rise, imu_motion, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
+        )
         rows.position[k] = readings.position
         rows.link_position[k] = readings.link_position
         rows.effort[k] = readings.effort
@@ -84,6 +93,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, readings
                 command[i] = min(max(rows.command[k, i], -loop.limit[i]), loop.limit[i])
         target[:] = command
         advance(state, effort, brakes, model, work)
+        remember(sensors, memory)
     return -1
 '''
 
@@ -91,4 +101,4 @@ def run(closed, state, target, target_resolution, model, work, sensors, readings
 def closed_loop_kernel(plant: CompiledPlant) -> ModuleType:
     """The compiled kernel of a plant, from disk where it is there: its `run` takes the named tuples of this module."""
     controller_sources = "\n".join(inspect.getsource(module) for module in (controllers.feedback, controllers.sections))
-    return plant.fuse("closed_loop", KERNEL, controller_sources + sensor_sources())
+    return plant.fuse("closed_loop", KERNEL.replace("EFFECTS", compiled_effects().__name__), controller_sources + sensor_sources())

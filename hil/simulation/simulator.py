@@ -16,6 +16,7 @@ from hil.machine import Machine
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.statics import holding_effort, resting_state
+from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import new_readings, sensor_model
 from virtual_bus.settings import EffectSetting
 
@@ -73,7 +74,6 @@ class Simulator:
         self.plant = compile_plant(machine.plant)
         self._kernel = closed_loop_kernel(self.plant)
         self._work = self.plant.new_work()
-        self._sensors = sensor_model(machine.plant)
 
     def run(self, inputs: Inputs, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> Outputs:
         """Simulate from standstill.
@@ -106,7 +106,8 @@ class Simulator:
             np.array([drive.resolution for drive in settings.drives]),
             model,
             self._work,
-            self._sensors,
+            sensor_model(settings, effects),
+            new_memory(settings),
             new_readings(settings),
             np.zeros(6 * len(settings.imus)),
             loop,

@@ -6,12 +6,14 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.effect import Effect, Parameter
+from virtual_bus.effects.places import drive_unit, is_prismatic, places
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 RESERVED = ("name", "at")
+NEEDS = {"": "", "spring": " with a sprung joint", "neighbour": " beside another axis"}
 
 
 def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSettings, where: str = "effects") -> tuple[EffectSetting, ...]:
@@ -44,8 +46,7 @@ def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[
     """Bound effects as an effects file writes them: the inverse of `bind_effects`."""
     entries: list[dict[str, object]] = []
     for setting in bound:
-        prismatic = _is_prismatic(setting.at, settings)
-        keys = {parameter.name: parameter.key(prismatic) for parameter in effects()[setting.name].parameters}
+        keys = {parameter.name: key for key, (parameter, _) in _keys(effects()[setting.name], setting.at, settings).items()}
         numbers = {keys[name]: value for name, value in setting.parameters.items()}
         entries.append({"name": setting.name, "at": setting.at, **numbers})
     return entries
@@ -60,51 +61,42 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
         raise EffectError(f"{where}: name = {name!r}: no such effect; {advice}")
     effect = known[name]
     at = entry.get("at")
-    places = _places(effect, settings)
-    if at not in places:
-        kinds = " or ".join(effect.kind.allowed_at)
-        raise EffectError(f"{where}: {name}: at = {at!r}: acts at an {kinds} of the machine; {_listed('there is', places)}")
+    allowed = places(effect.kind, settings)
+    if at not in allowed:
+        kinds = " or ".join(effect.kind.allowed_at) + NEEDS[effect.kind.needs]
+        there = _listed("there is", allowed) if allowed else f"this machine has none: {_listed('its axes are', _axes(settings))}"
+        raise EffectError(f"{where}: {name}: at = {at!r}: acts at an {kinds} of the machine; {there}")
     assert isinstance(at, str)
-    return EffectSetting(name, at, _parameters(effect, entry, _is_prismatic(at, settings), f"{where}: {name} at {at!r}"))
+    return EffectSetting(name, at, _parameters(effect, entry, _keys(effect, at, settings), f"{where}: {name} at {at!r}"))
 
 
-def _parameters(effect: Effect, entry: Mapping[str, object], prismatic: bool, where: str) -> dict[str, float]:
-    keys = {parameter.key(prismatic): parameter for parameter in effect.parameters}
+def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[Parameter, str]]:
+    """Parameter and unit by the key an effects file writes at this place."""
+    prismatic, unit = is_prismatic(at, settings), drive_unit(at, settings)
+    return {parameter.key(prismatic, unit): (parameter, parameter.unit_at(prismatic, unit)) for parameter in effect.parameters}
+
+
+def _parameters(
+    effect: Effect, entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str
+) -> dict[str, float]:
     for key in entry:
         if key not in keys and key not in RESERVED:
             raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")
     values = {}
-    for key, parameter in keys.items():
+    for key, (parameter, unit) in keys.items():
         if key not in entry:
             raise EffectError(f"{where}: {key} is missing: {parameter.description}")
         value = entry[key]
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not is_number or not parameter.low <= float(value) <= parameter.high:  # type: ignore[arg-type]
-            bounds = f"{parameter.low:g} to {parameter.high:g} {parameter.unit_at(prismatic)}".rstrip()
+            bounds = f"{parameter.low:g} to {parameter.high:g} {unit}".rstrip()
             raise EffectError(f"{where}: {key} = {value!r}: must be a number from {bounds}")
         values[parameter.name] = float(value)  # type: ignore[arg-type]
     return values
 
 
-def _places(effect: Effect, settings: PlantSettings) -> list[str]:
-    """Names of the machine's places where an effect may act."""
-    places: list[str] = []
-    if "axis" in effect.kind.allowed_at:
-        places += [drive.axis for drive in settings.drives]
-    if "body" in effect.kind.allowed_at:
-        places += [body.name for body in settings.tree.bodies]
-    if "sensor" in effect.kind.allowed_at:
-        places += [encoder.channel for encoder in settings.encoders] + [current.channel for current in settings.currents]
-        places += [imu.name for imu in settings.imus] + [thermometer.channel for thermometer in settings.thermometers]
-    return places
-
-
-def _is_prismatic(at: str, settings: PlantSettings) -> bool:
-    """Does a place count in metres and newtons: an axis whose joint is prismatic?"""
-    for drive in settings.drives:
-        if drive.axis == at:
-            return settings.tree.joints[settings.tree.joint_index(drive.joint)].kind == "prismatic"
-    return False
+def _axes(settings: PlantSettings) -> list[str]:
+    return [drive.axis for drive in settings.drives]
 
 
 def _listed(phrase: str, names: Iterable[str]) -> str:

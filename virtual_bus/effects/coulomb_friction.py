@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from virtual_bus.effects.effect import FRICTION, Effect, JointState, Parameter
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="coulomb_friction",
     kind=FRICTION,
     parameters=(Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="friction level, the same at every speed and both ways"),),
+    equation="Fc sign(speed)",
     convention="effort on the joint = -Fc sign(speed), on the joint's side of the gear; a joint at rest is held up to Fc",
     neighbours=("viscous_friction", "load_dependent_friction", "torque_constant"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (3)",
@@ -17,3 +22,10 @@ EFFECT = Effect(
 def level(state: JointState, Fc: float) -> float:
     """Friction level [Nm or N]."""
     return Fc
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """Half the jump of the missing effort across reversals."""
+    moving = residual.moves
+    weights = fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])
+    return (float(weights[0]),)

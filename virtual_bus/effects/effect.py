@@ -3,39 +3,73 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 MAX_PARAMETERS = 8  # columns of a compiled effect table
-PRISMATIC_UNITS = {"Nm": "N", "rad": "m", "rad/s": "m/s", "Nm/rad": "N/m", "Nm s/rad": "N s/m", "kg m2": "kg"}
-
-
-class JointState(NamedTuple):
-    """What a friction law may depend on, at the joint."""
-
-    speed: float  # magnitude [rad/s or m/s]
-    direction: float  # +1 or -1: of the motion, or of the motion that is about to begin
-    position: float  # [rad or m]
+PRISMATIC_UNITS = {
+    "Nm": "N",
+    "rad": "m",
+    "rad/s": "m/s",
+    "Nm/rad": "N/m",
+    "Nm/rad3": "N/m3",
+    "rad/Nm": "m/N",
+    "Nm s/rad": "N s/m",
+    "Nm s2/rad2": "N s2/m2",
+    "kg m2": "kg",
+    "cycles/turn": "rad/m",
+}
+DRIVE_UNIT = "A"  # stands for the unit of the drive's effort
+PHASE = "phase"  # an angle in rad at every joint
 
 
 @dataclass(frozen=True)
 class EffectKind:
-    """How effects of one kind enter the equations: the function an effect's file defines, and what it returns."""
+    """How effects of one kind enter the equations: the hook an effect's file defines, and where such effects act."""
 
     name: str
-    function: str
-    allowed_at: tuple[str, ...]  # "axis", "body", "sensor"
+    function: str  # the hook's name
+    allowed_at: tuple[str, ...]  # "axis", "body", "encoder", "imu", "channel"
     description: str
+    needs: str = ""  # "spring": a sprung joint there; "neighbour": a further axis
 
 
 FRICTION = EffectKind(
-    name="friction",
-    function="level",
-    allowed_at=("axis",),
-    description=(
-        "level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; "
-        "at rest, the most it holds"
-    ),
-)
+    "friction", "level", ("axis",),
+    "level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; at rest, the most it holds",
+)  # fmt: skip
+EFFORT = EffectKind("effort", "effort", ("axis", "body"), "effort(motion: JointMotion, *parameters) -> effort [Nm or N] on the joint")
+ELASTIC = EffectKind(
+    "elastic", "effort", ("axis", "body"),
+    "as an effort, on the sprung joint behind the axis or under the body, added to its spring", "spring",
+)  # fmt: skip
+TRANSMISSION = EffectKind(
+    "transmission", "terms", ("axis",),
+    "terms(pair: PairMotion, *parameters) -> added inertia (11, 12) and efforts on the axis's joint and the spring behind it", "spring",
+)  # fmt: skip
+COUPLING = EffectKind(
+    "coupling", "terms", ("axis",),
+    "terms(pair: PairMotion, *parameters) -> added inertia (11, 12) and efforts on the axis's joint and the next axis's", "neighbour",
+)  # fmt: skip
+REACTION = EffectKind(
+    "reaction", "react", ("axis", "body"),
+    "react(state: ReactionState, *parameters) -> mean effort over a step and the effect's two states at its end",
+)  # fmt: skip
+LIMIT = EffectKind("drive limit", "limited", ("axis",), "limited(state: DriveState, *parameters) -> current that flows [drive's unit]")
+RIPPLE = EffectKind("drive ripple", "factor", ("axis",), "factor(state: DriveState, *parameters) -> motor effort over its nominal value")
+LAG = EffectKind("drive lag", "transition", ("axis",), "transition(step_s, *parameters) -> what is left of a current error after a step")
+DELAY = EffectKind("drive delay", "delay_s", ("axis",), "delay_s(*parameters) -> how much later the drive acts [s]")
+CHANGE = EffectKind("change", "CHANGES", ("axis",), "CHANGES: what becomes of numbers of the machine file")
+BODY_CHANGE = EffectKind("change", "CHANGES", ("body",), "CHANGES: what becomes of numbers of the machine file")
+SPRING_CHANGE = EffectKind("change", "CHANGES", ("axis", "body"), "CHANGES: what becomes of the sprung joint behind the axis", "spring")
+IMU_CHANGE = EffectKind("change", "CHANGES", ("imu",), "CHANGES: what becomes of the sensor's numbers")
+ENCODER_ERROR = EffectKind("encoder error", "error", ("encoder",), "error(position, *parameters) -> added to what the encoder sees")
+LATTICE = EffectKind("encoder lattice", "resolution", ("encoder",), "resolution(*parameters) -> step of a further rounding")
+CALIBRATION = EffectKind(
+    "imu calibration", "calibration", ("imu",),
+    "calibration(*parameters) -> gain (2, 3, 3) of accelerometer and gyro, and offset (6,) after it",
+)  # fmt: skip
+SIGN = EffectKind("channel sign", "signed", ("channel",), "signed(value, *parameters) -> the channel before noise and lattice")
+CLOCK = EffectKind("channel clock", "lag_s", ("channel",), "lag_s(time_s, *parameters) -> how old the channel's value is [s]")
+DROPOUT = EffectKind("channel dropout", "is_lost", ("channel",), "is_lost(sample, *parameters) -> is the last reading repeated?")
 
 
 @dataclass(frozen=True)
@@ -43,28 +77,38 @@ class Parameter:
     """One number of an effect, with the bounds a real machine keeps."""
 
     name: str
-    unit: str  # at a revolute joint; PRISMATIC_UNITS has its counterpart at a prismatic one
+    unit: str  # at a revolute joint and a drive in A; `unit_at` has its counterparts
     low: float
     high: float
     description: str
+    is_strength: bool = True  # with every strength at `neutral`, the effect does nothing
+    neutral: float = 0.0
 
-    def unit_at(self, prismatic: bool) -> str:
-        """The unit at a joint that turns or one that slides."""
-        return PRISMATIC_UNITS.get(self.unit, self.unit) if prismatic else self.unit
+    def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
+        """The unit at a joint that turns or one that slides, behind a drive that counts in this unit."""
+        if self.unit == PHASE:
+            return "rad"
+        unit = PRISMATIC_UNITS.get(self.unit, self.unit) if prismatic else self.unit
+        if unit == DRIVE_UNIT:
+            return drive_unit
+        if unit == "A s/rad":
+            return f"{drive_unit} s/{'m' if prismatic else 'rad'}"
+        return unit
 
-    def key(self, prismatic: bool = False) -> str:
+    def key(self, prismatic: bool = False, drive_unit: str = DRIVE_UNIT) -> str:
         """As it is written in an effects file: `Fc_Nm`, `vs_rad_s`, `delta`."""
-        suffix = self.unit_at(prismatic).replace("/", "_").replace(" ", "_")
+        suffix = self.unit_at(prismatic, drive_unit).replace("/", "_").replace(" ", "_")
         return f"{self.name}_{suffix}" if suffix else self.name
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT and the kind's function."""
+    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook and `guess`."""
 
     name: str
     kind: EffectKind
     parameters: tuple[Parameter, ...]
+    equation: str
     convention: str  # sign, half or full gap, which side of the gear
     neighbours: tuple[str, ...]  # what it is mistaken for
     source: str

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import pkgutil
 from functools import cache
 from types import ModuleType
 
 import virtual_bus.effects
-from virtual_bus.effects.effect import MAX_PARAMETERS, Effect, EffectKind
+from virtual_bus.effects.effect import MAX_PARAMETERS, Effect
+from virtual_bus.effects.residual import Residual
 
 
 @cache
@@ -19,10 +21,11 @@ def _modules() -> dict[str, ModuleType]:
         module = importlib.import_module(f"{virtual_bus.effects.__name__}.{entry.name}")
         effect = getattr(module, "EFFECT", None)
         if isinstance(effect, Effect):
-            if effect.name != entry.name or len(effect.parameters) > MAX_PARAMETERS or not hasattr(module, effect.kind.function):
+            complete = hasattr(module, effect.kind.function) and hasattr(module, "guess")
+            if effect.name != entry.name or len(effect.parameters) > MAX_PARAMETERS or not complete:
                 raise ImportError(
                     f"{module.__name__}: EFFECT must be named {entry.name!r}, have at most {MAX_PARAMETERS} parameters and define "
-                    f"{effect.kind.function}()"
+                    f"{effect.kind.function} and guess"
                 )
             found[effect.name] = module
     return found
@@ -44,19 +47,37 @@ def effect_sources() -> str:
     return "\n".join(inspect.getsource(module) for module in _modules().values())
 
 
-def dispatcher_text(kind: EffectKind, function: str) -> str:
-    """Source of a compiled function `function(number, state, row)` that calls the effect of that number with its row's parameters."""
-    chosen = [(number, effect) for number, effect in enumerate(effects().values()) if effect.kind is kind]
+def module_of(name: str) -> ModuleType:
+    """The module of an effect: where its hooks are."""
+    return _modules()[name]
+
+
+def dispatcher_text(hook: str, function: str, nothing: str = "0.0") -> str:
+    """Source of a compiled function `function(number, state, row)` that calls the hook of an effect by its number.
+
+    `row` is the number, then the effect's parameters. `nothing` is what it returns for an effect without that hook.
+    """
+    chosen = [(number, effect) for number, effect in enumerate(effects().values()) if hasattr(module_of(effect.name), hook)]
     lines = []
     for _, effect in chosen:
-        module = _modules()[effect.name].__name__
-        lines += [f"import {module}", f"_{effect.name} = compiled({module}.{kind.function})"]
-    lines += ["", "", "@compiled", f"def {function}(number, state, row):"]
+        module = module_of(effect.name).__name__
+        lines += [f"import {module}", f"_{function}_{effect.name} = compiled({module}.{hook})"]
+    lines += ["", "", "@compiled_and_cached", f"def {function}(number, state, row):"]
     for number, effect in chosen:
         arguments = ", ".join(f"row[{1 + k}]" for k in range(len(effect.parameters)))
-        lines += [f"    if number == {number}:", f"        return _{effect.name}(state, {arguments})"]
-    lines += ["    return 0.0", ""]
+        lines += [f"    if number == {number}:", f"        return _{function}_{effect.name}(state, {arguments})"]
+    lines += [f"    return {nothing}", ""]
     return "\n".join(lines)
+
+
+def initial_guess(name: str, residual: Residual) -> dict[str, float]:
+    """Where a fit of an effect may start: its file's guess, kept within the parameters' bounds."""
+    parameters = effects()[name].parameters
+    guessed = module_of(name).guess(residual)
+    return {
+        parameter.name: min(max(value if math.isfinite(value) else parameter.neutral, parameter.low), parameter.high)
+        for parameter, value in zip(parameters, guessed, strict=True)
+    }
 
 
 def catalogue() -> list[dict]:
@@ -66,16 +87,20 @@ def catalogue() -> list[dict]:
             "name": effect.name,
             "kind": effect.kind.name,
             "at": list(effect.kind.allowed_at),
+            "needs": effect.kind.needs,
+            "equation": effect.equation,
             "parameters": [
                 {
                     "name": parameter.name,
                     "key": parameter.key(),
-                    "unit": parameter.unit,
+                    "unit": parameter.unit_at(prismatic=False),
                     "key_prismatic": parameter.key(prismatic=True),
                     "unit_prismatic": parameter.unit_at(prismatic=True),
                     "low": parameter.low,
                     "high": parameter.high,
                     "description": parameter.description,
+                    "is_strength": parameter.is_strength,
+                    "neutral": parameter.neutral if parameter.is_strength else None,
                 }
                 for parameter in effect.parameters
             ],

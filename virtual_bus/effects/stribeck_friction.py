@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 
-from virtual_bus.effects.effect import FRICTION, Effect, JointState, Parameter
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="stribeck_friction",
     kind=FRICTION,
     parameters=(
         Parameter("Fs_minus_Fc", unit="Nm", low=0.0, high=2000.0, description="break-away level above the Coulomb level"),
-        Parameter("vs", unit="rad/s", low=1e-5, high=1.0, description="Stribeck speed: at it the excess has fallen to 1/e"),
-        Parameter("delta", unit="", low=0.5, high=2.0, description="shape exponent"),
+        Parameter("vs", unit="rad/s", low=1e-5, high=1.0, description="Stribeck speed: where the excess is down to 1/e", is_strength=False),
+        Parameter("delta", unit="", low=0.5, high=2.0, description="shape exponent", is_strength=False),
     ),
+    equation="(Fs - Fc) exp(-abs(speed / vs)^delta) sign(speed)",
     convention=(
         "effort on the joint = -(Fs - Fc) exp(-abs(speed / vs)^delta) sign(speed), on the joint's side of the gear, in addition to "
         "coulomb_friction: break-away is Fc + (Fs - Fc)"
@@ -26,3 +31,11 @@ EFFECT = Effect(
 def level(state: JointState, Fs_minus_Fc: float, vs: float, delta: float) -> float:
     """Friction level above Coulomb [Nm or N]."""
     return Fs_minus_Fc * math.exp(-((state.speed / vs) ** delta))
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """The excess at low speed, for a Stribeck speed of a tenth of the top speed."""
+    vs = max(0.1 * float(np.abs(residual.speed).max(initial=0.0)), 1e-4)
+    excess = -np.exp(-((residual.speed / vs) ** 2)) * np.sign(residual.speed)
+    weights = fitted([excess, -np.sign(residual.speed), np.ones_like(excess)], residual.effort)
+    return float(weights[0]), vs, 2.0

@@ -3,41 +3,130 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from virtual_bus.effects.effect import FRICTION, MAX_PARAMETERS
-from virtual_bus.effects.registry import effect_number, effects
+from virtual_bus.effects.effect import COUPLING, MAX_PARAMETERS, TRANSMISSION
+from virtual_bus.effects.places import joint_at, next_axis, spring_at
+from virtual_bus.effects.registry import effect_number, effects, module_of
 from virtual_bus.errors import EffectError
-from virtual_bus.settings import EffectSetting
+from virtual_bus.settings import EffectSetting, PlantSettings
 
-MAX_ROWS = 32  # friction effects of one machine: a compiled plant's table has a fixed size
+MAX_FRICTIONS = 32  # effects of one kind of one machine: a compiled plant's tables have a fixed size
+MAX_EFFORTS = 32
+MAX_PAIRS = 8
+MAX_REACTIONS = 8
+HELD_SAMPLES = 16  # targets a delayed drive remembers
+ROW = 1 + MAX_PARAMETERS  # effect number, then its parameters
 
 
-def friction_table(settings: Sequence[EffectSetting], joint_of_axis: dict[str, int], joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """Friction effects sorted by joint.
+def effect_row(setting: EffectSetting) -> np.ndarray:
+    """Effect number, then the effect's parameters in its own order, then zeros: (ROW,)."""
+    row = np.zeros(ROW)
+    values = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
+    row[0] = effect_number(setting.name)
+    row[1 : 1 + len(values)] = values
+    return row
 
-    Returns
-    -------
-    first : (joints + 1,) int64
-        Rows of joint j are first[j] to first[j + 1].
-    rows : (effects, 1 + MAX_PARAMETERS)
-        Effect number, then the effect's parameters in its own order.
+
+def with_hook(settings: Sequence[EffectSetting], hook: str, most: int | None = None) -> list[EffectSetting]:
+    """The effects whose file has this hook; EffectError where a table does not hold them."""
+    chosen = [setting for setting in settings if hasattr(module_of(setting.name), hook)]
+    if most is not None and len(chosen) > most:
+        raise EffectError(f"{len(chosen)} effects of the kind of {chosen[0].name}: a machine takes at most {most}")
+    return chosen
+
+
+def changed_values(by_quantity: dict[tuple[str, str], float], chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Put what the effects make of the machine's own numbers in their place; keys are (owner, quantity)."""
+    for setting in with_hook(chosen, "CHANGES"):
+        effect = effects()[setting.name]
+        values = [setting.parameters[parameter.name] for parameter in effect.parameters]
+        for owner_kind, quantity, change in module_of(setting.name).CHANGES:
+            owner = setting.at
+            if owner_kind == "joint":
+                owner = spring_at(setting.at, settings) if effect.kind.needs == "spring" else joint_at(setting.at, settings)
+            by_quantity[owner, quantity] = change(by_quantity[owner, quantity], *values)
+
+
+def fill_friction(record: Any, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Friction rows sorted by joint: those of joint j are friction_first[j] to friction_first[j + 1]."""
+    number = settings.tree.joint_index
+    frictions = with_hook(chosen, "level", MAX_FRICTIONS)
+    frictions.sort(key=lambda setting: number(joint_at(setting.at, settings)))
+    counts = np.zeros(len(settings.tree.joints), dtype=np.int64)
+    for k, setting in enumerate(frictions):
+        record["friction_rows"][k] = effect_row(setting)
+        counts[number(joint_at(setting.at, settings))] += 1
+    record["friction_first"] = np.concatenate(([0], np.cumsum(counts)))
+
+
+def fill_terms(record: Any, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
+    """Efforts on one joint, and terms between two."""
+    number = settings.tree.joint_index
+    efforts = with_hook(chosen, "effort", MAX_EFFORTS)
+    record["effort_count"] = len(efforts)
+    for k, setting in enumerate(efforts):
+        elastic = effects()[setting.name].kind.needs == "spring"
+        joint = spring_at(setting.at, settings) if elastic else joint_at(setting.at, settings)
+        assert joint is not None
+        record["effort_rows"][k] = effect_row(setting)
+        record["effort_joint"][k] = number(joint)
+        record["effort_ratio"][k] = ratio_of_axis.get(setting.at, 1.0)
+    pairs = with_hook(chosen, "terms", MAX_PAIRS)
+    record["pair_count"] = len(pairs)
+    for k, setting in enumerate(pairs):
+        kind = effects()[setting.name].kind
+        assert kind in (TRANSMISSION, COUPLING)
+        other = spring_at(setting.at, settings) if kind is TRANSMISSION else joint_at(next_axis(setting.at, settings), settings)
+        assert other is not None
+        record["pair_rows"][k] = effect_row(setting)
+        record["pair_joints"][k] = number(joint_at(setting.at, settings)), number(other)
+        record["pair_ratio"][k] = ratio_of_axis[setting.at]
+        record["pair_is_spring"][k] = kind is TRANSMISSION
+
+
+def fill_reactions(record: Any, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Effects with a memory of their own."""
+    reactions = with_hook(chosen, "react", MAX_REACTIONS)
+    record["reaction_count"] = len(reactions)
+    for k, setting in enumerate(reactions):
+        joint = settings.tree.joint_index(joint_at(setting.at, settings))
+        record["reaction_rows"][k] = effect_row(setting)
+        record["reaction_joint"][k] = joint
+        record["reacts"][joint] = 1
+
+
+def fill_drives(record: Any, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
+    """Delay, low pass, limit and ripple of every drive.
 
     Raises
     ------
     EffectError
-        More effects than the table holds.
+        A delay longer than a drive remembers.
     """
-    chosen = [setting for setting in settings if effects()[setting.name].kind is FRICTION]
-    if len(chosen) > MAX_ROWS:
-        raise EffectError(f"{len(chosen)} friction effects: a machine takes at most {MAX_ROWS}")
-    chosen.sort(key=lambda setting: joint_of_axis[setting.at])
-    rows = np.zeros((len(chosen), 1 + MAX_PARAMETERS))
-    counts = np.zeros(joints, dtype=np.int64)
-    for row, setting in zip(rows, chosen, strict=True):
+    axes = [drive.axis for drive in settings.drives]
+    record["drive_ratio"][: len(axes)] = [ratio_of_axis[axis] for axis in axes]
+    record["limit_rows"][:, 0] = record["ripple_rows"][:, 0] = -1.0
+    for setting in chosen:
+        module = module_of(setting.name)
         values = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
-        row[0] = effect_number(setting.name)
-        row[1 : 1 + len(values)] = values
-        counts[joint_of_axis[setting.at]] += 1
-    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64), rows
+        if hasattr(module, "limited"):
+            record["limit_rows"][axes.index(setting.at)] = effect_row(setting)
+        elif hasattr(module, "factor"):
+            record["ripple_rows"][axes.index(setting.at)] = effect_row(setting)
+        elif hasattr(module, "delay_s"):
+            samples = module.delay_s(*values) / settings.sample_period_s
+            if samples >= HELD_SAMPLES:
+                most = HELD_SAMPLES * settings.sample_period_s
+                raise EffectError(f"{setting.name} at {setting.at!r}: Td = {values[0]:g} s: a drive here remembers less than {most:g} s")
+            record["delay_samples"][axes.index(setting.at)] = samples
+        elif hasattr(module, "transition"):
+            axis = axes.index(setting.at)
+            record["is_lagging"][axis] = values[0] > 0.0
+            if values[0] > 0.0:
+                record["lag_transition"][axis], record["lag_mean"][axis] = module.transition(record["step_s"], *values)
+        else:
+            continue
+        record["has_drive_effects"] = 1

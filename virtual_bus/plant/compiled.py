@@ -11,9 +11,11 @@ and take arrays only: float64 and C-contiguous, n joints in body order, axes in 
     plant.advance(state, effort, brakes, model, work)                # one sample period: model["steps"] plant steps, in place
     plant.imu_reading(state, effort, brakes, model, work, reading)   # (6 imus,) noise-free, of this instant, after the low passes
     plant.joint_acceleration(state, effort, brakes, model, work)     # (n,) of this instant, into work["acceleration"]
+    plant.drive_currents(state, effort, model, currents)             # (axes,) what flows at this instant under these targets
 
 `effort` (axes,) is in the drives' units and held over the sample; `brakes` (axes,) is 1.0 for closed, 0.0 for open.
-`state` is [positions n, speeds n, accelerations at the end of the last step n, friction effort n, filtered imu channels 6 per imu].
+`state` is [positions n, speeds n, accelerations at the end of the last step n, friction effort n, filtered imu channels 6 per imu, time,
+drives (see drives.py), effects with a memory: two states and the last effort each].
 
 A kernel that fuses the plant with something else is a generated module too, so that numba can cache it: see `CompiledPlant.fuse`.
 """
@@ -30,20 +32,22 @@ from typing import Any
 
 import numpy as np
 
-from virtual_bus.effects import effect, registry
-from virtual_bus.effects.table import friction_table
-from virtual_bus.errors import PlantError
-from virtual_bus.plant import friction, integrator, jit, linear, readings, records
+from virtual_bus.effects import motion, table
+from virtual_bus.effects.dispatch import dispatch_sources
+from virtual_bus.errors import EffectError, PlantError
+from virtual_bus.plant import drives, friction, integrator, jit, linear, reactions, readings, records, terms
 from virtual_bus.plant.checks import check_plant
 from virtual_bus.plant.generate import plant_text
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-DEPENDENCIES = (effect, jit, linear, friction, integrator, readings, records)  # compiled into every generated plant
+# compiled into every generated plant
+DEPENDENCIES = (motion, table, jit, linear, drives, terms, reactions, friction, integrator, readings, records)
 FINEST_PHASE = 1.0  # largest product of inner step and spectral radius: the Taylor flow errs by 1/9! = 3e-6 rad of phase per step there
 PROBED_POSES = 40  # at which the spectral radius is looked for
 SPECTRUM_MARGIN = 1.15  # for the poses between
+STANDSTILL_TIME_s = -1.0  # before the start: no disturbance has begun
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,12 @@ class CompiledPlant:
     @property
     def state_size(self) -> int:
         """Length of a state vector."""
-        return 4 * self.joints + 6 * len(self.settings.imus)
+        return self.first_drive_state + len(self.settings.drives) * drives.DRIVE_STATES + 3 * table.MAX_REACTIONS
+
+    @property
+    def first_drive_state(self) -> int:
+        """Where in a state vector the drives' part begins; the time [s] stands before it."""
+        return 4 * self.joints + 6 * len(self.settings.imus) + 1
 
     @property
     def advance(self) -> Any:
@@ -79,6 +88,11 @@ class CompiledPlant:
     def imu_reading(self) -> Any:
         """Compiled: noise-free IMU channels of this instant."""
         return self.module.imu_reading
+
+    @property
+    def drive_currents(self) -> Any:
+        """Compiled: what flows in the drives at this instant."""
+        return self.module.drive_currents
 
     @property
     def nominal(self) -> np.ndarray:
@@ -102,19 +116,26 @@ class CompiledPlant:
 
     @cached_property
     def _work_dtype(self) -> np.dtype:
-        return records.work_dtype(self.joints, len(self.settings.imus), len(self.settings.watched_bodies))
+        return records.work_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), len(self.settings.watched_bodies))
 
     @cached_property
     def _query(self) -> np.ndarray:
         return self.new_work()
 
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint-space inertia (n, n), armature included, and effort (n,) that gravity and velocities ask for at zero acceleration."""
+        """Joint-space inertia (n, n), armature included, and effort (n,) asked for at zero acceleration by gravity, velocities, effects."""
         work = self._query
-        work["query_position"], work["query_speed"] = q, v
+        work["query_position"], work["query_speed"], work["query_time_s"] = q, v, STANDSTILL_TIME_s
         self.module.evaluate_equations(model, work)
         lower = np.tril(work["mass"][0])
         return lower + np.tril(lower, -1).T, work["bias"][0].copy()
+
+    def drive_gains(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Joint effort per unit of every drive (axes,) at these joint positions."""
+        work = self._query
+        work["query_position"] = q
+        self.module.evaluate_gains(model, work)
+        return work["gains"][0, : len(self.settings.drives)].copy()
 
     def imu_motion(self, model: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Specific forces and angular rates (6 imus,) of this motion, in the IMUs' frames and before their low passes."""
@@ -149,14 +170,20 @@ class CompiledPlant:
             In the order of `parameters`; the settings' own by default.
         effects : sequence of EffectSetting, optional
             The settings' own by default.
+
+        Raises
+        ------
+        EffectError
+            Effects that this machine cannot take together.
         """
         values = self.nominal if values is None else np.asarray(values, dtype=float)
-        by_name = {parameter.name: float(value) for parameter, value in zip(self.parameters, values, strict=True)}
-        by_quantity = {(p.owner, p.quantity): by_name[p.name] for p in self.parameters}
+        effects = self.settings.effects if effects is None else effects
+        by_quantity = {(p.owner, p.quantity): float(value) for p, value in zip(self.parameters, values, strict=True)}
+        table.changed_values(by_quantity, effects, self.settings)
         settings, tree = self.settings, self.settings.tree
         model = np.zeros(1, records.model_dtype(self.joints, len(settings.drives), len(settings.imus), self.constant_count))
         record = model[0]
-        self.module.derive([float(value) for value in values], record["constants"])
+        self.module.derive([by_quantity[p.owner, p.quantity] for p in self.parameters], record["constants"])
         record["step_s"] = step_s = settings.sample_period_s / settings.substeps
         record["steps"] = settings.substeps
         for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
@@ -169,9 +196,11 @@ class CompiledPlant:
         for k, bandwidth in enumerate(bandwidths):
             record["filter_weights"][k] = _low_pass_weights(bandwidth, step_s)
             record["is_filtered"][k] = bandwidth > 0.0
-        first, rows = friction_table(settings.effects if effects is None else effects, self.joint_of_axis(), self.joints)
-        record["friction_first"] = first
-        record["friction_rows"][: len(rows)] = rows
+        ratio_of_axis = {drive.axis: by_quantity[drive.axis, "ratio"] for drive in settings.drives}
+        table.fill_friction(record, effects, settings)
+        table.fill_terms(record, effects, ratio_of_axis, settings)
+        table.fill_reactions(record, effects, settings)
+        table.fill_drives(record, effects, ratio_of_axis, settings)
         record["inner_steps"] = self._inner_steps(model)
         return model
 
@@ -188,6 +217,8 @@ class CompiledPlant:
             try:
                 np.linalg.cholesky(mass)
             except np.linalg.LinAlgError:
+                if model["pair_count"][0]:
+                    raise EffectError("no joint-space inertia is like this: an axis_coupling larger than what it couples") from None
                 raise PlantError("the joint-space inertia is not positive definite: a moving body without mass or inertia") from None
             inverse = np.linalg.inv(mass)
             first_order = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * damping]])
@@ -229,5 +260,5 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
     """
     check_plant(settings)
     generated = plant_text(settings)
-    sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + registry.effect_sources()
+    sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources()
     return CompiledPlant(settings, plant_parameters(settings), load_generated("plant", generated.text, sources), generated.constant_count)

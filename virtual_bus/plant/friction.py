@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from virtual_bus.effects.effect import JointState
+from virtual_bus.effects.motion import JointState
 from virtual_bus.plant.jit import compiled
+from virtual_bus.plant.reactions import solve_reaction
 
 SWEEPS = 4  # Gauss-Seidel over the joints that rub; their mutual coupling through the inertia is weak, so two mostly do
 SETTLED_SPEED = 1e-11  # rad/s or m/s: what a further sweep may still change
@@ -17,17 +18,17 @@ def rubs(j, model, work):
 
 
 @compiled
-def friction_level(j, speed, direction, effect_level, model, work):
+def friction_level(j, speed, direction, friction_of, model, work):
     """Effort [Nm or N] that opposes motion of joint j: `speed` is a magnitude; at 0, the most the joint holds against that direction."""
-    state = JointState(speed, direction, work.position[j])
+    state = JointState(speed, direction, work.position[j], abs(work.bias[j]))
     total = work.brake[j]
     for row in range(model.friction_first[j], model.friction_first[j + 1]):
-        total += effect_level(int(model.friction_rows[row, 0]), state, model.friction_rows[row])
+        total += friction_of(int(model.friction_rows[row, 0]), state, model.friction_rows[row])
     return total
 
 
 @compiled
-def mean_friction(j, start, drive, response, kinetic, effect_level, model, work):
+def mean_friction(j, start, drive, response, kinetic, friction_of, model, work):
     """Constant friction effort that does over a step what the friction law does, of a joint alone.
 
     Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per
@@ -39,7 +40,7 @@ def mean_friction(j, start, drive, response, kinetic, effect_level, model, work)
         direction = 1.0 if start > 0.0 else -1.0
         if (start + response * (drive - direction * kinetic)) * direction > 0.0:
             return -direction * kinetic  # slides throughout
-    if abs(drive) <= friction_level(j, 0.0, onward, effect_level, model, work):
+    if abs(drive) <= friction_level(j, 0.0, onward, friction_of, model, work):
         return -start / response - drive  # comes to rest within the step, or stays at rest
     if start == 0.0:
         return -onward * kinetic  # breaks away
@@ -48,38 +49,43 @@ def mean_friction(j, start, drive, response, kinetic, effect_level, model, work)
 
 
 @compiled
-def kinetic_level(j, effect_level, model, work):
+def kinetic_level(j, friction_of, model, work):
     """Friction level of joint j at its mean speed over the step, as the step is before its friction is corrected."""
     start = work.start_speed[j]
     middle = 0.5 * (start + work.speed[j])
     if start * middle < 0.0:
         middle = 0.0  # it turns, or friction stops it: what counts is the level at low speed
     direction = 1.0 if (start if start != 0.0 else middle) >= 0.0 else -1.0
-    return friction_level(j, abs(middle), direction, effect_level, model, work)
+    return friction_level(j, abs(middle), direction, friction_of, model, work)
 
 
 @compiled
-def rub(effect_level, model, work):
-    """Correct a step's end for friction, in place; work.friction holds what the step assumed and then what it was."""
+def rub(friction_of, reaction_of, h, model, work):
+    """Correct a step's end for friction and effects with a memory, in place.
+
+    work.friction and work.reaction hold what the step assumed and then what it was.
+    """
     n = len(work.position)
     for j in range(n):
         work.friction_change[j] = 0.0
         if abs(work.start_speed[j]) < STUCK_SPEED:
             work.start_speed[j] = 0.0
         if rubs(j, model, work):
-            work.kinetic[j] = kinetic_level(j, effect_level, model, work)
+            work.kinetic[j] = kinetic_level(j, friction_of, model, work)
     for _ in range(SWEEPS):
         largest = 0.0
         for j in range(n):
             if rubs(j, model, work):
                 start, response = work.start_speed[j], work.speed_response[j, j]
                 drive = (work.speed[j] - start) / response - work.friction[j]
-                change = mean_friction(j, start, drive, response, work.kinetic[j], effect_level, model, work) - work.friction[j]
+                change = mean_friction(j, start, drive, response, work.kinetic[j], friction_of, model, work) - work.friction[j]
                 work.friction[j] += change
                 work.friction_change[j] += change
                 for i in range(n):
                     work.speed[i] += work.speed_response[j, i] * change
                 largest = max(largest, abs(change * response))
+        for row in range(model.reaction_count):
+            largest = max(largest, solve_reaction(row, reaction_of, h, model, work))
         if largest < SETTLED_SPEED:
             break
     for j in range(n):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from virtual_bus.effects import registry
-from virtual_bus.effects.effect import FRICTION
+from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.plant.emit import Emitter
 from virtual_bus.plant.equations import PlantEquations
 from virtual_bus.plant.parameters import plant_parameters
@@ -15,29 +14,60 @@ HEADER = '''"""Generated from a tree of rigid bodies; do not edit."""
 
 from math import cos, sin
 
-from virtual_bus.plant import integrator, readings
-from virtual_bus.plant.jit import compiled, compiled_and_cached
+from EFFECTS import effort_of, friction_of, limited_by, reaction_of, ripple_of, terms_of
+from virtual_bus.plant import drives, integrator, readings, terms
+from virtual_bus.plant.jit import compiled_and_cached
 '''
 
 ENTRY_POINTS = """
 @compiled_and_cached
+def add_terms(model, work):
+    terms.add_efforts(effort_of, model, work)
+    terms.add_pairs(terms_of, model, work)
+
+
+@compiled_and_cached
+def equations(model, work):
+    mass_and_bias(model, work)
+    if model.effort_count + model.pair_count > 0:
+        add_terms(model, work)
+
+
+@compiled_and_cached
 def advance(state, effort, brakes, model, work):
-    integrator.advance(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, imu, state, effort, brakes, model[0], work[0])
+    integrator.advance(
+        AXIS_JOINTS, IMUS, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model[0], work[0]
+    )
 
 
 @compiled_and_cached
 def joint_acceleration(state, effort, brakes, model, work):
-    readings.joint_acceleration(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, state, effort, brakes, model[0], work[0])
+    readings.joint_acceleration(
+        AXIS_JOINTS, IMUS, equations, friction_of, reaction_of, limited_by, ripple_of, state, effort, brakes, model[0], work[0]
+    )
 
 
 @compiled_and_cached
 def imu_reading(state, effort, brakes, model, work, reading):
-    readings.imu_reading(AXIS_JOINTS, IMUS, mass_and_bias, friction_level, imu, state, effort, brakes, model[0], work[0], reading)
+    readings.imu_reading(
+        AXIS_JOINTS, IMUS, equations, friction_of, reaction_of, limited_by, ripple_of, imu,
+        state, effort, brakes, model[0], work[0], reading,
+    )
+
+
+@compiled_and_cached
+def drive_currents(state, effort, model, currents):
+    drives.drive_currents(AXIS_JOINTS, FIRST_DRIVE, limited_by, state, effort, model[0], currents)
+
+
+@compiled_and_cached
+def evaluate_gains(model, work):
+    drives.drive_gains(AXIS_JOINTS, ripple_of, model[0], work[0])
 
 
 @compiled_and_cached
 def evaluate_equations(model, work):
-    mass_and_bias(model[0], work[0])
+    equations(model[0], work[0])
 
 
 @compiled_and_cached
@@ -64,8 +94,9 @@ class PlantText:
 def plant_text(settings: PlantSettings) -> PlantText:
     """Write out the equations of a plant.
 
-    The module's `mass_and_bias(model, work)`, `imu(model, work)` and `poses(model, work)` evaluate them at work.query_position,
-    query_speed and query_acceleration into work.mass (lower half) and bias, reading, and poses; `derive(p, c)` computes model.constants
+    The module's `mass_and_bias(model, work)` (`equations` with the effects' terms), `imu(model, work)` and `poses(model, work)` evaluate
+    them at work.query_position, query_speed and query_acceleration into
+    work.mass (lower half) and bias, reading, and poses; `derive(p, c)` computes model.constants
     from the parameters; the rest is the calling convention of `compiled.py`.
     """
     equations = PlantEquations(settings, tuple(parameter.name for parameter in plant_parameters(settings)))
@@ -81,12 +112,11 @@ def plant_text(settings: PlantSettings) -> PlantText:
     ]
     axis_joints = tuple(settings.tree.joint_index(drive.joint) for drive in settings.drives)
     parts = [
-        HEADER,
-        f"AXIS_JOINTS = {axis_joints!r}\nIMUS = {len(settings.imus)}\n",
+        HEADER.replace("EFFECTS", compiled_effects().__name__),
+        f"AXIS_JOINTS = {axis_joints!r}\nIMUS = {len(settings.imus)}\nFIRST_DRIVE = {4 * count + 6 * len(settings.imus) + 1}\n",
         emitter.function_text("mass_and_bias", masses + biases, QUERY),
         emitter.function_text("imu", readings, QUERY),
         emitter.function_text("poses", poses, QUERY),
         emitter.derive_text(),
-        registry.dispatcher_text(FRICTION, "friction_level"),
     ]
     return PlantText("\n\n".join(parts) + "\n" + ENTRY_POINTS, emitter.constant_count)

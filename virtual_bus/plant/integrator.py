@@ -3,14 +3,18 @@
 The functions are compiled for one plant: `model` and `work` are its records (records.py), the plant's own equations are handed in as
 compiled functions. Positions q and speeds v obey
 
-    M(q) v' = effort - bias(q, v) - K (q - rest) - D v + friction.
+    M(q) v' = effort - bias(q, v) - K (q - rest) - D v + friction,
+
+with the effects' inertia in M, their efforts in the bias, and the ones with a memory beside the friction.
 """
 
 from __future__ import annotations
 
+from virtual_bus.plant.drives import DRIVE_STATES, drive_joints, load_joints, remember_targets
 from virtual_bus.plant.friction import rub, rubs
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
+from virtual_bus.plant.reactions import begin_reactions, end_reactions
 
 TAYLOR_ORDER = 8  # stable up to 3.4 times the step at the highest natural frequency, its error (wh)^9/9! per step
 
@@ -62,26 +66,15 @@ def respond(j, h, model, work):
 
 
 @compiled
-def load_joints(axis_joints, effort, brakes, model, work):
-    """Spread the drives' efforts and the brakes over the joints."""
-    for i in range(len(work.effort)):
-        work.effort[i] = 0.0
-        work.brake[i] = 0.0
-    for axis in range(len(axis_joints)):
-        j = axis_joints[axis]
-        work.effort[j] += model.effort_gain[axis] * effort[axis]
-        work.brake[j] += model.brake_effort[j] * brakes[axis]
-
-
-@compiled
-def advance_one(mass_and_bias, effect_level, model, work):
+def advance_one(equations, friction_of, reaction_of, model, work):
     """One plant step of `model.step_s`, from and to work.position, speed, acceleration (at the step's end) and friction."""
     n = len(work.position)
     h = model.step_s
     for i in range(n):
         work.query_position[i] = work.position[i] + 0.5 * h * (work.speed[i] + 0.25 * h * work.acceleration[i])
         work.query_speed[i] = work.speed[i] + 0.5 * h * work.acceleration[i]
-    mass_and_bias(model, work)
+    work.query_time_s = work.time_s + 0.5 * h
+    equations(model, work)
     invert(work.mass, work.pivots, work.inverse)
     any_friction = False
     inner = h / model.inner_steps
@@ -92,20 +85,30 @@ def advance_one(mass_and_bias, effect_level, model, work):
             respond(j, inner, model, work)
         else:
             work.friction[j] = 0.0
+            if model.reacts[j]:
+                any_friction = True
+                respond(j, inner, model, work)
     for part in range(model.inner_steps):
         for j in range(n):
             work.start_speed[j] = work.speed[j]
+        if model.reaction_count > 0:
+            for j in range(n):
+                work.start_position[j] = work.position[j]
+            begin_reactions(model, work)
         flow(inner, model, work)
         if any_friction:
-            rub(effect_level, model, work)
+            rub(friction_of, reaction_of, inner, model, work)
+            if model.reaction_count > 0:
+                end_reactions(reaction_of, inner, model, work)
         if part == 0:
             for i in range(n):
                 work.first_acceleration[i] = work.start_acceleration[i]
+    work.time_s += h
 
 
 @compiled
-def read_state(imus, state, work):
-    """State vector into the work record."""
+def read_state(imus, axes, state, model, work):
+    """State vector into the work record; the drives' part stays where it is."""
     n = len(work.position)
     for i in range(n):
         work.position[i] = state[i]
@@ -114,10 +117,16 @@ def read_state(imus, state, work):
         work.friction[i] = state[3 * n + i]
     for k in range(6 * imus):
         work.filtered[k] = state[4 * n + k]
+    work.time_s = state[4 * n + 6 * imus]
+    slot = 4 * n + 6 * imus + 1 + axes * DRIVE_STATES
+    for row in range(model.reaction_count):
+        work.memory[row, 0] = state[slot + 3 * row]
+        work.memory[row, 1] = state[slot + 3 * row + 1]
+        work.reaction[row] = state[slot + 3 * row + 2]
 
 
 @compiled
-def write_state(imus, state, work):
+def write_state(imus, axes, state, model, work):
     """Work record into the state vector."""
     n = len(work.position)
     for i in range(n):
@@ -127,6 +136,12 @@ def write_state(imus, state, work):
         state[3 * n + i] = work.friction[i]
     for k in range(6 * imus):
         state[4 * n + k] = work.filtered[k]
+    state[4 * n + 6 * imus] = work.time_s
+    slot = 4 * n + 6 * imus + 1 + axes * DRIVE_STATES
+    for row in range(model.reaction_count):
+        state[slot + 3 * row] = work.memory[row, 0]
+        state[slot + 3 * row + 1] = work.memory[row, 1]
+        state[slot + 3 * row + 2] = work.reaction[row]
 
 
 @compiled
@@ -140,17 +155,22 @@ def read_imus(imu, position, speed, acceleration, model, work):
 
 
 @compiled
-def advance(axis_joints, imus, mass_and_bias, effect_level, imu, state, effort, brakes, model, work):
-    """One sample: `model.steps` plant steps at constant drive effort, and the IMUs' low passes along with them."""
+def advance(
+    axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model, work
+):
+    """One sample: `model.steps` plant steps at constant targets of the drives, and the IMUs' low passes along with them."""
     n = len(work.position)
-    read_state(imus, state, work)
+    first_drive = 4 * n + 6 * imus + 1
+    read_state(imus, len(axis_joints), state, model, work)
     load_joints(axis_joints, effort, brakes, model, work)
     for step in range(model.steps):
         if imus > 0 and step == 0:
             for i in range(n):
                 work.first_position[i] = work.position[i]
                 work.first_speed[i] = work.speed[i]
-        advance_one(mass_and_bias, effect_level, model, work)
+        if model.has_drive_effects:
+            drive_joints(axis_joints, first_drive, step, limited_by, ripple_of, state, effort, model, work)
+        advance_one(equations, friction_of, reaction_of, model, work)
         if imus > 0:
             if step == 0:  # the drives' effort has just changed and the acceleration with it: the last sample's end is not this one's start
                 read_imus(imu, work.first_position, work.first_speed, work.first_acceleration, model, work)
@@ -160,4 +180,6 @@ def advance(axis_joints, imus, mass_and_bias, effect_level, imu, state, effort, 
             for k in range(6 * imus):
                 old, start, end = model.filter_weights[k, 0], model.filter_weights[k, 1], model.filter_weights[k, 2]
                 work.filtered[k] = old * work.filtered[k] + start * work.start_reading[k] + end * work.reading[k]
-    write_state(imus, state, work)
+    if model.has_drive_effects:
+        remember_targets(len(axis_joints), first_drive, state, effort, model)
+    write_state(imus, len(axis_joints), state, model, work)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import control
 import numpy as np
 
+from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant
-from virtual_bus.plant.parameters import AXES
 from virtual_bus.plant.statics import DIFFERENCE, equilibrium, static_stiffness
 
 
@@ -40,7 +40,7 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
     q = equilibrium(plant, model, axis_positions)
     inverse = np.linalg.inv(inertia_matrix(plant, model, q))
     gain = np.zeros((n, len(settings.drives)))
-    gain[list(plant.joint_of_axis().values()), np.arange(len(settings.drives))] = model["effort_gain"][0, : len(settings.drives)]
+    gain[list(plant.joint_of_axis().values()), np.arange(len(settings.drives))] = plant.drive_gains(model, q)
     to_acceleration = np.hstack([-inverse @ static_stiffness(plant, model, q), -inverse * model["damping"][0]])
     a = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), to_acceleration])
     b = np.vstack([np.zeros((n, gain.shape[1])), inverse @ gain])
@@ -64,7 +64,7 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
     c = np.block([[encoders, np.zeros((len(encoders), len(filtered)))], [imu_from_motion, imu_from_filter]])
     d = np.vstack([np.zeros((len(encoders), gain.shape[1])), np.where(is_filtered[:, None], 0.0, imu_direct)])
 
-    channels = imu_channels(plant)
+    channels = imu_channel_names(plant.settings)
     joints = [joint.name for joint in settings.tree.joints]
     return control.ss(
         a, b, c, d,
@@ -73,13 +73,3 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
         states=joints + [f"{joint}_speed" for joint in joints] + [f"{channels[k]}_filter" for k in filtered],
         name="plant",
     )  # fmt: skip
-
-
-def imu_channels(plant: CompiledPlant) -> list[str]:
-    """Channel names of all IMUs in the order of their readings: imu_x, imu_y, imu_z, gyro_x, ... for the one called `imu`."""
-    names = []
-    for imu in plant.settings.imus:
-        gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
-        names += [f"{imu.name}_{axis}" for axis in AXES] + [f"{gyro}_{axis}" for axis in AXES]
-    return names
-

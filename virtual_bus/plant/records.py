@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from virtual_bus.effects.effect import MAX_PARAMETERS
-from virtual_bus.effects.table import MAX_ROWS
+from virtual_bus.effects.table import MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, ROW
 
 
 def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
@@ -29,12 +28,33 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ("filter_weights", "f8", (max(6 * imus, 1), 3)),  # low pass over one plant step: old output, input at start, input at end
             ("is_filtered", "u1", (max(6 * imus, 1),)),  # 0: the channel has no low pass and reads the instant
             ("friction_first", "i8", (n + 1,)),  # friction rows of joint j are friction_first[j] to friction_first[j + 1]
-            ("friction_rows", "f8", (MAX_ROWS, 1 + MAX_PARAMETERS)),  # effect number, then its parameters
+            ("friction_rows", "f8", (MAX_FRICTIONS, ROW)),  # effect number, then its parameters
+            ("effort_count", "i8"),
+            ("effort_rows", "f8", (MAX_EFFORTS, ROW)),
+            ("effort_joint", "i8", (MAX_EFFORTS,)),
+            ("effort_ratio", "f8", (MAX_EFFORTS,)),  # motor coordinate per joint coordinate
+            ("pair_count", "i8"),
+            ("pair_rows", "f8", (MAX_PAIRS, ROW)),
+            ("pair_joints", "i8", (MAX_PAIRS, 2)),
+            ("pair_ratio", "f8", (MAX_PAIRS,)),
+            ("pair_is_spring", "u1", (MAX_PAIRS,)),  # 1: the second joint counts from its spring's rest
+            ("reaction_count", "i8"),
+            ("reaction_rows", "f8", (MAX_REACTIONS, ROW)),
+            ("reaction_joint", "i8", (MAX_REACTIONS,)),
+            ("reacts", "u1", (n,)),  # 1: an effect with a memory acts on the joint
+            ("has_drive_effects", "u1"),  # 0: targets are currents
+            ("drive_ratio", "f8", (max(axes, 1),)),
+            ("limit_rows", "f8", (max(axes, 1), ROW)),  # effect number -1: none
+            ("ripple_rows", "f8", (max(axes, 1), ROW)),
+            ("delay_samples", "f8", (max(axes, 1),)),
+            ("is_lagging", "u1", (max(axes, 1),)),
+            ("lag_transition", "f8", (max(axes, 1), 2, 2)),  # of (i - u, i') over a plant step
+            ("lag_mean", "f8", (max(axes, 1), 2)),  # weights of its mean over the step
         ]
     )
 
 
-def work_dtype(joints: int, imus: int, bodies: int) -> np.dtype:
+def work_dtype(joints: int, axes: int, imus: int, bodies: int) -> np.dtype:
     """Scratch memory. It holds nothing that matters from one call to the next."""
     n = joints
     vectors = [
@@ -43,7 +63,7 @@ def work_dtype(joints: int, imus: int, bodies: int) -> np.dtype:
         "query_position", "query_speed", "query_acceleration",  # where the equations are evaluated
         "bias",  # gravity and velocity effort there
         "pivots", "effort", "brake", "load", "force", "derivative", "lower_derivative",
-        "start_speed", "start_acceleration",  # of an inner step
+        "start_position", "start_speed", "start_acceleration",  # of an inner step
         "first_position", "first_speed", "first_acceleration",  # of a sample, under its new effort
         "friction_change", "kinetic",  # of the friction solution
     ]  # fmt: skip
@@ -54,6 +74,10 @@ def work_dtype(joints: int, imus: int, bodies: int) -> np.dtype:
         + [(name, "f8", (n, n)) for name in squares]
         + [(name, "f8", (max(6 * imus, 1),)) for name in readings]
         + [("poses", "f8", (max(bodies, 1), 12))]
+        + [("time_s", "f8"), ("query_time_s", "f8")]  # since the start; negative where a standstill is looked for
+        + [(name, "f8", (max(axes, 1),)) for name in ("currents", "gains")]
+        + [(name, "f8", (MAX_REACTIONS,)) for name in ("reaction", "reaction_guess")]
+        + [("memory", "f8", (MAX_REACTIONS, 2))]
     )
 
 

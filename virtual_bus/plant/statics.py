@@ -1,4 +1,4 @@
-"""A plant at rest: elastic equilibrium, and the effort that holds it."""
+"""A plant at rest: elastic equilibrium, and the effort that holds it. Effects' efforts are in it, friction is not."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from virtual_bus.errors import PlantError
 from virtual_bus.plant.compiled import CompiledPlant
+from virtual_bus.plant.drives import DRIVE_STATES
 
 DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
 TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
@@ -64,7 +65,8 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
     held = list(plant.joint_of_axis().values())
-    return static_effort(plant, model, equilibrium(plant, model, axis_positions))[held] / model["effort_gain"][0, : len(held)]
+    q = equilibrium(plant, model, axis_positions)
+    return static_effort(plant, model, q)[held] / plant.drive_gains(model, q)
 
 
 def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
@@ -78,5 +80,9 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
     held = list(plant.joint_of_axis().values())
     if held_by_brakes:
         state[3 * n + np.array(held)] = static_effort(plant, model, q)[held]
-    state[4 * n :] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
+    else:
+        drive_states = state[plant.first_drive_state :][: len(held) * DRIVE_STATES].reshape(len(held), DRIVE_STATES)
+        drive_states[:] = (static_effort(plant, model, q)[held] / plant.drive_gains(model, q))[:, None]
+        drive_states[:, 1] = 0.0  # the currents' rates
+    state[4 * n : plant.first_drive_state - 1] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
     return state

@@ -10,9 +10,9 @@ from virtual_bus.settings import PlantSettings
 
 
 @compiled
-def measured_effort(effort: float, noise: float, resolution: float) -> float:
-    """Reading [drive's unit] of an effort with this sample's noise."""
-    return quantised(effort + noise, resolution)
+def current_reading(effort: float, noise: float, resolution: float) -> float:
+    """Reading [drive's unit] of an effort with this sample's noise; NaN without a sensor, which a resolution of NaN says."""
+    return quantised(effort + noise, resolution) if resolution >= 0.0 else np.nan
 
 
 def current_arrays(settings: PlantSettings) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,12 @@ def quantised(value: float, resolution: float) -> float:
 
 
 @compiled
+def encoder_reading(position: float, resolution: float) -> float:
+    """What an encoder reads of a position; NaN where there is none, which a resolution of NaN says."""
+    return quantised(position, resolution) if resolution >= 0.0 else np.nan
+
+
+@compiled
 def summed_position(weights: np.ndarray, joint_positions: np.ndarray) -> float:
     """Position [rad or m] seen by an encoder whose joints have weight 1 and all others 0."""
     total = 0.0

@@ -7,20 +7,31 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Sequence
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
-from virtual_bus.plant import jit
+from virtual_bus.effects.dispatch import compiled_effects, dispatch_sources
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.modules import load_generated
-from virtual_bus.sensors import current, encoder, imu, thermometer
-from virtual_bus.sensors.current import current_arrays, measured_effort
-from virtual_bus.sensors.encoder import encoder_arrays, quantised, summed_position
+from virtual_bus.sensors import current, effects, encoder, imu, thermometer
+from virtual_bus.sensors.current import current_arrays, current_reading
+from virtual_bus.sensors.effects import (
+    ANY,
+    DROPOUTS,
+    SensorEffects,
+    before_noise,
+    encoder_error,
+    remember_channels,
+    repeat_lost,
+    sensor_effects,
+)
+from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position
 from virtual_bus.sensors.imu import imu_arrays, measured_channel
 from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
-from virtual_bus.settings import PlantSettings
+from virtual_bus.settings import EffectSetting, PlantSettings
 
 
 class SensorModel(NamedTuple):
@@ -37,6 +48,8 @@ class SensorModel(NamedTuple):
     rise_per_effort2: np.ndarray  # (axes,) K
     temperature_decay: np.ndarray  # (axes,) over one sample
     temperature_resolution: np.ndarray  # (axes,) K
+    switches: np.ndarray  # (6,) what there is of effects, see effects.ANY to DROPOUTS: looked at first, for tuples cost time
+    effects: SensorEffects
 
 
 class Readings(NamedTuple):
@@ -49,14 +62,15 @@ class Readings(NamedTuple):
     temperature_degC: np.ndarray  # (axes,)
 
 
-def sensor_model(settings: PlantSettings) -> SensorModel:
-    """The arrays `measure` takes of a machine's sensors."""
+def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | None = None) -> SensorModel:
+    """The arrays `measure` takes of a machine's sensors, with these effects or the settings' own."""
     position_joints, position_resolution = encoder_arrays(settings, "position")
     link_joints, link_resolution = encoder_arrays(settings, "link_position")
     bias, _, imu_resolution = imu_arrays(settings)
+    added = sensor_effects(settings, settings.effects if effects is None else effects)
     return SensorModel(
         position_joints, position_resolution, link_joints, link_resolution, current_arrays(settings)[0], bias, imu_resolution,
-        *thermometer_arrays(settings),
+        *thermometer_arrays(settings), added.switches, added,
     )  # fmt: skip
 
 
@@ -76,31 +90,81 @@ def noise_rms(settings: PlantSettings) -> dict[str, float]:
 
 
 @compiled
-def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
+def start(state, encoder_error_of, model, memory):
+    """Begin at this plant state: incremental encoders are free of error here."""
+    memory.samples[0] = 0
+    sensors = model.effects
+    for i in range(len(model.position_resolution)):
+        for channel, weights in ((i, model.position_joints[i]), (i + len(model.position_resolution), model.link_joints[i])):
+            memory.home_error[channel] = 0.0
+            if sensors.counts_from_start[channel]:
+                memory.home_error[channel] = encoder_error(channel, summed_position(weights, state), encoder_error_of, sensors)
+
+
+@compiled
+def measure(state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings):
     """Every sensor's reading of this instant.
 
     Parameters
     ----------
     state : the plant's, joint positions first
-    effort : (axes,) that acts from now on, in the drives' units
+    effort : (axes,) currents that flow from now on, in the drives' units
     temperature_rise : (axes,) K above ambient
     imu_reading : (6 imus,) from the plant's `imu_reading`
     noise : (axes + 6 imus,) of this sample, in the channels' units
+    encoder_error_of, signed_by, lag_of, lost_by : the functions of the effects' module
     sensors : SensorModel
+    memory : SensorMemory
     readings : Readings, overwritten
     """
-    axes = len(effort)
-    for i in range(axes):
-        seen = summed_position(sensors.position_joints[i], state)
-        readings.position[i] = quantised(seen, sensors.position_resolution[i]) if sensors.position_resolution[i] >= 0.0 else np.nan
-        seen = summed_position(sensors.link_joints[i], state)
-        readings.link_position[i] = quantised(seen, sensors.link_resolution[i]) if sensors.link_resolution[i] >= 0.0 else np.nan
-        is_measured = sensors.effort_resolution[i] >= 0.0
-        readings.effort[i] = measured_effort(effort[i], noise[i], sensors.effort_resolution[i]) if is_measured else np.nan
+    if sensors.switches[ANY]:
+        measure_affected(
+            state, effort, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, sensors.effects, memory, readings
+        )
+    else:
+        for i in range(len(effort)):
+            readings.position[i] = encoder_reading(summed_position(sensors.position_joints[i], state), sensors.position_resolution[i])
+            readings.link_position[i] = encoder_reading(summed_position(sensors.link_joints[i], state), sensors.link_resolution[i])
+            readings.effort[i] = current_reading(effort[i], noise[i], sensors.effort_resolution[i])
+        for k in range(len(imu_reading)):
+            readings.imu[k] = measured_channel(imu_reading[k], sensors.imu_bias[k], noise[len(effort) + k], sensors.imu_resolution[k])
+    for i in range(len(effort)):
         temperature = sensors.ambient_degC[i] + temperature_rise[i]
         readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
+
+
+@compiled
+def measure_affected(
+    state, effort, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, added, memory, readings
+):
+    """Encoders, currents and IMUs with the sensors' effects."""
+    axes = len(effort)
+    values = memory.values
+    for i in range(axes):
+        values[i] = summed_position(sensors.position_joints[i], state)
+        values[axes + i] = summed_position(sensors.link_joints[i], state)
+        values[2 * axes + i] = effort[i]
     for k in range(len(imu_reading)):
-        readings.imu[k] = measured_channel(imu_reading[k], sensors.imu_bias[k], noise[axes + k], sensors.imu_resolution[k])
+        values[3 * axes + k] = imu_reading[k]
+    before_noise(encoder_error_of, signed_by, lag_of, added, memory)
+    for i in range(axes):
+        readings.position[i] = encoder_reading(values[i], sensors.position_resolution[i])
+        readings.link_position[i] = encoder_reading(values[axes + i], sensors.link_resolution[i])
+        readings.effort[i] = current_reading(values[2 * axes + i], noise[i], sensors.effort_resolution[i])
+    for k in range(len(imu_reading)):
+        readings.imu[k] = measured_channel(values[3 * axes + k], sensors.imu_bias[k], noise[axes + k], sensors.imu_resolution[k])
+    if added.switches[DROPOUTS]:
+        repeat_lost(readings.position, 0, lost_by, added, memory)
+        repeat_lost(readings.link_position, axes, lost_by, added, memory)
+        repeat_lost(readings.effort, 2 * axes, lost_by, added, memory)
+        repeat_lost(readings.imu, 3 * axes, lost_by, added, memory)
+
+
+@compiled
+def remember(sensors, memory):
+    """One sample later, in place."""
+    if sensors.switches[ANY]:
+        remember_channels(sensors.effects, memory)
 
 
 @compiled
@@ -112,13 +176,26 @@ def warm_up(temperature_rise, effort, sensors):
 
 ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""
 
+from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
 from virtual_bus.plant.jit import compiled_and_cached
 from virtual_bus.sensors import measure as _sensors
 
 
 @compiled_and_cached
-def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
-    _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
+def start(state, sensors, memory):
+    _sensors.start(state, encoder_error_of, sensors, memory)
+
+
+@compiled_and_cached
+def measure(state, effort, temperature_rise, imu_reading, noise, sensors, memory, readings):
+    _sensors.measure(
+        state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
+    )
+
+
+@compiled_and_cached
+def remember(sensors, memory):
+    _sensors.remember(sensors, memory)
 
 
 @compiled_and_cached
@@ -129,9 +206,10 @@ def warm_up(temperature_rise, effort, sensors):
 
 def sensor_sources() -> str:
     """Source of everything `measure` is compiled from: what a module that fuses it depends on."""
-    return "\n".join(inspect.getsource(module) for module in (jit, current, encoder, imu, thermometer, sys.modules[__name__]))
+    modules = (current, effects, encoder, imu, thermometer, sys.modules[__name__])
+    return "\n".join(inspect.getsource(module) for module in modules) + dispatch_sources()
 
 
 def compiled_sensors() -> ModuleType:
-    """Module with `measure` and `warm_up`, compiled once and cached."""
-    return load_generated("sensors", ENTRY_POINTS, sensor_sources())
+    """Module with `start`, `measure`, `remember` and `warm_up`, compiled once and cached."""
+    return load_generated("sensors", ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__), sensor_sources())

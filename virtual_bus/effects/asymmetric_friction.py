@@ -1,0 +1,43 @@
+"""Friction that differs with the direction of motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="asymmetric_friction",
+    kind=FRICTION,
+    parameters=(
+        Parameter("Fc_plus", unit="Nm", low=0.0, high=2000.0, description="Coulomb level of motion towards positive position"),
+        Parameter("Fc_minus", unit="Nm", low=0.0, high=2000.0, description="Coulomb level of motion towards negative position"),
+        Parameter("Fv_plus", unit="Nm s/rad", low=0.0, high=1000.0, description="viscous coefficient of motion towards positive position"),
+        Parameter("Fv_minus", unit="Nm s/rad", low=0.0, high=1000.0, description="viscous coefficient of motion towards negative position"),
+    ),
+    equation="(Fc± + Fv± abs(speed)) sign(speed)",
+    convention=(
+        "effort on the joint = -(Fc_plus + Fv_plus speed) for speed > 0, +(Fc_minus + Fv_minus abs(speed)) for speed < 0, on "
+        "the joint's side of the gear; at rest the Coulomb level of the direction it would move in holds"
+    ),
+    neighbours=("constant_load", "gravity_imbalance", "coulomb_friction"),
+    source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
+)
+
+
+def level(state: JointState, Fc_plus: float, Fc_minus: float, Fv_plus: float, Fv_minus: float) -> float:
+    """Friction level [Nm or N] of this direction."""
+    return Fc_plus + Fv_plus * state.speed if state.direction > 0.0 else Fc_minus + Fv_minus * state.speed
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float]:
+    """A line through the missing effort over speed, each way by itself."""
+    numbers = []
+    for direction in (1.0, -1.0):
+        chosen = residual.moves & (residual.speed * direction > 0.0)
+        speed = np.abs(residual.speed[chosen])
+        numbers.append(fitted([np.ones_like(speed), speed], -direction * residual.effort[chosen]))
+    (c_plus, v_plus), (c_minus, v_minus) = numbers
+    return float(c_plus), float(c_minus), float(v_plus), float(v_minus)

@@ -1,0 +1,41 @@
+"""Axis coupling: an inertia by which one axis's acceleration loads the other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.motion import PairMotion
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="axis_coupling",
+    kind=COUPLING,
+    parameters=(
+        Parameter("J12", unit="kg m2", low=-500.0, high=500.0, description="coupling inertia where the next axis's position + phi = 0"),
+        Parameter("phi", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+    ),
+    equation="J12(q2) q2'' on the axis and J12(q2) q1'' on the next, J12(q2) = J12 cos(q2 + phi), with the velocity terms",
+    convention=(
+        "kinetic energy J12 cos(q2 + phi) speed1 speed2 is added; q2 is the next axis in the machine's order, the first one "
+        "after the last; refused where the inertia would stop being positive definite"
+    ),
+    neighbours=("imu_misalignment", "pose_dependent_dynamics"),
+    source="Spong, Hutchinson, Vidyasagar 2006, Sec. 7.2",
+)
+
+
+def terms(pair: PairMotion, J12: float, phi: float) -> tuple[float, float, float, float]:
+    """Coupling inertia and efforts [Nm or N] on both: only the first axis feels the second's squared speed."""
+    coupling = J12 * math.cos(pair.other_position + phi)
+    slope = -J12 * math.sin(pair.other_position + phi)
+    return 0.0, coupling, -slope * pair.other_speed * pair.other_speed, 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The missing effort per acceleration of the next axis, over its position."""
+    a, q = residual.other_acceleration, residual.other_position
+    cosine, sine = fitted([-a * np.cos(q), a * np.sin(q), -residual.acceleration], residual.effort)[:2]
+    return math.hypot(cosine, sine), math.atan2(sine, cosine)

@@ -1,0 +1,69 @@
+"""Bouc-Wen hysteresis: a restoring effort whose stiffness falls along the path since the last reversal."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="bouc_wen_hysteresis",
+    kind=REACTION,
+    parameters=(
+        Parameter("k", unit="Nm/rad", low=0.0, high=100000000.0, description="effort per hysteretic displacement"),
+        Parameter("A", unit="", low=0.0, high=1.0, description="initial slope of the displacement over the motion", is_strength=False),
+        Parameter(
+            "z_max",
+            unit="rad",
+            low=1e-09,
+            high=1.0,
+            description="displacement at which the loop is flat: the (A / (beta + gamma))^(1/n) of the source",
+            is_strength=False,
+        ),
+        Parameter(
+            "beta_share",
+            unit="",
+            low=0.5,
+            high=1.0,
+            description="beta / (beta + gamma): 0.5 unloads along the initial slope, 1 softens both ways",
+            is_strength=False,
+        ),
+        Parameter("n", unit="", low=1.0, high=8.0, description="sharpness of the knee", is_strength=False),
+    ),
+    equation="z' = A w - beta abs(w) abs(z)^(n-1) z - gamma w abs(z)^n, F = k z",
+    convention=(
+        "effort on the joint = -k z, on the joint's side of the gear, in addition to its spring; beta + gamma = A / z_max^n; z "
+        "= 0 at the start"
+    ),
+    neighbours=("presliding_hysteresis", "nonlinear_stiffness"),
+    source="Wen 1976; Noël and Kerschen 2017, Sec. 2.2",
+)
+
+
+PARTS = 8  # of a step, for the path within it
+
+
+def react(state: ReactionState, k: float, A: float, z_max: float, beta_share: float, n: float) -> tuple[float, float, float]:
+    """Mean effort [Nm or N] over a step and the displacement z [rad or m] at its end, by Heun's rule along the path."""
+    path = 0.5 * (state.start_speed + state.end_speed) * state.step_s / PARTS
+    onward = 1.0 if path > 0.0 else -1.0
+    z = state.first
+    total = 0.0
+    for _ in range(PARTS):
+        begin = z
+        slope = A * (1.0 - (abs(z) / z_max) ** n * (1.0 - beta_share + beta_share * onward * math.copysign(1.0, z)))
+        ahead = min(max(z + path * slope, -z_max), z_max)
+        slope_ahead = A * (1.0 - (abs(ahead) / z_max) ** n * (1.0 - beta_share + beta_share * onward * math.copysign(1.0, ahead)))
+        z = min(max(z + 0.5 * path * (slope + slope_ahead), -z_max), z_max)
+        total += 0.5 * (begin + z)
+    return -k * total / PARTS, z, 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float, float]:
+    """Flat at a quarter of the travel, with the effort's half range there."""
+    z_max = max(0.25 * float(np.ptp(residual.position)), 1e-9)
+    return 0.5 * float(np.ptp(residual.effort)) / z_max, 1.0, z_max, 0.5, 1.0

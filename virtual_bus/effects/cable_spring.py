@@ -1,0 +1,36 @@
+"""Cable spring: hoses and cables that pull harder the further the joint is from their rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="cable_spring",
+    kind=EFFORT,
+    parameters=(
+        Parameter("kc", unit="Nm/rad", low=0.0, high=100000.0, description="stiffness"),
+        Parameter("kc3", unit="Nm/rad3", low=0.0, high=1000000.0, description="cubic stiffness"),
+        Parameter("theta0", unit="rad", low=-10.0, high=10.0, description="position at which the cable is slack", is_strength=False),
+    ),
+    equation="kc (position - theta0) + kc3 (position - theta0)^3",
+    convention="effort on the joint = -kc (position - theta0) - kc3 (position - theta0)^3, on the joint's side of the gear",
+    neighbours=("gravity_imbalance", "transmission_error", "constant_load"),
+    source="Noël and Kerschen 2017, Sec. 2.1",
+)
+
+
+def effort(motion: JointMotion, kc: float, kc3: float, theta0: float) -> float:
+    """Effort [Nm or N] on the joint."""
+    x = motion.position - theta0
+    return -kc * x - kc3 * x * x * x
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """A line through the missing effort over position, beside friction; slack where it crosses zero."""
+    q = residual.position
+    slope, offset = fitted([-q, np.ones_like(q), -np.sign(residual.speed)], residual.effort)[:2]
+    return float(slope), 0.0, float(offset / slope) if slope > 0.0 else 0.0

@@ -1,0 +1,37 @@
+"""Clock offset: a channel stamped late, and later as time goes on."""
+
+from __future__ import annotations
+
+from virtual_bus.effects.effect import CLOCK, Effect, Parameter
+from virtual_bus.effects.residual import Residual, lag_of
+
+EFFECT = Effect(
+    name="clock_offset",
+    kind=CLOCK,
+    parameters=(
+        Parameter("t0", unit="s", low=0.0, high=0.1, description="age of the channel's values at the start"),
+        Parameter("delta", unit="", low=0.0, high=0.01, description="growth of the age per second"),
+    ),
+    equation="y(t - t0 - delta t)",
+    convention=(
+        "the reading at SYNC k is the channel's noise-free value t0 + delta t_k earlier, linear between samples; before the "
+        "start it stood still; an age beyond 63 samples stays there"
+    ),
+    neighbours=("delay", "imu_bandwidth"),
+    source="IEEE Std 1588, offset and skew",
+)
+
+
+def lag_s(time_s: float, t0: float, delta: float) -> float:
+    """How old the channel's value is [s]."""
+    return t0 + delta * time_s
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The lag of the first and of the last third, as a line over time."""
+    sample_s = residual.time_s[1] - residual.time_s[0]
+    third = max(len(residual.time_s) // 3, 2)
+    lags = [lag_of(residual.measured[rows], residual.simulated[rows], sample_s) for rows in (slice(0, third), slice(-third, None))]
+    apart = 2.0 * (residual.time_s[-1] - residual.time_s[0]) / 3.0
+    drift = (lags[1] - lags[0]) / apart
+    return lags[0] - drift * apart / 4.0, drift

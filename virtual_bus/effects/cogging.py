@@ -1,0 +1,49 @@
+"""Cogging: magnets that pull towards the teeth, with or without current."""
+
+from __future__ import annotations
+
+import math
+
+from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.residual import Residual, harmonics, strongest_order
+
+EFFECT = Effect(
+    name="cogging",
+    kind=EFFORT,
+    parameters=(
+        Parameter(
+            "Np",
+            unit="cycles/turn",
+            low=0.001,
+            high=1000.0,
+            description="cycles per turn of the motor (a prismatic axis: radians per metre of the motor's coordinate)",
+            is_strength=False,
+        ),
+        Parameter("A1", unit="Nm", low=0.0, high=1000.0, description="amplitude at the joint"),
+        Parameter("phi1", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+        Parameter("A2", unit="Nm", low=0.0, high=1000.0, description="amplitude at twice the order, at the joint"),
+        Parameter("phi2", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+    ),
+    equation="sum A_k cos(k Np motor + phi_k)",
+    convention=(
+        "effort on the joint = +sum A_k cos(k Np N position + phi_k), amplitudes on the joint's side of the gear (motor's times "
+        "N), motor = N position"
+    ),
+    neighbours=("torque_ripple", "transmission_error", "encoder_eccentricity"),
+    source="Hanselman 2006, Sec. 7",
+)
+
+
+def effort(motion: JointMotion, Np: float, A1: float, phi1: float, A2: float, phi2: float) -> float:
+    """Effort [Nm or N] on the joint."""
+    phase = Np * motion.ratio * motion.position
+    return A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float, float]:
+    """The strongest order of the missing effort over the motor's turns."""
+    angle = residual.ratio * residual.position
+    order = strongest_order(angle, residual.effort)
+    (a1, phi1), (a2, phi2) = harmonics(order * angle, residual.effort)
+    return float(order), a1, phi1, a2, phi2

@@ -1,0 +1,31 @@
+"""Constant load: an effort that is always there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="constant_load",
+    kind=EFFORT,
+    parameters=(
+        Parameter("tau0", unit="Nm", low=-5000.0, high=5000.0, description="the effort"),
+    ),
+    equation="tau0",
+    convention="effort on the joint = +tau0: positive pushes towards positive position, on the joint's side of the gear",
+    neighbours=("gravity_imbalance", "asymmetric_friction"),
+    source="Janot, Gautier, Brunot 2019 (EMPS), the force offset",
+)
+
+
+def effort(motion: JointMotion, tau0: float) -> float:
+    """Effort [Nm or N] on the joint."""
+    return tau0
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The mean of the missing effort, beside friction."""
+    return (float(fitted([np.ones_like(residual.speed), -np.sign(residual.speed), -residual.speed], residual.effort)[0]),)

@@ -1,0 +1,43 @@
+"""Current saturation: an amplifier that cannot give what it is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import LIMIT, Effect, Parameter
+from virtual_bus.effects.motion import DriveState
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="current_saturation",
+    kind=LIMIT,
+    parameters=(
+        Parameter(
+            "imax",
+            unit="A",
+            low=1e-06,
+            high=1000.0,
+            description="largest current at standstill: the smaller of the amplifier's limit and V / R",
+            neutral=1000.0,
+        ),
+        Parameter("droop", unit="A s/rad", low=0.0, high=10000.0, description="fall of the limit per speed of the joint: Ke N / R"),
+    ),
+    equation="sat(i, imax - droop abs(speed))",
+    convention=(
+        "the current is cut to +-max(0, imax - droop abs(speed)), both ways alike, after delay and drive_bandwidth; the "
+        "measured current is the cut one"
+    ),
+    neighbours=("torque_constant", "end_stop"),
+    source="imax(speed) = (V - Ke speed) / R, the voltage equation of a motor at constant current",
+)
+
+
+def limited(state: DriveState, imax: float, droop: float) -> float:
+    """What of the current [drive's unit] flows."""
+    limit = max(imax - droop * abs(state.speed), 0.0)
+    return min(max(state.current, -limit), limit)
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The largest current measured, the same at every speed."""
+    return float(np.abs(residual.measured).max()), 0.0

@@ -1,0 +1,34 @@
+"""Delay: a drive that acts on its target later than the machine file says."""
+
+from __future__ import annotations
+
+from virtual_bus.effects.effect import DELAY, Effect, Parameter
+from virtual_bus.effects.residual import Residual, lag_of
+
+EFFECT = Effect(
+    name="delay",
+    kind=DELAY,
+    parameters=(
+        Parameter(
+            "Td",
+            unit="s",
+            low=0.0,
+            high=0.05,
+            description="delay beyond the SYNC at which the target is applied, up to sixteen samples",
+        ),
+    ),
+    equation="u(t - Td)",
+    convention="the target applied at SYNC k acts from Td later on; whole and broken samples; the measured current is delayed with it",
+    neighbours=("clock_offset", "drive_bandwidth", "structural_mode"),
+    source="Åström and Wittenmark 1997, Sec. 3.2",
+)
+
+
+def delay_s(Td: float) -> float:
+    """How much later the drive acts [s]."""
+    return Td
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """How far the measured current lags."""
+    return (lag_of(residual.measured, residual.simulated, residual.time_s[1] - residual.time_s[0]),)

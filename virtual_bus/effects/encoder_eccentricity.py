@@ -1,0 +1,49 @@
+"""Encoder eccentricity: a scale off its axis, and an error in every line of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import ENCODER_ERROR, Effect, Parameter
+from virtual_bus.effects.residual import Residual, harmonics, strongest_order
+
+EFFECT = Effect(
+    name="encoder_eccentricity",
+    kind=ENCODER_ERROR,
+    parameters=(
+        Parameter("a", unit="rad", low=0.0, high=0.1, description="amplitude of the error once per turn"),
+        Parameter("phi", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+        Parameter("b", unit="rad", low=0.0, high=0.1, description="amplitude of the error per line"),
+        Parameter(
+            "Nl",
+            unit="cycles/turn",
+            low=0.001,
+            high=100000.0,
+            description="lines per turn of the joint (a prismatic joint: radians per metre)",
+            is_strength=False,
+        ),
+    ),
+    equation="y = position + a cos(position + phi) + b cos(Nl position)",
+    convention=(
+        "error added to what the encoder sees, at the joint, before its lattice; an incremental encoder counts from the start, "
+        "where its error is taken as zero"
+    ),
+    neighbours=("transmission_error", "cogging"),
+    source="thesis ch. 3; Kavanagh 2001",
+)
+
+
+def error(position: float, a: float, phi: float, b: float, Nl: float) -> float:
+    """What the encoder sees beyond the joint's position [rad or m]."""
+    return a * math.cos(position + phi) + b * math.cos(Nl * position)
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float]:
+    """The difference's order one over position, and its strongest order beyond."""
+    ((a, phi),) = harmonics(residual.position, residual.difference, (1,))
+    rest = residual.difference - a * np.cos(residual.position + phi)
+    order = strongest_order(residual.position, rest)
+    ((b, _),) = harmonics(order * residual.position, rest, (1,))
+    return a, phi, b, float(order)

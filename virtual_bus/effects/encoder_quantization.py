@@ -1,0 +1,32 @@
+"""Encoder quantisation: a lattice coarser than the machine file's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import LATTICE, Effect, Parameter
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="encoder_quantization",
+    kind=LATTICE,
+    parameters=(
+        Parameter("q", unit="rad", low=0.0, high=0.1, description="step of the lattice, at the joint"),
+    ),
+    equation="y = q floor(y / q + 1/2)",
+    convention="the reading is the nearest multiple of q, halves upwards, then on the encoder's own lattice",
+    neighbours=("coulomb_friction",),
+    source="Widrow and Kollár 2008, Sec. 1.1",
+)
+
+
+def resolution(q: float) -> float:
+    """Step of the lattice [rad or m]."""
+    return q
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The smallest step between different readings."""
+    steps = np.diff(np.unique(residual.measured))
+    steps = steps[steps > 1e-12]
+    return (float(steps.min()) if steps.size else 0.0,)

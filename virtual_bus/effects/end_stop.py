@@ -1,0 +1,52 @@
+"""End stop: a stiff spring and damper beyond a position."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="end_stop",
+    kind=EFFORT,
+    parameters=(
+        Parameter("K", unit="Nm/rad", low=0.0, high=10000000.0, description="stiffness"),
+        Parameter("D", unit="Nm s/rad", low=0.0, high=100000.0, description="damping while in contact"),
+        Parameter("at_position", unit="rad", low=-10.0, high=10.0, description="where the stop begins", is_strength=False),
+        Parameter(
+            "side",
+            unit="",
+            low=-1.0,
+            high=1.0,
+            description="+1: it stops motion beyond at_position towards positive position, -1: towards negative; its sign counts",
+            is_strength=False,
+        ),
+    ),
+    equation="K depth + D depth', depth >= 0 past the stop, effort never sticky",
+    convention=(
+        "effort on the joint = -side max(0, K depth + D depth') with depth = side (position - at_position) > 0, on the joint's "
+        "side of the gear: a stop pushes, it never pulls"
+    ),
+    neighbours=("current_saturation", "cable_spring"),
+    source="Hunt and Crossley 1975 (linear case)",
+)
+
+
+def effort(motion: JointMotion, K: float, D: float, at_position: float, side: float) -> float:
+    """Effort [Nm or N] on the joint."""
+    towards = 1.0 if side > 0.0 else -1.0
+    depth = towards * (motion.position - at_position)
+    return -towards * max(K * depth + D * towards * motion.speed, 0.0) if depth > 0.0 else 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float]:
+    """At the end of the travel where the missing effort is largest, over its last twentieth."""
+    q = residual.position
+    travel = float(np.ptp(q))
+    worst = int(np.argmax(np.abs(residual.effort)))
+    side = 1.0 if q[worst] > q.mean() else -1.0
+    depth = 0.05 * travel
+    position = float(q.max() - depth) if side > 0.0 else float(q.min() + depth)
+    return float(np.abs(residual.effort).max()) / max(depth, 1e-9), 0.0, position, side

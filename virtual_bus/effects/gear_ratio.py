@@ -1,0 +1,45 @@
+"""Gear ratio: a gear that turns the joint less per motor turn than the machine file says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="gear_ratio",
+    kind=CHANGE,
+    parameters=(
+        Parameter("beta", unit="", low=-0.1, high=0.1, description="relative error of the ratio"),
+    ),
+    equation="N (1 + beta)",
+    convention=(
+        "the ratio is N (1 + beta): the motor's side turns (1 + beta) times as far, so position reads start + (1 + beta) "
+        "travel, effort on the joint grows by 1 + beta and the rotor's inertia by its square; link encoders do not see it"
+    ),
+    neighbours=("encoder_eccentricity", "torque_constant"),
+    source="docs/notation.md, Signs",
+)
+
+
+def _ratio(value: float, beta: float) -> float:
+    return value * (1.0 + beta)
+
+
+def _armature(value: float, beta: float) -> float:
+    return value * (1.0 + beta) ** 2
+
+
+CHANGES = (("axis", "ratio", _ratio), ("joint", "armature", _armature))
+
+
+def error(position: float, beta: float) -> float:
+    """What the motor's encoder sees beyond the joint's position [rad or m]."""
+    return beta * position
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The motor side's surplus per travel of the link."""
+    travel = residual.position - residual.position.mean()
+    return (float(fitted([travel, np.ones_like(travel)], residual.difference)[0]),)

@@ -1,0 +1,46 @@
+"""Gravity imbalance: a weight on a lever that the machine file does not know."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="gravity_imbalance",
+    kind=EFFORT,
+    parameters=(
+        Parameter("mgr", unit="Nm", low=0.0, high=5000.0, description="weight times lever"),
+        Parameter(
+            "phi",
+            unit="phase",
+            low=-6.283185307179586,
+            high=6.283185307179586,
+            description="phase: no effort where position + phi = 0",
+            is_strength=False,
+        ),
+    ),
+    equation="mgr sin(position + phi)",
+    convention=(
+        "effort on the joint = -mgr sin(position + phi): hanging at position = -phi; gravity alone, without the mass's inertia "
+        "(see payload); at a prismatic joint one radian is one metre"
+    ),
+    neighbours=("cable_spring", "constant_load", "transmission_error", "payload"),
+    source="Featherstone 2008, Sec. 5.3, of one body",
+)
+
+
+def effort(motion: JointMotion, mgr: float, phi: float) -> float:
+    """Effort [Nm or N] on the joint."""
+    return -mgr * math.sin(motion.position + phi)
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """Sine and cosine of the missing effort over position, beside friction and a load."""
+    q = residual.position
+    sine, cosine = fitted([-np.sin(q), -np.cos(q), -np.sign(residual.speed)], residual.effort)[:2]
+    return math.hypot(sine, cosine), math.atan2(cosine, sine)

@@ -1,0 +1,42 @@
+"""IMU misalignment: a sensor turned against the frame the machine file gives it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="imu_misalignment",
+    kind=CALIBRATION,
+    parameters=(
+        Parameter("rx", unit="phase", low=-0.5, high=0.5, description="rotation vector's x component, in the sensor's frame"),
+        Parameter("ry", unit="phase", low=-0.5, high=0.5, description="rotation vector's y component, in the sensor's frame"),
+        Parameter("rz", unit="phase", low=-0.5, high=0.5, description="rotation vector's z component, in the sensor's frame"),
+    ),
+    equation="y = R a, R of the rotation vector (rx, ry, rz)",
+    convention=(
+        "reading = R(r) times the true vector in the nominal sensor frame, accelerometer and gyro alike: the reading is what "
+        "the nominal sensor would read of a world turned by +r; before bias, noise and lattice"
+    ),
+    neighbours=("axis_coupling", "imu_scale_bias"),
+    source="IEEE Std 1293; IEEE Std 1431",
+)
+
+
+def calibration(rx: float, ry: float, rz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gain (2, 3, 3) of accelerometer and gyro, and no offset (6,)."""
+    turned = Rotation.from_rotvec([rx, ry, rz]).as_matrix() if (rx, ry, rz) != (0.0, 0.0, 0.0) else np.eye(3)
+    return np.stack([turned, turned]), np.zeros(6)
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """The small rotation that takes the simulated onto the measured specific force."""
+    force, difference = residual.simulated[:, :3], residual.difference[:, :3]
+    zero = np.zeros(len(force))
+    x, y, z = force.T
+    rows = np.stack([np.stack([zero, z, -y], 1), np.stack([-z, zero, x], 1), np.stack([y, -x, zero], 1)], 1)
+    rotation = np.linalg.lstsq(rows.reshape(-1, 3), difference.reshape(-1), rcond=None)[0]
+    return float(rotation[0]), float(rotation[1]), float(rotation[2])

@@ -1,0 +1,49 @@
+"""IMU scale and bias: an accelerometer that reads too much, and off zero."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="imu_scale_bias",
+    kind=CALIBRATION,
+    parameters=(
+        Parameter("sx", unit="", low=-0.2, high=0.2, description="relative scale error of the accelerometer's x"),
+        Parameter("sy", unit="", low=-0.2, high=0.2, description="relative scale error of the accelerometer's y"),
+        Parameter("sz", unit="", low=-0.2, high=0.2, description="relative scale error of the accelerometer's z"),
+        Parameter("bx", unit="m/s2", low=-5.0, high=5.0, description="bias of the accelerometer's x"),
+        Parameter("by", unit="m/s2", low=-5.0, high=5.0, description="bias of the accelerometer's y"),
+        Parameter("bz", unit="m/s2", low=-5.0, high=5.0, description="bias of the accelerometer's z"),
+        Parameter("sg", unit="", low=-0.2, high=0.2, description="relative scale error of the gyro, all three alike"),
+        Parameter("bg", unit="rad/s", low=-1.0, high=1.0, description="bias of the gyro, all three alike"),
+    ),
+    equation="y = (I + S) a + b",
+    convention=(
+        "reading = (1 + s) true + b per channel, in the sensor's frame, in addition to the machine file's bias; before noise "
+        "and lattice"
+    ),
+    neighbours=("imu_misalignment",),
+    source="IEEE Std 1293; IEEE Std 1431",
+)
+
+
+def calibration(
+    sx: float, sy: float, sz: float, bx: float, by: float, bz: float, sg: float, bg: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain (2, 3, 3) of accelerometer and gyro, and offset (6,) after it."""
+    return np.stack([np.diag([1.0 + sx, 1.0 + sy, 1.0 + sz]), (1.0 + sg) * np.eye(3)]), np.array([bx, by, bz, bg, bg, bg])
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float, float, float, float, float]:
+    """A line through each channel's difference over its simulation."""
+    lines = []
+    for k in range(6):
+        true, difference = residual.simulated[:, k], residual.difference[:, k]
+        spread = float(np.ptp(true)) > 1e-6
+        lines.append(fitted([true, np.ones_like(true)], difference) if spread else np.array([0.0, difference.mean()]))
+    scale, bias = np.array(lines).T
+    sx, sy, sz, bx, by, bz = (float(value) for value in (*scale[:3], *bias[:3]))
+    return sx, sy, sz, bx, by, bz, float(scale[3:].mean()), float(bias[3:].mean())

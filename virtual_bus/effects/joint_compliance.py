@@ -1,0 +1,41 @@
+"""Joint compliance: a drive train softer than the machine file says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import SPRING_CHANGE, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="joint_compliance",
+    kind=SPRING_CHANGE,
+    parameters=(
+        Parameter("c", unit="rad/Nm", low=0.0, high=0.001, description="compliance in series with the spring behind the axis"),
+        Parameter("d", unit="Nm s/rad", low=0.0, high=10000.0, description="damping added to the spring's"),
+    ),
+    equation="tau = (deflection - rest) / (1/K + c) + d deflection'",
+    convention=(
+        "the spring behind the axis (or under the body) becomes 1 / (1/K + c) and its damper grows by d, on the joint's side of "
+        "the gear; structural_mode where the machine file has no spring there"
+    ),
+    neighbours=("backlash", "structural_mode", "nonlinear_stiffness"),
+    source="Spong 1987, eqs. (13)-(14)",
+)
+
+
+def _stiffness(value: float, c: float, d: float) -> float:
+    return value / (1.0 + c * value)
+
+
+def _damping(value: float, c: float, d: float) -> float:
+    return value + d
+
+
+CHANGES = (("joint", "stiffness", _stiffness), ("joint", "damping", _damping))
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The part of the link's lag that follows the drive's effort."""
+    columns = [-residual.drive_effort, np.ones_like(residual.drive_effort)]
+    return float(fitted(columns, residual.difference)[0]), 0.0

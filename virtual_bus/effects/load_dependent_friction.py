@@ -1,0 +1,35 @@
+"""Load-dependent friction: gear friction in proportion to the effort the joint carries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="load_dependent_friction",
+    kind=FRICTION,
+    parameters=(
+        Parameter("Kl", unit="", low=0.0, high=0.5, description="friction per effort carried"),
+    ),
+    equation="Kl abs(load) sign(speed)",
+    convention=(
+        "effort on the joint = -Kl abs(load) sign(speed); load is the effort that gravity, velocities and added efforts ask of "
+        "the joint at constant speed, on the joint's side of the gear; a joint at rest is held up to that level"
+    ),
+    neighbours=("position_dependent_friction", "gravity_imbalance", "coulomb_friction"),
+    source="Bittencourt and Gunnarsson 2012, eq. (5)",
+)
+
+
+def level(state: JointState, Kl: float) -> float:
+    """Friction level [Nm or N]."""
+    return Kl * state.load
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The missing effort against motion per effort of the drive, beside a Coulomb level."""
+    against = -np.sign(residual.speed)
+    return (float(fitted([against * np.abs(residual.drive_effort), against, np.ones_like(against)], residual.effort)[0]),)

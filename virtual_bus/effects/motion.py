@@ -1,0 +1,56 @@
+"""What the hooks of effects are told: the state of the place they act at."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class JointState(NamedTuple):
+    """What a friction law may depend on, at the joint."""
+
+    speed: float  # magnitude [rad/s or m/s]
+    direction: float  # +1 or -1: of the motion, or of the motion that is about to begin
+    position: float  # [rad or m]
+    load: float  # magnitude of the effort that gravity, velocities and added efforts ask of the joint [Nm or N]
+
+
+class JointMotion(NamedTuple):
+    """What an effort on a joint may depend on."""
+
+    position: float  # [rad or m]
+    speed: float
+    time_s: float  # since the start; negative where a standstill is looked for
+    ratio: float  # motor coordinate per joint coordinate; 1 on a joint without drive
+    stiffness: float  # of the joint's spring [Nm/rad or N/m]
+    deflection: float  # position less the spring's rest position
+
+
+class PairMotion(NamedTuple):
+    """What a term between two joints may depend on."""
+
+    position: float  # of the first joint, the axis's own
+    speed: float
+    other_position: float  # of the second; its deflection where it is a spring
+    other_speed: float
+    ratio: float  # of the axis
+    stiffness: float  # of the second joint's spring
+
+
+class ReactionState(NamedTuple):
+    """An effect with memory over one step: its two states at the step's start, and the joint's motion over it."""
+
+    first: float
+    second: float
+    position: float  # of the joint at the start
+    start_speed: float
+    end_speed: float
+    step_s: float
+
+
+class DriveState(NamedTuple):
+    """What a drive may depend on."""
+
+    current: float  # [drive's unit]
+    speed: float  # of the joint
+    position: float  # of the joint
+    ratio: float

@@ -1,0 +1,33 @@
+"""Payload: a mass more at a body's centre of mass, with its inertia and its weight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import BODY_CHANGE, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="payload",
+    kind=BODY_CHANGE,
+    parameters=(
+        Parameter("dm", unit="kg", low=0.0, high=500.0, description="mass added"),
+    ),
+    equation="inertia and gravity of dm at the body's centre of mass",
+    convention="the body's mass grows by dm at the centre of mass the machine file gives; acts at a body that has a mass",
+    neighbours=("torque_constant", "gravity_imbalance"),
+    source="Featherstone 2008, Sec. 2.13",
+)
+
+
+def _mass(value: float, dm: float) -> float:
+    return value + dm
+
+
+CHANGES = (("body", "mass", _mass),)
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The inertia missing at the joint, on a lever of one metre."""
+    columns = [-residual.acceleration, -residual.speed, -np.sign(residual.speed), np.ones_like(residual.speed)]
+    return (float(fitted(columns, residual.effort)[0]),)

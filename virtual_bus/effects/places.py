@@ -1,0 +1,94 @@
+"""Where on a machine effects may act: axes, bodies, the springs behind them, sensors and their channels."""
+
+from __future__ import annotations
+
+from virtual_bus.effects.effect import EffectKind
+from virtual_bus.settings import Body, PlantSettings
+
+IMU_LETTERS = "xyz"
+
+
+def imu_channel_names(settings: PlantSettings) -> list[str]:
+    """Channel names of all IMUs in the order of their readings: imu_x, imu_y, imu_z, gyro_x, ... for the one called `imu`."""
+    names = []
+    for imu in settings.imus:
+        gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
+        names += [f"{imu.name}_{letter}" for letter in IMU_LETTERS] + [f"{gyro}_{letter}" for letter in IMU_LETTERS]
+    return names
+
+
+def joint_at(at: str, settings: PlantSettings) -> str:
+    """Name of the joint an axis drives, or that carries a body."""
+    for drive in settings.drives:
+        if drive.axis == at:
+            return drive.joint
+    joint = _body(at, settings).joint
+    assert joint is not None, at
+    return joint.name
+
+
+def spring_at(at: str, settings: PlantSettings) -> str | None:
+    """Name of the sprung joint directly behind an axis's joint, or that carries a body; None where there is none."""
+    driven = {drive.joint for drive in settings.drives}
+    if not any(drive.axis == at for drive in settings.drives):
+        joint = _body(at, settings).joint
+        return joint.name if joint is not None and joint.stiffness > 0.0 else None
+    bodies = {body.name: body for body in settings.tree.bodies}
+    for body in settings.tree.bodies:
+        if body.joint is None or body.joint.stiffness <= 0.0 or body.joint.name in driven:
+            continue
+        carrier = bodies.get(body.parent)
+        while carrier is not None and carrier.joint is None:
+            carrier = bodies.get(carrier.parent)
+        if carrier is not None and carrier.joint is not None and carrier.joint.name == joint_at(at, settings):
+            return body.joint.name
+    return None
+
+
+def next_axis(at: str, settings: PlantSettings) -> str:
+    """The axis after this one in the machine's order; the first one after the last."""
+    axes = [drive.axis for drive in settings.drives]
+    return axes[(axes.index(at) + 1) % len(axes)]
+
+
+def places(kind: EffectKind, settings: PlantSettings) -> list[str]:
+    """Names of the machine's places where effects of a kind may act."""
+    found: list[str] = []
+    if "axis" in kind.allowed_at:
+        found += [drive.axis for drive in settings.drives]
+    if "body" in kind.allowed_at:
+        needs_mass = kind.allowed_at == ("body",)
+        bodies = settings.tree.bodies
+        found += [body.name for body in bodies if (body.mass_kg > 0.0 if needs_mass else body.joint is not None) and body.name not in found]
+    if "encoder" in kind.allowed_at or "channel" in kind.allowed_at:
+        found += [encoder.channel for encoder in settings.encoders]
+    if "channel" in kind.allowed_at:
+        found += [current.channel for current in settings.currents] + imu_channel_names(settings)
+    if "imu" in kind.allowed_at or "channel" in kind.allowed_at:
+        found += [imu.name for imu in settings.imus]
+    if kind.needs == "spring":
+        found = [at for at in found if spring_at(at, settings) is not None]
+    if kind.needs == "neighbour" and len(settings.drives) < 2:
+        found = []
+    return found
+
+
+def is_prismatic(at: str, settings: PlantSettings) -> bool:
+    """Does a place count in metres and newtons: an axis, body or encoder of a joint that slides?"""
+    kinds = {joint.name: joint.kind for joint in settings.tree.joints}
+    names = {drive.axis: drive.joint for drive in settings.drives}
+    for body in settings.tree.bodies:
+        if body.joint is not None:
+            names.setdefault(body.name, body.joint.name)
+    for encoder in settings.encoders:
+        names.setdefault(encoder.channel, encoder.joints[0])
+    return kinds.get(names.get(at, ""), "revolute") == "prismatic"
+
+
+def drive_unit(at: str, settings: PlantSettings) -> str:
+    """Unit of the drive's effort at an axis; A elsewhere."""
+    return next((drive.unit for drive in settings.drives if drive.axis == at), "A")
+
+
+def _body(name: str, settings: PlantSettings) -> Body:
+    return next(body for body in settings.tree.bodies if body.name == name)

@@ -1,0 +1,48 @@
+"""Pose-dependent dynamics: an inertia that varies with the next axis's position."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.motion import PairMotion
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="pose_dependent_dynamics",
+    kind=COUPLING,
+    parameters=(
+        Parameter("dJ", unit="kg m2", low=0.0, high=1000.0, description="largest inertia added; none half a turn of the next axis on"),
+        Parameter(
+            "phi",
+            unit="phase",
+            low=-6.283185307179586,
+            high=6.283185307179586,
+            description="phase: largest where the next axis's position + phi = 0",
+            is_strength=False,
+        ),
+    ),
+    equation="J(q2) = dJ (1 + cos(q2 + phi)) / 2 added to the axis's inertia, with the velocity terms of that kinetic energy",
+    convention=(
+        "kinetic energy J(q2) speed^2 / 2 is added; q2 is the next axis in the machine's order, the first one after the last; "
+        "one joint radian is one metre at a prismatic next axis"
+    ),
+    neighbours=("structural_mode", "axis_coupling"),
+    source="Spong, Hutchinson, Vidyasagar 2006, Sec. 7.2",
+)
+
+
+def terms(pair: PairMotion, dJ: float, phi: float) -> tuple[float, float, float, float]:
+    """Inertia of the axis and efforts [Nm or N] on both."""
+    inertia = 0.5 * dJ * (1.0 + math.cos(pair.other_position + phi))
+    slope = -0.5 * dJ * math.sin(pair.other_position + phi)
+    return inertia, 0.0, -slope * pair.speed * pair.other_speed, 0.5 * slope * pair.speed * pair.speed
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The missing inertia's cosine over the next axis's position."""
+    a, q = residual.acceleration, residual.other_position
+    cosine, sine = fitted([-0.5 * a * np.cos(q), 0.5 * a * np.sin(q), -0.5 * a], residual.effort)[:2]
+    return math.hypot(cosine, sine), math.atan2(sine, cosine)

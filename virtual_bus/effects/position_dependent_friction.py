@@ -1,0 +1,55 @@
+"""Position-dependent friction: a Coulomb level that varies along the joint's travel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, harmonics
+
+EFFECT = Effect(
+    name="position_dependent_friction",
+    kind=FRICTION,
+    parameters=(
+        Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="largest level; it falls to 0 half a period on"),
+        Parameter(
+            "k",
+            unit="cycles/turn",
+            low=0.1,
+            high=100.0,
+            description="periods per turn of the joint (a prismatic joint: radians per metre)",
+            is_strength=False,
+        ),
+        Parameter(
+            "phi",
+            unit="phase",
+            low=-6.283185307179586,
+            high=6.283185307179586,
+            description="phase: the level is largest where k position + phi = 0",
+            is_strength=False,
+        ),
+    ),
+    equation="Fc (1 + cos(k position + phi)) / 2 sign(speed)",
+    convention=(
+        "effort on the joint = -Fc (1 + cos(k position + phi)) / 2 sign(speed), on the joint's side of the gear; a joint at "
+        "rest is held up to that level"
+    ),
+    neighbours=("load_dependent_friction", "coulomb_friction"),
+    source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
+)
+
+
+def level(state: JointState, Fc: float, k: float, phi: float) -> float:
+    """Friction level [Nm or N] at this position."""
+    return 0.5 * Fc * (1.0 + math.cos(k * state.position + phi))
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """One period per turn: the cosine of the level against motion over position."""
+    moving = residual.moves
+    against = -np.sign(residual.speed[moving]) * residual.effort[moving]
+    ((amplitude, phase),) = harmonics(residual.position[moving], against, (1,))
+    return 2.0 * amplitude, 1.0, phase

@@ -1,0 +1,62 @@
+"""Presliding hysteresis: bristles that bend before they slip (LuGre; Dahl with a constant level and no bristle damping)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="presliding_hysteresis",
+    kind=REACTION,
+    parameters=(
+        Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="level of steady sliding"),
+        Parameter("Fs_minus_Fc", unit="Nm", low=0.0, high=2000.0, description="break-away level above the sliding level"),
+        Parameter("vs", unit="rad/s", low=1e-05, high=1.0, description="Stribeck speed", is_strength=False),
+        Parameter("sigma0", unit="Nm/rad", low=1.0, high=1000000000.0, description="stiffness of the bristles", is_strength=False),
+        Parameter("sigma1", unit="Nm s/rad", low=0.0, high=100000.0, description="damping of the bristles", is_strength=False),
+    ),
+    equation="z' = w - sigma0 abs(w) z / g(w), F = sigma0 z + sigma1 z', g = Fc + (Fs - Fc) exp(-(w / vs)^2)",
+    convention=(
+        "effort on the joint = -(sigma0 z + sigma1 z'), on the joint's side of the gear, in place of coulomb_friction and "
+        "stribeck_friction, not besides them; viscous friction is an effect of its own; bristles are unbent at the start"
+    ),
+    neighbours=("backlash", "stribeck_friction", "bouc_wen_hysteresis"),
+    source="Canudas de Wit, Olsson, Åström, Lischinsky 1995, eqs. (1)-(4); Dahl 1968",
+)
+
+
+def react(state: ReactionState, Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, sigma1: float) -> tuple[float, float, float]:
+    """Mean effort [Nm or N] over a step of constant speed, whose bristle moves exactly, and the bend [rad or m] at its end."""
+    speed = 0.5 * (state.start_speed + state.end_speed)
+    g = Fc + Fs_minus_Fc * math.exp(-((speed / vs) ** 2))
+    if g <= 0.0:
+        return 0.0, 0.0, 0.0
+    x = sigma0 * abs(speed) * state.step_s / g
+    if x < 1e-9:
+        end = state.first + speed * state.step_s
+        mean = state.first + 0.5 * speed * state.step_s
+    else:
+        steady = g / sigma0 if speed > 0.0 else -g / sigma0
+        gone = -math.expm1(-x)
+        end = state.first + (steady - state.first) * gone
+        mean = steady + (state.first - steady) * gone / x
+    return -(sigma0 * mean + sigma1 * (end - state.first) / state.step_s), end, 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float, float]:
+    """The sliding level from the moving rows, the stiffness from the slope of effort over position while the joint creeps."""
+    moving = residual.moves
+    level = abs(float(fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])[0]))
+    creeping = ~moving
+    slope = 0.0
+    if creeping.sum() > 2:
+        position = residual.position[creeping]
+        slope = float(fitted([-(position - position.mean()), np.ones(creeping.sum())], residual.effort[creeping])[0])
+    travel = float(np.ptp(residual.position))
+    stiffness = slope if slope > 0.0 else 100.0 * level / max(travel, 1e-9)
+    return level, 0.0, max(0.05 * float(np.abs(residual.speed).max(initial=0.0)), 1e-5), max(stiffness, 1.0), 0.0

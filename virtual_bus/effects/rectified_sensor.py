@@ -1,0 +1,36 @@
+"""Rectified sensor: a channel that has lost its sign, or has the wrong one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import SIGN, Effect, Parameter
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="rectified_sensor",
+    kind=SIGN,
+    parameters=(
+        Parameter("share", unit="", low=0.0, high=1.0, description="0: sign kept, 1: magnitude only"),
+        Parameter("sign", unit="", low=-1.0, high=1.0, description="+1, or -1 for a channel wired the wrong way round", neutral=1.0),
+    ),
+    equation="y = abs(x), or -x",
+    convention=(
+        "reading = sign (x + share (abs(x) - x)) of the noise-free value, before noise and lattice; sign +1 and share 0 is no "
+        "effect"
+    ),
+    neighbours=("constant_load",),
+    source="CoupledDrives benchmark (Wigren and Schoukens 2017): pulse counters without direction",
+)
+
+
+def signed(value: float, share: float, sign: float) -> float:
+    """The channel before noise and lattice."""
+    return sign * (value + share * (abs(value) - value))
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """Does the channel follow the simulation, its magnitude, or its negative?"""
+    simulated, measured = residual.simulated, residual.measured
+    errors = [float(np.sum((measured - candidate) ** 2)) for candidate in (simulated, np.abs(simulated), -simulated, -np.abs(simulated))]
+    return ((0.0, 1.0), (1.0, 1.0), (0.0, -1.0), (1.0, -1.0))[int(np.argmin(errors))]

@@ -1,0 +1,75 @@
+"""What an initial guess may look at: the mismatch of one place over one recording, and least squares on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Mismatch between recording and simulation at one place, N rows.
+
+    `effort` is the effort the simulation lacks at the joint: positive where the machine is pushed towards positive position more than the
+    simulation is. `measured` and `simulated` are the channel itself, for effects of drives and sensors; for an IMU (N, 6).
+    """
+
+    time_s: np.ndarray
+    position: np.ndarray  # [rad or m] at the joint
+    speed: np.ndarray
+    acceleration: np.ndarray
+    effort: np.ndarray  # [Nm or N]
+    current: np.ndarray  # commanded, in the drive's unit
+    measured: np.ndarray
+    simulated: np.ndarray
+    drive_effort: np.ndarray  # of the drive on the joint [Nm or N]
+    other_position: np.ndarray  # of the joint behind or the next axis
+    other_speed: np.ndarray
+    other_acceleration: np.ndarray
+    ratio: float = 1.0
+    stiffness: float = 0.0  # of the sprung joint there
+
+    @property
+    def difference(self) -> np.ndarray:
+        """Measured less simulated."""
+        return self.measured - self.simulated
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Rows in which the joint moves for certain: faster than a twentieth of its top speed."""
+        return np.abs(self.speed) > 0.05 * np.abs(self.speed).max(initial=0.0)
+
+
+def fitted(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray:
+    """Least-squares weights of the columns; 0 for what the data do not excite."""
+    return np.linalg.lstsq(np.column_stack(columns), values, rcond=1e-10)[0]
+
+
+def harmonics(phase: np.ndarray, values: np.ndarray, orders: tuple[int, ...] = (1, 2)) -> list[tuple[float, float]]:
+    """Amplitude and phase of A cos(k phase + p) for each order k, beside a constant."""
+    columns = [np.ones_like(phase)]
+    for order in orders:
+        columns += [np.cos(order * phase), np.sin(order * phase)]
+    weights = fitted(columns, values)[1:]
+    return [(float(np.hypot(c, s)), float(np.arctan2(-s, c))) for c, s in zip(weights[::2], weights[1::2], strict=True)]
+
+
+def strongest_order(angle: np.ndarray, values: np.ndarray, highest: int = 60) -> int:
+    """The whole number of cycles per turn that explains most of the values."""
+    centred = values - values.mean()
+    power = [abs(np.sum(centred * np.exp(-1j * order * angle))) for order in range(1, highest + 1)]
+    return 1 + int(np.argmax(power))
+
+
+def strongest_frequency_Hz(time_s: np.ndarray, values: np.ndarray) -> float:
+    """Where the values' spectrum peaks, above one cycle in the record."""
+    spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))
+    frequencies = np.fft.rfftfreq(len(values), time_s[1] - time_s[0])
+    return float(frequencies[1 + int(np.argmax(spectrum[1:]))])
+
+
+def lag_of(measured: np.ndarray, simulated: np.ndarray, sample_s: float) -> float:
+    """Delay [s] of a channel behind its simulation, by the slope of their difference on the simulation's rate of change."""
+    rate = np.gradient(simulated, sample_s)
+    return float(-fitted([rate], measured - simulated)[0])

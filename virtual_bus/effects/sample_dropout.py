@@ -1,0 +1,51 @@
+"""Sample dropout: readings that are lost, the last one held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import DROPOUT, Effect, Parameter
+from virtual_bus.effects.residual import Residual
+
+EFFECT = Effect(
+    name="sample_dropout",
+    kind=DROPOUT,
+    parameters=(
+        Parameter("p", unit="", low=0.0, high=1.0, description="share of the time in which samples are lost"),
+        Parameter("length", unit="", low=1.0, high=1000.0, description="samples lost at once", is_strength=False),
+        Parameter(
+            "seed",
+            unit="",
+            low=0.0,
+            high=1000000000.0,
+            description="of the losses' own random stream: the same in every run",
+            is_strength=False,
+        ),
+    ),
+    equation="y_k = y_(k-1) with probability p per burst",
+    convention=(
+        "time is cut into bursts of `length` samples (rounded); in a share p of them, chosen at random by the seed, the channel "
+        "repeats its last reading, noise included; never before the first whole reading"
+    ),
+    neighbours=("encoder_quantization",),
+    source="Schenato 2009, zero-order hold on packet loss",
+)
+
+
+def is_lost(sample: int, p: float, length: float, seed: float) -> bool:
+    """Is the last reading repeated at this sample? A hash of burst and seed decides (splitmix64)."""
+    if p <= 0.0 or sample <= 0:
+        return False
+    burst = np.uint64(sample // int(length + 0.5))
+    x = (burst + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed) * np.uint64(0xD1B54A32D192ED03)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x = x ^ (x >> np.uint64(31))
+    return float(x >> np.uint64(11)) / 9007199254740992.0 < p
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """Repeated readings while the simulation moves, and how many come in a row."""
+    repeated = (np.diff(residual.measured) == 0.0) & (np.abs(np.diff(residual.simulated)) > 0.0)
+    bursts = int(np.sum(np.diff(np.concatenate(([0], repeated.astype(int)))) == 1))
+    return float(repeated.mean()), float(max(repeated.sum() / max(bursts, 1), 1.0)), 0.0

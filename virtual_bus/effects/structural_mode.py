@@ -1,0 +1,61 @@
+"""Structural mode: an added inertia on a spring and damper, a pole-zero pair for everything that drives the joint."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.residual import Residual, fitted, strongest_frequency_Hz
+
+EFFECT = Effect(
+    name="structural_mode",
+    kind=REACTION,
+    parameters=(
+        Parameter("J", unit="kg m2", low=0.0, high=500.0, description="inertia that hangs on the spring"),
+        Parameter(
+            "f",
+            unit="Hz",
+            low=0.1,
+            high=200.0,
+            description="its natural frequency with the joint held: the zero",
+            is_strength=False,
+        ),
+        Parameter("zeta", unit="", low=0.0, high=1.0, description="its damping ratio with the joint held", is_strength=False),
+    ),
+    equation="z'' + 2 zeta w z' + w^2 z = -joint'', effort = J (w^2 z + 2 zeta w z')",
+    convention=(
+        "z is the added inertia's motion relative to the joint; effort on the joint = +J (w^2 z + 2 zeta w z'), w = 2 pi f; at "
+        "rest and unsprung at the start; gravity does not act on it; at a body it hangs on the body's joint"
+    ),
+    neighbours=("drive_bandwidth", "delay", "base_motion", "joint_compliance"),
+    source="Den Hartog 1956, Sec. 3.2",
+)
+
+
+def react(state: ReactionState, J: float, f: float, zeta: float) -> tuple[float, float, float]:
+    """Mean effort [Nm or N] over a step of constant acceleration, and the relative motion z, z' at its end: closed form."""
+    w = 2.0 * math.pi * f
+    pull = -(state.end_speed - state.start_speed) / state.step_s
+    rest = pull / (w * w)
+    x, v, h = state.first - rest, state.second, state.step_s
+    decay = math.exp(-zeta * w * h)
+    under = 1.0 - zeta * zeta
+    if under > 1e-12:
+        wd = w * math.sqrt(under)
+        cos, sin = math.cos(wd * h), math.sin(wd * h) / wd
+    else:
+        cos, sin = 1.0, h
+    end = decay * (cos * x + sin * (v + zeta * w * x)) + rest
+    end_speed = decay * (cos * v - sin * (w * w * x + zeta * w * v))
+    mean = pull - (end_speed - state.second) / h  # of w^2 z + 2 zeta w z' over the step, from its own equation
+    return J * mean, end, end_speed
+
+
+def guess(residual: Residual) -> tuple[float, float, float]:
+    """At the peak of the missing effort's spectrum, with the inertia missing there."""
+    f = strongest_frequency_Hz(residual.time_s, residual.effort)
+    inertia = float(fitted([-residual.acceleration, -residual.speed, np.ones_like(residual.speed)], residual.effort)[0])
+    return abs(inertia), f, 0.02

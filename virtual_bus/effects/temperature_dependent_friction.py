@@ -1,0 +1,57 @@
+"""Temperature-dependent friction: a viscous friction that falls as the lubricant warms up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="temperature_dependent_friction",
+    kind=REACTION,
+    parameters=(
+        Parameter(
+            "Fv0",
+            unit="Nm s/rad",
+            low=0.0,
+            high=2000.0,
+            description="viscous coefficient at the start, added to the damping of the machine file",
+        ),
+        Parameter("a", unit="1/K", low=0.0, high=0.2, description="relative fall per kelvin of warming", is_strength=False),
+        Parameter("R", unit="K/W", low=0.0, high=100.0, description="steady warming per watt of this friction's power", is_strength=False),
+        Parameter("tau", unit="s", low=1.0, high=10000.0, description="time constant of the warming", is_strength=False),
+    ),
+    equation="Fv0 exp(-a (T - T0)) speed, tau T' = R Fv speed^2 - (T - T0)",
+    convention=(
+        "effort on the joint = -Fv(T) speed, on the joint's side of the gear; the lubricant is as cold as the room at the start "
+        "and warmed by this friction alone"
+    ),
+    neighbours=("viscous_friction", "torque_constant", "cable_spring"),
+    source="Bittencourt and Gunnarsson 2012, eq. (9)",
+)
+
+
+def react(state: ReactionState, Fv0: float, a: float, R: float, tau: float) -> tuple[float, float, float]:
+    """Mean effort [Nm or N] over a step and the warming [K] at its end; the second state is unused."""
+    speed = 0.5 * (state.start_speed + state.end_speed)
+    coefficient = Fv0 * math.exp(-a * state.first)
+    final = R * coefficient * speed * speed
+    warming = final + (state.first - final) * math.exp(-state.step_s / tau)
+    return -coefficient * speed, warming, 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float]:
+    """The viscous part of the first and of the last third of the recording; warm after a third of it."""
+    third = max(len(residual.speed) // 3, 1)
+    ends = []
+    for rows in (slice(0, third), slice(-third, None)):
+        speed = residual.speed[rows]
+        ends.append(float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort[rows])[0]))
+    cold = max(ends[0], 1e-9)
+    warm = min(max(ends[1], 1e-3 * cold), cold)
+    power = cold * float(np.mean(residual.speed**2))
+    return cold, 0.02, 50.0 * math.log(cold / warm) / max(power, 1e-9), (residual.time_s[-1] - residual.time_s[0]) / 3.0

@@ -1,0 +1,32 @@
+"""Torque constant: a motor that gives more or less per ampere than its plate says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="torque_constant",
+    kind=CHANGE,
+    parameters=(
+        Parameter("eps", unit="", low=-0.5, high=1.0, description="relative error of the constant"),
+    ),
+    equation="Kt (1 + eps)",
+    convention="effort per unit of the drive is (1 + eps) times the machine file's",
+    neighbours=("coulomb_friction", "payload", "gear_ratio"),
+    source="thesis ch. 2; docs/notation.md, Signs",
+)
+
+
+def _constant(value: float, eps: float) -> float:
+    return value * (1.0 + eps)
+
+
+CHANGES = (("axis", "constant", _constant),)
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The missing effort per effort of the drive."""
+    return (float(fitted([residual.drive_effort, np.ones_like(residual.drive_effort)], residual.effort)[0]),)

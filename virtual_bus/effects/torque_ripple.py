@@ -1,0 +1,53 @@
+"""Torque ripple: a motor constant that varies with the rotor's angle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import RIPPLE, Effect, Parameter
+from virtual_bus.effects.motion import DriveState
+from virtual_bus.effects.residual import Residual, harmonics, strongest_order
+
+EFFECT = Effect(
+    name="torque_ripple",
+    kind=RIPPLE,
+    parameters=(
+        Parameter(
+            "Np",
+            unit="cycles/turn",
+            low=0.001,
+            high=1000.0,
+            description="cycles per turn of the motor (a prismatic axis: radians per metre of the motor's coordinate)",
+            is_strength=False,
+        ),
+        Parameter("A1", unit="", low=0.0, high=0.4, description="relative amplitude"),
+        Parameter("phi1", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+        Parameter("A2", unit="", low=0.0, high=0.4, description="relative amplitude at twice the order"),
+        Parameter("phi2", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
+    ),
+    equation="i Kt (1 + sum A_k cos(k Np motor + phi_k))",
+    convention=(
+        "motor effort = Kt i (1 + sum A_k cos(k Np N position + phi_k)), motor = N position; evaluated at the start of every "
+        "plant step's motion"
+    ),
+    neighbours=("cogging", "transmission_error"),
+    source="Hanselman 2006, Sec. 8",
+)
+
+
+def factor(state: DriveState, Np: float, A1: float, phi1: float, A2: float, phi2: float) -> float:
+    """Motor effort over its nominal value."""
+    phase = Np * state.ratio * state.position
+    return 1.0 + A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
+
+
+def guess(residual: Residual) -> tuple[float, float, float, float, float]:
+    """The strongest order of the missing effort per effort of the drive."""
+    pushing = np.abs(residual.drive_effort) > 0.1 * np.abs(residual.drive_effort).max(initial=0.0)
+    angle = residual.ratio * residual.position[pushing]
+    share = residual.effort[pushing] / residual.drive_effort[pushing]
+    order = strongest_order(angle, share)
+    (a1, phi1), (a2, phi2) = harmonics(order * angle, share)
+    return float(order), a1, phi1, a2, phi2

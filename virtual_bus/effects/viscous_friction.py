@@ -1,0 +1,33 @@
+"""Viscous friction: an effort against motion in proportion to its speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="viscous_friction",
+    kind=CHANGE,
+    parameters=(
+        Parameter("Fv", unit="Nm s/rad", low=0.0, high=2000.0, description="viscous coefficient, added to the damping of the machine file"),
+    ),
+    equation="Fv speed",
+    convention="effort on the joint = -Fv speed, on the joint's side of the gear, in addition to the joint's own damping",
+    neighbours=("coulomb_friction", "quadratic_friction", "drive_bandwidth"),
+    source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (4)",
+)
+
+
+def _damping(value: float, Fv: float) -> float:
+    return value + Fv
+
+
+CHANGES = (("joint", "damping", _damping),)
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """The slope of the missing effort over speed, beside a Coulomb level and a load."""
+    speed = residual.speed
+    return (float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)
