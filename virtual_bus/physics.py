@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
@@ -90,6 +91,19 @@ class Physics:
         self._sensors.start(self._state, self._sensor_model, self._memory)
         self._zero_counts[:] = 0
         self._zero_counts[:] = self.latch_exactly().position_counts
+
+    def hold(self, effort: np.ndarray) -> None:
+        """Let the drives have carried the load with this effort (axes,) for ever: none of it is on its way, brakes bear nothing.
+
+        `place` leaves the drives off and the brakes closed.
+        """
+        self._effort[:] = effort
+        self._brakes[:] = 0.0
+        n = self.plant.joints
+        self._state[3 * n : 4 * n] = 0.0
+        drive_states = self._state[self.plant.first_drive_state :][: len(self.axes) * DRIVE_STATES].reshape(len(self.axes), DRIVE_STATES)
+        drive_states[:] = self._effort[:, None]
+        drive_states[:, 1] = 0.0  # the currents' rates
 
     def set_brakes(self, closed: np.ndarray) -> None:
         """Close or open the brakes (axes,). A closed brake is Coulomb friction of the joint's `brake_effort`."""

@@ -51,7 +51,8 @@ from PLANT import advance, drive_currents, imu_reading
 from controllers.feedback import feedback_step
 from virtual_bus.plant.jit import compiled_and_cached
 from virtual_bus.sensors.encoder import quantised
-from virtual_bus.sensors.measure import measure, remember, start
+from virtual_bus.sensors.effects import remember
+from virtual_bus.sensors.measure import measure, measure_affected, start
 
 
 @compiled_and_cached
@@ -65,6 +66,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
     no_rise = np.zeros(axes)
     noise = np.zeros(axes + imu_motion.shape[0])
     start(state, encoder_error_of, sensors, memory)
+    affected = sensors.switches[0] != 0
     for k in range(rows.reference.shape[0]):
         for i in range(axes):
             effort[i] = quantised(target[i], target_resolution[i])
@@ -73,9 +75,12 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
         currents[:] = effort
         if model[0].has_drive_effects:
             drive_currents(state, effort, model, currents)
-        measure(
-            state, currents, no_rise, imu_motion, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
-        )
+        if affected:
+            measure_affected(
+                state, currents, no_rise, imu_motion, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
+            )
+        else:
+            measure(state, currents, no_rise, imu_motion, noise, sensors, readings)
         rows.position[k] = readings.position
         rows.link_position[k] = readings.link_position
         rows.effort[k] = readings.effort
@@ -93,7 +98,8 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
                 command[i] = min(max(rows.command[k, i], -loop.limit[i]), loop.limit[i])
         target[:] = command
         advance(state, effort, brakes, model, work)
-        remember(sensors, memory)
+        if affected:
+            remember(sensors.effects, memory)
     return -1
 '''
 

@@ -197,8 +197,8 @@ def repeat_lost(readings, first, lost_by, sensors, memory):
 
 
 @compiled
-def remember_channels(sensors, memory):
-    """What late and lossy channels need at the next sample, in place."""
+def remember(sensors, memory):
+    """One sample later, in place."""
     if sensors.switches[CLOCKS]:
         place = memory.samples[0] % HISTORY
         for channel in range(len(memory.raw)):

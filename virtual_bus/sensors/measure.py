@@ -18,16 +18,7 @@ from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.sensors import current, effects, encoder, imu, thermometer
 from virtual_bus.sensors.current import current_arrays, current_reading
-from virtual_bus.sensors.effects import (
-    ANY,
-    DROPOUTS,
-    SensorEffects,
-    before_noise,
-    encoder_error,
-    remember_channels,
-    repeat_lost,
-    sensor_effects,
-)
+from virtual_bus.sensors.effects import DROPOUTS, SensorEffects, before_noise, encoder_error, repeat_lost, sensor_effects
 from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position
 from virtual_bus.sensors.imu import imu_arrays, measured_channel
 from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
@@ -48,7 +39,7 @@ class SensorModel(NamedTuple):
     rise_per_effort2: np.ndarray  # (axes,) K
     temperature_decay: np.ndarray  # (axes,) over one sample
     temperature_resolution: np.ndarray  # (axes,) K
-    switches: np.ndarray  # (6,) what there is of effects, see effects.ANY to DROPOUTS: looked at first, for tuples cost time
+    switches: np.ndarray  # (6,) what there is of effects, see effects.ANY to DROPOUTS
     effects: SensorEffects
 
 
@@ -102,8 +93,8 @@ def start(state, encoder_error_of, model, memory):
 
 
 @compiled
-def measure(state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings):
-    """Every sensor's reading of this instant.
+def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
+    """Every sensor's reading of this instant, of sensors without effects.
 
     Parameters
     ----------
@@ -112,34 +103,27 @@ def measure(state, effort, temperature_rise, imu_reading, noise, encoder_error_o
     temperature_rise : (axes,) K above ambient
     imu_reading : (6 imus,) from the plant's `imu_reading`
     noise : (axes + 6 imus,) of this sample, in the channels' units
-    encoder_error_of, signed_by, lag_of, lost_by : the functions of the effects' module
     sensors : SensorModel
-    memory : SensorMemory
     readings : Readings, overwritten
     """
-    if sensors.switches[ANY]:
-        measure_affected(
-            state, effort, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, sensors.effects, memory, readings
-        )
-    else:
-        for i in range(len(effort)):
-            readings.position[i] = encoder_reading(summed_position(sensors.position_joints[i], state), sensors.position_resolution[i])
-            readings.link_position[i] = encoder_reading(summed_position(sensors.link_joints[i], state), sensors.link_resolution[i])
-            readings.effort[i] = current_reading(effort[i], noise[i], sensors.effort_resolution[i])
-        for k in range(len(imu_reading)):
-            readings.imu[k] = measured_channel(imu_reading[k], sensors.imu_bias[k], noise[len(effort) + k], sensors.imu_resolution[k])
-    for i in range(len(effort)):
+    axes = len(effort)
+    for i in range(axes):
+        readings.position[i] = encoder_reading(summed_position(sensors.position_joints[i], state), sensors.position_resolution[i])
+        readings.link_position[i] = encoder_reading(summed_position(sensors.link_joints[i], state), sensors.link_resolution[i])
+        readings.effort[i] = current_reading(effort[i], noise[i], sensors.effort_resolution[i])
         temperature = sensors.ambient_degC[i] + temperature_rise[i]
         readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
+    for k in range(len(imu_reading)):
+        readings.imu[k] = measured_channel(imu_reading[k], sensors.imu_bias[k], noise[axes + k], sensors.imu_resolution[k])
 
 
 @compiled
 def measure_affected(
-    state, effort, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, added, memory, readings
+    state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
 ):
-    """Encoders, currents and IMUs with the sensors' effects."""
+    """The same of sensors with effects: the functions are those of the effects' module, `memory` is a SensorMemory."""
     axes = len(effort)
-    values = memory.values
+    added, values = sensors.effects, memory.values
     for i in range(axes):
         values[i] = summed_position(sensors.position_joints[i], state)
         values[axes + i] = summed_position(sensors.link_joints[i], state)
@@ -151,6 +135,8 @@ def measure_affected(
         readings.position[i] = encoder_reading(values[i], sensors.position_resolution[i])
         readings.link_position[i] = encoder_reading(values[axes + i], sensors.link_resolution[i])
         readings.effort[i] = current_reading(values[2 * axes + i], noise[i], sensors.effort_resolution[i])
+        temperature = sensors.ambient_degC[i] + temperature_rise[i]
+        readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
     for k in range(len(imu_reading)):
         readings.imu[k] = measured_channel(values[3 * axes + k], sensors.imu_bias[k], noise[axes + k], sensors.imu_resolution[k])
     if added.switches[DROPOUTS]:
@@ -158,13 +144,6 @@ def measure_affected(
         repeat_lost(readings.link_position, axes, lost_by, added, memory)
         repeat_lost(readings.effort, 2 * axes, lost_by, added, memory)
         repeat_lost(readings.imu, 3 * axes, lost_by, added, memory)
-
-
-@compiled
-def remember(sensors, memory):
-    """One sample later, in place."""
-    if sensors.switches[ANY]:
-        remember_channels(sensors.effects, memory)
 
 
 @compiled
@@ -178,6 +157,7 @@ ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit.
 
 from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
 from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.sensors import effects as _effects
 from virtual_bus.sensors import measure as _sensors
 
 
@@ -188,14 +168,18 @@ def start(state, sensors, memory):
 
 @compiled_and_cached
 def measure(state, effort, temperature_rise, imu_reading, noise, sensors, memory, readings):
-    _sensors.measure(
-        state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
-    )
+    if sensors.switches[0]:
+        _sensors.measure_affected(
+            state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
+        )
+    else:
+        _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
 
 
 @compiled_and_cached
 def remember(sensors, memory):
-    _sensors.remember(sensors, memory)
+    if sensors.switches[0]:
+        _effects.remember(sensors.effects, memory)
 
 
 @compiled_and_cached
