@@ -146,7 +146,8 @@ def turn_imus(sensors, memory):
 @compiled
 def raw_at(channel, sample, memory):
     """A channel's value at an earlier sample; before the start it stood still."""
-    return memory.raw[channel] if sample >= memory.samples[0] else memory.history[channel, max(sample, 0) % HISTORY]
+    sample = max(sample, 0)
+    return memory.raw[channel] if sample >= memory.samples[0] else memory.history[channel, sample % HISTORY]
 
 
 @compiled
