@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plant"))
-from small_plants import BLOCK_MASS_kg, block, run  # noqa: E402
+from small_plants import BLOCK_MASS_kg, block, run
 
 from virtual_bus.physics import Physics
 from virtual_bus.settings import EffectSetting
@@ -99,8 +99,7 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
 
 
 def positions(name: str, parameters: dict[str, float], substeps: int) -> np.ndarray:
-    at = "block" if name in ("payload",) else "rail"
-    at = "block" if name in ("nonlinear_stiffness", "backlash") else at
+    at = "block" if name in ("payload", "nonlinear_stiffness", "backlash") else "rail"
     effect = EffectSetting(name, at, parameters)
     return run(block(stiffness=STIFFNESS, damping=DAMPING, effects=(effect,), substeps=substeps), FORCES[:, None])[:, 0]
 
@@ -113,8 +112,8 @@ def test_it_moves_as_its_equation_says_and_halving_the_step_converges(name: str)
     errors = [float(np.abs(positions(name, parameters, substeps) - exact).max()) / scale for substeps in (4, 16, 64)]
     assert errors[2] < 5e-5
     assert errors[0] < 2e-2
-    # 256 for second order; events within a step cost some of it, and SciPy's own error ends it
-    assert errors[2] < 1e-6 or errors[0] / errors[2] > 16.0
+    # 256 for second order; a contact that jumps in within a step is of first order, and SciPy's own error ends it
+    assert errors[2] < 1e-6 or errors[0] / errors[2] > (4.0 if name == "end_stop" else 16.0)
     nothing = positions("constant_load", {"tau0": 0.0}, 16)
     assert np.abs(nothing - exact).max() > 0.01 * scale
 
