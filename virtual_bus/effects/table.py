@@ -44,9 +44,10 @@ def changed_values(by_quantity: dict[tuple[str, str], float], chosen: Sequence[E
         effect = effects()[setting.name]
         values = [setting.parameters[parameter.name] for parameter in effect.parameters]
         for owner_kind, quantity, change in module_of(setting.name).CHANGES:
-            owner = setting.at
+            owner: str | None = setting.at
             if owner_kind == "joint":
                 owner = spring_at(setting.at, settings) if effect.kind.needs == "spring" else joint_at(setting.at, settings)
+            assert owner is not None
             by_quantity[owner, quantity] = change(by_quantity[owner, quantity], *values)
 
 
