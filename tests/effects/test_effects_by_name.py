@@ -1,0 +1,89 @@
+"""Effects files, initial guesses and refusals, over the whole catalogue."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from effect_examples import EXAMPLES
+
+from hil.machine import load_machine
+from hil.machine.effects_file import effects_from_text, effects_text
+from virtual_bus.effects.binding import bind_effects
+from virtual_bus.effects.registry import effects, initial_guess
+from virtual_bus.effects.residual import Residual
+from virtual_bus.errors import EffectError
+from virtual_bus.physics import Physics
+from virtual_bus.settings import EffectSetting
+
+CARM, EMPS = load_machine("carm"), load_machine("emps")
+
+
+def test_every_effect_is_written_and_read_back() -> None:
+    chosen = tuple(EXAMPLES.values())
+    assert effects_from_text(effects_text(chosen, CARM), CARM, "effects.toml") == chosen
+
+
+def residual_of(effort: np.ndarray, speed: np.ndarray, time_s: np.ndarray, imu: bool = False) -> Residual:
+    position = np.cumsum(speed) * (time_s[1] - time_s[0])
+    wave = np.stack([np.sin(3.0 * time_s + k) for k in range(6)], 1) if imu else position
+    acceleration = np.gradient(speed, time_s)
+    return Residual(
+        time_s, position, speed, acceleration, effort, effort, wave + 0.01, wave, 10.0 * acceleration + 1.0, position, speed, acceleration,
+        ratio=50.0, stiffness=1e5,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_guess_is_finite_and_within_bounds(name: str) -> None:
+    time_s = np.arange(2000) / 256.0
+    speed = 0.3 * np.sin(2.0 * np.pi * 0.4 * time_s) + 0.02
+    residual = residual_of(np.sin(5.0 * time_s) - np.sign(speed), speed, time_s, EXAMPLES[name].at == "imu" and name.startswith("imu"))
+    guessed = initial_guess(name, residual)
+    for parameter in effects()[name].parameters:
+        assert parameter.low <= guessed[parameter.name] <= parameter.high
+
+
+def test_friction_is_guessed_from_its_own_effort() -> None:
+    time_s = np.arange(4000) / 256.0
+    speed = 0.3 * np.sin(2.0 * np.pi * 0.4 * time_s)
+    moving = np.where(np.abs(speed) > 0.0, np.sign(speed), 0.0)
+    assert initial_guess("coulomb_friction", residual_of(-7.0 * moving, speed, time_s))["Fc"] == pytest.approx(7.0, rel=0.01)
+    viscous = residual_of(-40.0 * speed - 2.0 * moving, speed, time_s)
+    assert initial_guess("viscous_friction", viscous)["Fv"] == pytest.approx(40.0, rel=0.01)
+
+
+def test_a_joint_hangs_at_the_side_of_its_gap_that_its_load_chooses() -> None:
+    gap = 2e-3
+    pose = np.radians([0.0, 0.0])
+    without = Physics(CARM.plant, noise=False)
+    having = Physics(CARM.with_effects((EffectSetting("backlash", "roll", {"b": gap}),)).plant, noise=False)
+    for physics in (without, having):
+        physics.place(pose)
+    joint = CARM.plant.tree.joint_index("roll_gear")
+    rest, hung = (physics.truth()["joint_position"][joint] for physics in (without, having))
+    assert hung - rest == pytest.approx(np.sign(rest) * gap, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("entry", "hint"),
+    [
+        ({"name": "backlash", "at": "carriage", "b_m": 1e-4}, "with a sprung joint"),
+        ({"name": "axis_coupling", "at": "carriage", "J12_kg": 1.0, "phi_rad": 0.0}, "beside another axis"),
+        ({"name": "clock_offset", "at": "imu", "t0_s": 0.0, "delta": 0.0}, "position_carriage"),
+        ({"name": "current_saturation", "at": "carriage", "imax_A": 1.0, "droop_V_s_m": 0.0}, "imax_V"),
+    ],
+)
+def test_a_place_that_cannot_have_it_is_refused_in_one_line(entry: dict, hint: str) -> None:
+    with pytest.raises(EffectError) as refusal:
+        bind_effects([entry], EMPS.plant, "effects.toml")
+    assert hint in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_a_coupling_larger_than_what_it_couples_is_refused() -> None:
+    with pytest.raises(EffectError, match="axis_coupling"):
+        Physics(CARM.with_effects((EffectSetting("axis_coupling", "propeller", {"J12": 450.0, "phi": 0.0}),)).plant)
+
+
+def test_a_delay_longer_than_a_drive_remembers_is_refused() -> None:
+    with pytest.raises(EffectError, match="remembers"):
+        Physics(EMPS.with_effects((EffectSetting("delay", "carriage", {"Td": 0.02}),)).plant)
