@@ -70,9 +70,9 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
     for k in range(rows.reference.shape[0]):
         for i in range(axes):
             effort[i] = quantised(target[i], target_resolution[i])
+            currents[i] = effort[i]
         if imu_motion.shape[0] > 0:
             imu_reading(state, effort, brakes, model, work, imu_motion)
-        currents[:] = effort
         if model[0].has_drive_effects:
             drive_currents(state, effort, model, currents)
         if affected:
