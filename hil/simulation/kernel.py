@@ -14,9 +14,8 @@ import numpy as np
 
 import controllers.feedback
 import controllers.sections
-from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.plant.compiled import CompiledPlant
-from virtual_bus.sensors.measure import sensor_sources
+from virtual_bus.sensors.measure import compiled_sensors, sensor_sources
 
 
 class Loop(NamedTuple):
@@ -45,14 +44,14 @@ class Rows(NamedTuple):
 KERNEL = '''"""Generated: closed loop of one plant; do not edit."""
 
 import numpy as np
-from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
 from PLANT import advance, drive_currents, imu_reading
+from SENSORS import measure as measure_affected
+from SENSORS import remember, start
 
 from controllers.feedback import feedback_step
 from virtual_bus.plant.jit import compiled_and_cached
 from virtual_bus.sensors.encoder import quantised
-from virtual_bus.sensors.effects import remember
-from virtual_bus.sensors.measure import measure, measure_affected, start
+from virtual_bus.sensors.measure import measure
 
 
 @compiled_and_cached
@@ -65,7 +64,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
     brakes = np.zeros(axes)
     no_rise = np.zeros(axes)
     noise = np.zeros(axes + imu_motion.shape[0])
-    start(state, encoder_error_of, sensors, memory)
+    start(state, sensors, memory)
     affected = sensors.switches[0] != 0
     for k in range(rows.reference.shape[0]):
         for i in range(axes):
@@ -76,9 +75,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
         if model[0].has_drive_effects:
             drive_currents(state, effort, model, currents)
         if affected:
-            measure_affected(
-                state, currents, no_rise, imu_motion, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
-            )
+            measure_affected(state, currents, no_rise, imu_motion, noise, sensors, memory, readings)
         else:
             measure(state, currents, no_rise, imu_motion, noise, sensors, readings)
         rows.position[k] = readings.position
@@ -99,7 +96,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
         target[:] = command
         advance(state, effort, brakes, model, work)
         if affected:
-            remember(sensors.effects, memory)
+            remember(sensors, memory)
     return -1
 '''
 
@@ -107,4 +104,4 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
 def closed_loop_kernel(plant: CompiledPlant) -> ModuleType:
     """The compiled kernel of a plant, from disk where it is there: its `run` takes the named tuples of this module."""
     controller_sources = "\n".join(inspect.getsource(module) for module in (controllers.feedback, controllers.sections))
-    return plant.fuse("closed_loop", KERNEL.replace("EFFECTS", compiled_effects().__name__), controller_sources + sensor_sources())
+    return plant.fuse("closed_loop", KERNEL.replace("SENSORS", compiled_sensors().__name__), controller_sources + sensor_sources())
