@@ -125,7 +125,7 @@ def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
 
 def _be_modest() -> None:
     """Leave the end of the run to the loop, and the processor too: we may have inherited its priority and its core."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     if hasattr(os, "sched_setscheduler"):
