@@ -45,7 +45,7 @@ def compiled(kind: str, adapted: tuple[int, ...] = ()) -> tuple[dict[str, float]
     observer = ModalObserver(small_model(), small_noise(adapted_walk=1e-4), kind, adapted)  # type: ignore[arg-type]
     z, u = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0]), np.zeros(2)
     observer.step_measured(z, u)
-    inside = observer._constants, observer._scheduled, observer._memory
+    inside = observer.constants, observer._scheduled, observer.memory
     alone = timed(lambda: filter_step(*inside, observer._kind, False, u, z, observer._summary))
     return alone, timed(lambda: observer.step_measured(z, u))
 

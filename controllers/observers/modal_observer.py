@@ -42,6 +42,8 @@ class ModalObserver:
         What the last `step` found; NaN before the first one.
     innovation : (measurements,) array
         z - ẑ of the last step; NaN where nothing was measured.
+    constants, memory
+        What the compiled functions work with: for modules beside this one.
 
     Raises
     ------
@@ -62,14 +64,14 @@ class ModalObserver:
         self.model, self.noise, self.kind, self.adapted = model, noise, kind, tuple(adapted)
         self._kind = KINDS[kind]
         self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
-        self._constants = _constants(model, noise, self.adapted)
-        self._scheduled, self._memory = _memory(self._constants)
+        self.constants = _constants(model, noise, self.adapted)
+        self._scheduled, self.memory = _memory(self.constants)
         self._monitor = InnovationMonitor()
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
         self._values = 2 * n + 12 + GEOMETRY
-        self._measured = np.full(self._constants.sizes[5], np.nan)
+        self._measured = np.full(self.constants.sizes[5], np.nan)
         self._summary = np.zeros(3)
         self._held = np.zeros(n)  # the command that acts until the next sample
         self._start = self._initial_factor()
@@ -77,17 +79,17 @@ class ModalObserver:
 
     @property
     def innovation(self) -> np.ndarray:
-        return self._memory.innovation
+        return self.memory.innovation
 
     @property
     def state(self) -> np.ndarray:
         """(states,) estimate of the state, see `state_names`."""
-        return self._memory.x
+        return self.memory.x
 
     @property
     def covariance(self) -> np.ndarray:
         """(states, states) of the state's error."""
-        return self._memory.factor.T @ self._memory.factor
+        return self.memory.factor.T @ self.memory.factor
 
     @property
     def state_names(self) -> list[str]:
@@ -102,9 +104,9 @@ class ModalObserver:
 
     def restart(self) -> None:
         """Forget everything; the next step is a first one."""
-        self._memory.x[:] = 0.0
-        self._memory.factor[:] = self._start
-        self._memory.innovation[:] = np.nan
+        self.memory.x[:] = 0.0
+        self.memory.factor[:] = self._start
+        self.memory.innovation[:] = np.nan
         self._is_first = True
         self._has_command = False
         self._monitor.reset()
@@ -131,7 +133,7 @@ class ModalObserver:
 
     def step_measured(self, z: np.ndarray, command: np.ndarray) -> None:
         """The same with all measurements in one array (measurements,), in the order of `model.channels()`."""
-        memory = self._memory
+        memory = self.memory
         if self._is_first:
             self._stand_at(z)
             acting = self._held
@@ -141,17 +143,27 @@ class ModalObserver:
                 self._held[:] = command
                 self._has_command = True
             acting = self._held
-        filter_step(self._constants, self._scheduled, memory, self._kind, self._is_first, acting, z, self._summary)
+        filter_step(self.constants, self._scheduled, memory, self._kind, self._is_first, acting, z, self._summary)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
-        publish(self._constants, self._scheduled.values, memory, self._isocenter, self.estimate)
+        publish(self.constants, self._scheduled.values, memory, self._isocenter, self.estimate)
         mean, is_alarm = self._monitor.step(self._summary[0], self._summary[1])
         tail = 2 * self._values
         self.estimate[tail] = self._summary[0]
         self.estimate[tail + 1] = self._summary[1]
         self.estimate[tail + 2] = mean
         self.estimate[tail + 3] = is_alarm
+
+    def go_back(self, x: np.ndarray, factor: np.ndarray, held: np.ndarray | None) -> None:
+        """Stand at an earlier row again: its state (states,), factor (states, states), and the command given in it; None for row 0."""
+        self.memory.x[:] = x
+        self.memory.factor[:] = factor
+        self._is_first = False
+        self._has_command = held is not None
+        if held is not None:
+            self._held[:] = held
+        self._monitor.reset()
 
     def likelihood(self, measured: np.ndarray, commands: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log likelihood of N rows (N, measurements), (N, n_axes) from a restart, and (N, 2) NIS with its degrees of freedom.
@@ -161,7 +173,7 @@ class ModalObserver:
         self.restart()
         self._stand_at(measured[0])
         summaries = np.zeros((len(measured), 3))
-        filter_rows(self._constants, self._scheduled, self._memory, self._kind, commands, measured, summaries)
+        filter_rows(self.constants, self._scheduled, self.memory, self._kind, commands, measured, summaries)
         self.restart()
         return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
 
@@ -170,7 +182,7 @@ class ModalObserver:
         states, measurements = len(self.state), len(self._measured)
         x, F, H = np.zeros(states), np.zeros((states, states)), np.zeros((measurements, states))
         x[: len(pose)] = pose
-        linearised(self._constants, self._scheduled, x, F, H)
+        linearised(self.constants, self._scheduled, x, F, H)
         return F, H
 
     @property
@@ -183,7 +195,7 @@ class ModalObserver:
         for i in range(n):
             for known in (z[n + i], z[i]):
                 if known == known:
-                    self._memory.x[i] = known
+                    self.memory.x[i] = known
 
     def _initial_factor(self) -> np.ndarray:
         """Standstill somewhere near the encoders, bent and pushed by no more than the drives could."""
