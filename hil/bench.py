@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from controllers.feedback import Feedback
+from drivers.errors import MotionRefused
 from drivers.interface import Sample
 from hil.errors import LoopAborted, RecordingError, UnusableInput
 from hil.experiments import Move, Plan, Static
@@ -42,6 +43,9 @@ STANDING_COUNTS = 2.0
 
 ARRIVED_COUNTS = 20.0
 """Closer than so many encoder counts to a pose no move is made to reach it: two tenths of a milliradian on the C-arm."""
+
+MOVED_COUNTS = 2.0 * ARRIVED_COUNTS
+"""By so many encoder counts a machine may stand elsewhere, once it is held, than when its way was planned."""
 
 
 @dataclass(frozen=True)
@@ -107,22 +111,29 @@ class Bench:
             A device is absent, wrong or at fault, or a check failed; the motors were stopped.
         """
         with self._session():
+            self._see_pose()
             return self.commissioning
 
     def run(self, plan: Plan, path: Path, progress: Callable[[int], None] | None = None) -> LoopTiming:
         """Go to the plan's start pose, settle, run it and record every row into `path`.
+
+        A machine that was not commissioned yet is, before its way is planned: the first-move check pushes each axis a little, and homing may
+        move it, too.
 
         Raises
         ------
         LoopAborted, DriverError
             The motors were stopped; the rows up to then are in `path`.
         """
+        if not self.commissioning:
+            self.commission()
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}
         try:
             with self._session():
                 self._take_hold()
+                self._check_way(way[0] if way else stay)
                 for leg in way:
                     self.loop.run(leg)
                 self._settle(stay)
@@ -166,15 +177,33 @@ class Bench:
                 raise
 
     def _take_hold(self) -> None:
-        """Enable the drives, let the feedback hold where the machine stands, open the brakes."""
+        """Let the feedback hold where the machine stands, enable the drives under it, open the brakes.
+
+        A drive that works its own brake opens it when it is enabled: from then on the axis hangs on the command.
+        """
         link = self.wiring.link
-        link.enable()
-        measured = link.exchange(self._still).position
-        self.pose = np.where(np.isfinite(measured), measured, self.pose)
+        self._see_pose()
         effort = self.model.holding_effort(self.pose)
         self.loop.feedback.preload(effort, self.pose, self._feedforward())
         self.loop.command[:] = effort
+        link.enable(self._holding())
         link.release_brakes(self._holding())
+
+    def _see_pose(self) -> None:
+        """Where the homed machine stands."""
+        measured = self.wiring.link.exchange(self._still).position
+        self.pose = np.where(np.isfinite(measured), measured, self.pose)
+
+    def _check_way(self, first: Plan) -> None:
+        """The way was planned from where the machine stood then: a reference far from where it stands now would make it jump."""
+        for axis, scaling in enumerate(self.wiring.link.scalings):
+            stands, begins = self.pose[axis], first.reference[0, axis]
+            allowed = MOVED_COUNTS * scaling.position_resolution
+            if not abs(stands - begins) <= allowed:
+                raise MotionRefused(
+                    f"{scaling.axis}: stands at {stands:+.5f} {scaling.position_unit}, its way was planned from {begins:+.5f}: it moved by "
+                    f"{abs(stands - begins):.1e} since, {allowed:.1e} is allowed; run again to plan from here"
+                )
 
     def _holding(self) -> Callable[[Sample], np.ndarray]:
         """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM
 
+from drivers.errors import MotionRefused
 from hil.bench import Bench, BenchOptions, open_bench
 from hil.errors import LoopAborted
 from hil.experiments import Static
@@ -31,17 +32,20 @@ class Tick:
 
 
 def watch_stops(bench: Bench, monkeypatch: pytest.MonkeyPatch, at_tick: dict[int, Callable[[], None]] | None = None) -> list[Tick]:
-    """Every tick of every stop from now on; `at_tick` is called after some."""
+    """Every tick of the next stop that finds brakes open, and of what follows; `at_tick` is called after some."""
     link, seen = bench.wiring.link, []
     emulated, tick = link.network.can_bus.machine, link._tick_at_rest
 
     def watched() -> None:
         tick()
+        brake_open = [not closed for closed in emulated.io.brakes_closed]
+        if not seen and not any(brake_open):
+            return
         seen.append(
             Tick(
                 [output.controlword == VOLTAGE_OFF for output in link._cyclic.outputs],
                 [drive.power_state in POWERED for drive in emulated.drives.values()],
-                [not closed for closed in emulated.io.brakes_closed],
+                brake_open,
             )
         )
         (at_tick or {}).get(len(seen), lambda: None)()
@@ -66,7 +70,6 @@ def test_a_second_ctrl_c_while_the_motors_are_being_stopped_does_not_break_the_s
 
 def test_a_drive_holds_its_axis_until_its_brake_has_closed(tmp_path, monkeypatch):
     """The brake's mechanics are slow here: a drive that switches itself off at standstill would let the axis fall before."""
-
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         bench.wiring.link.network.can_bus.machine.io._brake_delay_s = 0.3
         seen = watch_stops(bench, monkeypatch)
@@ -85,3 +88,59 @@ def test_a_second_ctrl_c_elsewhere_is_as_rude_as_ever():
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(LoopAborted, match="interrupted twice"):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_the_first_command_an_enabled_drive_obeys_holds_its_axis(tmp_path, monkeypatch):
+    """Roll stands where gravity turns it with 0.5 A and more; zero at the instant of enabling would let it fall."""
+    from virtual_bus.canopen.drive import Cia402Drive
+
+    start = np.array([0.0, 0.6])
+    efforts: dict[str, list[float]] = {}
+    original = Cia402Drive.command
+
+    def watch(drive):
+        effort = original(drive)
+        if holding and drive.power_state is PowerState.OPERATION_ENABLED:
+            efforts.setdefault(drive.settings.axis, []).append(effort)
+        return effort
+
+    monkeypatch.setattr(Cia402Drive, "command", watch)
+    holding = False
+    with open_bench(CARM, BenchOptions("lockstep:"), start) as bench:
+        wanted = bench.model.holding_effort(start)
+        assert abs(wanted[1]) > 0.3
+        take_hold = bench._take_hold
+
+        def watched():
+            nonlocal holding
+            holding = True
+            take_hold()
+            holding = False
+
+        monkeypatch.setattr(bench, "_take_hold", watched)
+        bench.run(Static(1.0, {"propeller": 0.0, "roll": 0.6}).plans(CARM)[0], tmp_path / "run.mf4")
+    for axis, expected in zip(CARM.axes, wanted, strict=True):
+        assert np.array(efforts[axis]) == pytest.approx(expected, abs=0.1)
+
+
+def moved_while_planning(bench: Bench, monkeypatch: pytest.MonkeyPatch, counts: float) -> None:
+    """The operator turns roll by that many counts between two sessions."""
+    way_to = bench._way_to
+
+    def planned(pose):
+        way = way_to(pose)
+        bench.wiring.link.network.can_bus.machine.place(bench.pose + [0.0, counts * CARM.bus.scalings[1].position_resolution])
+        return way
+
+    monkeypatch.setattr(bench, "_way_to", planned)
+
+
+@pytest.mark.parametrize("goal", [START, START + 0.05], ids=["stay", "move"])
+def test_a_machine_that_moved_while_its_way_was_planned_is_not_run(tmp_path, monkeypatch, goal):
+    pose = dict(zip(CARM.axes, map(float, goal), strict=True))
+    with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
+        moved_while_planning(bench, monkeypatch, 100.0)
+        with pytest.raises(MotionRefused, match=r"roll: stands at -0\.19[0-9]+ rad, its way was planned from -0\.19[0-9]+: it moved by 3.*run again"):
+            bench.run(Static(1.0, pose).plans(CARM)[0], tmp_path / "run.mf4")
+        monkeypatch.undo()
+        bench.run(Static(1.0, pose).plans(CARM)[0], tmp_path / "again.mf4")  # planned anew from where it stands
