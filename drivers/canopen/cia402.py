@@ -59,6 +59,7 @@ DISABLE_OPERATION = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 HOMING_START = 1 << 4
+HOMING_AT_PRESENT_POSITION = frozenset({35, 37})  # methods that take any place for zero
 
 # goal -> state -> controlword that leads one transition on (or holds). States that are absent have no way but time or a fault reset.
 _PATHS: dict[State, dict[State, int]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.canopen import cia402, motion
-from drivers.canopen.cia402 import Homing, Mode, State
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, Homing, Mode, State
 from drivers.canopen.motion import SETTLED_TICKS, Machine
 from drivers.errors import BusTimeout, MotionRefused
 from drivers.settings import HomingSettings
@@ -15,7 +15,6 @@ RAMP_SHARE = 0.5  # of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
 AVERAGING_S = 0.5  # after a brake has closed a flexible structure still swings: the mean over some of its periods is where it stands
 
-HOMING_AT_PRESENT_POSITION = frozenset({35, 37})
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
@@ -197,6 +198,9 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
     require_effort_unit(homing, "direction_check_effort", table.drives[axis].effort_unit, where)
     if homing.direction_check_effort > table.drives[axis].limit:
         raise Complaint((*where, homing.key("direction_check_effort")), "is more than the drive's limit")
+    if homing.method in HOMING_AT_PRESENT_POSITION and _scaling(axis, table, plant).link_resolution == 0.0:
+        right = "takes the present position as zero; add a link encoder or choose a method that finds a reference"
+        raise Complaint((*where, "method"), right)
     return HomingSettings(
         axis=axis,
         method=homing.method,

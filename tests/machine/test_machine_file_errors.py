@@ -15,6 +15,7 @@ CARM = load_machine("carm").text
 FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 # what is replaced (first occurrence), by what, and words the line must have
+ROLL_ENCODER = CARM[CARM.index("[bus.nodes.roll_encoder]") : CARM.index("[bus.homing.propeller]")]
 MISTAKES = [
     ("[timing]", "[timing", ["no valid TOML", "line 7"]),
     ("format = 1", "format = 2", ["format = 2", "must be 1"]),
@@ -74,6 +75,7 @@ MISTAKES = [
     ("brake_coils = { propeller = 0, roll = 1 }", "brake_coils = { propeller = 0, roll = 0 }", ["bus.io.brake_coils", "share an address"]),
     ("[bus.homing.roll]", "[bus.homing.yaw]", ["bus.homing.yaw", "no such axis"]),
     ("[limits.roll]", '[limits."ro\\nll"]', ["limits", "must be a name"]),
+    (ROLL_ENCODER, "", ["bus.homing.roll.method = 37", "takes the present position as zero", "add a link encoder or choose a method"]),
 ]
 
 
