@@ -376,7 +376,9 @@ class CanMachine:
         if self._ticking:
             cyclic = self._cyclic
             self._standstill = self._new_standstill()
-            bring_to_rest(attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._axis_at_rest)
+            bring_to_rest(
+                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._axis_at_rest
+            )
         else:
             attempts.make("closing the brakes", self._close_all_brakes)
         self._ticking = False

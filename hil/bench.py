@@ -117,20 +117,21 @@ class Bench:
     def run(self, plan: Plan, path: Path, progress: Callable[[int], None] | None = None) -> LoopTiming:
         """Go to the plan's start pose, settle, run it and record every row into `path`.
 
-        A machine that was not commissioned yet is, before its way is planned: the first-move check pushes each axis a little, and homing may
-        move it, too.
+        A machine that was not commissioned yet is, and its way is planned anew from there: the first-move check pushes each axis a little,
+        and homing may move it, too.
 
         Raises
         ------
         LoopAborted, DriverError
             The motors were stopped; the rows up to then are in `path`.
         """
-        if not self.commissioning:
-            self.commission()
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}
         try:
+            if not self.commissioning:
+                self.commission()
+                way, stay = self._way_to(plan.start_pose)
             with self._session():
                 self._take_hold()
                 self._check_way(way[0] if way else stay)
@@ -143,6 +144,7 @@ class Bench:
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
                 self.wiring.link.close_brakes(self._holding())
+                self._see_pose()
             if not self.wiring.lockstep:
                 tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()

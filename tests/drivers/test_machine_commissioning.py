@@ -119,7 +119,11 @@ def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage, take
         machine.enable()
         if stage == "closing":
             machine.release_brakes(lambda _: ZERO)
-        happens = {"held": lambda: True, "opening": lambda: any(rig.io._wanted.values()), "closing": lambda: not all(rig.io._wanted.values())}
+        happens = {
+            "held": lambda: True,
+            "opening": lambda: any(rig.io._wanted.values()),
+            "closing": lambda: not all(rig.io._wanted.values()),
+        }
         at = take_back_when(rig, happens[stage], take_back)
         with pytest.raises(MotionRefused, match=words):
             (machine.close_brakes if stage == "closing" else machine.release_brakes)(lambda _: ZERO)
