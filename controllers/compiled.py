@@ -9,7 +9,10 @@ from types import ModuleType
 from numba import njit
 
 # Left unsaid, fast math would be inherited from the first compiled caller: estimates must be the same bits live and in replay.
+# Kept on disk: only for functions that call nothing from another file.
 exactly_compiled = njit(cache=True, fastmath=False, error_model="numpy")
+# Compiled into whatever calls them, which is kept on disk with a digest of all their sources.
+exactly_called = njit(fastmath=False, error_model="numpy")
 exactly_inlined = njit(fastmath=False, error_model="numpy", forceinline=True)
 
 

@@ -59,9 +59,7 @@ def _compile(version: int) -> Any:
 
 
 _take_in = _compile(
-    sources_digest(
-        controllers.models.chain, controllers.models.vectors, controllers.observers.publish, controllers.observers.square_root
-    )
+    sources_digest(controllers.models.chain, controllers.models.vectors, controllers.observers.publish, controllers.observers.square_root)
 )
 
 

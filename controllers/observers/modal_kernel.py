@@ -19,7 +19,7 @@ import controllers.models.modal
 import controllers.models.vectors
 import controllers.observers.modal_equations
 import controllers.observers.square_root
-from controllers.compiled import exactly_compiled, sources_digest
+from controllers.compiled import exactly_called, sources_digest
 from controllers.observers.modal_equations import SENSOR_SIGNALS, prepare, readings, signals, transition
 from controllers.observers.square_root import triangularise, update
 
@@ -41,7 +41,7 @@ class Memory(NamedTuple):
     lines: np.ndarray  # (6, states or more): scratch
 
 
-@exactly_compiled
+@exactly_called
 def process_noise(constants, scheduled, array, first):
     """Rows of deviations that one sample adds, into array[first:]: commands and disturbances through the model, then one state each."""
     n, modes, states, sources = constants.sizes[0], constants.sizes[1], constants.sizes[4], constants.sizes[6]
@@ -68,7 +68,7 @@ def process_noise(constants, scheduled, array, first):
         array[first + source, 2 * n + modes + i] = scheduled.modes[i, 7] * std[source]
 
 
-@exactly_compiled
+@exactly_called
 def predict(constants, scheduled, memory, kind):
     """Time update to the next sample: (5.7), (5.9) or (5.17)-(5.19) with Q.
 
@@ -113,7 +113,7 @@ def predict(constants, scheduled, memory, kind):
             factor[i, k] = array[i, k]
 
 
-@exactly_compiled
+@exactly_called
 def look_at_rest(constants, scheduled, memory):
     """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both from the machine at rest in the estimated pose."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
@@ -147,7 +147,7 @@ def look_at_rest(constants, scheduled, memory):
                 seen[i, j] += factor[i, k] * slopes[j]
 
 
-@exactly_compiled
+@exactly_called
 def look_around(constants, scheduled, memory, kind):
     """Rows of EKF and UKF: ẑ into lines[5], half the difference of a pair into seen[i], how its mean strays from ẑ into seen[states + i].
 
@@ -200,7 +200,7 @@ def look_around(constants, scheduled, memory, kind):
             seen[i, j] += factor[i, bias]
 
 
-@exactly_compiled
+@exactly_called
 def correct(constants, scheduled, memory, kind, z):
     """Measurement update with whatever of z (measurements,) is a number: (5.5), (5.6) or (5.21)-(5.26).
 
@@ -251,7 +251,7 @@ def correct(constants, scheduled, memory, kind, z):
     return update(array, measured, states, whitened, memory.x, factor), measured, log_volume
 
 
-@exactly_compiled
+@exactly_called
 def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
     """One sample. `u` (axes,) acted since the last one; `summary` (3,) gets what `correct` returns."""
     for i in range(constants.sizes[0]):
@@ -263,7 +263,7 @@ def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
     summary[0], summary[1], summary[2] = correct(constants, scheduled, memory, kind, z)
 
 
-@exactly_compiled
+@exactly_called
 def gradients(constants, scheduled, x, F, H):
     """Transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]

@@ -9,7 +9,7 @@ from numba import njit
 
 import controllers.models.chain
 import controllers.models.vectors
-from controllers.compiled import exactly_compiled, sources_digest
+from controllers.compiled import exactly_called, sources_digest
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
 
@@ -35,7 +35,7 @@ def squared(unit: str) -> str:
     return {"m": "m^2", "rad": "rad^2", "m/s": "m^2/s^2", "rad/s": "rad^2/s^2"}[unit]
 
 
-@exactly_compiled
+@exactly_called
 def geometric_parameters(constants, motion, isocenter, out):
     """Focal spot and isocentre in the detector's frame [m], and the detector's orientation in the world as extrinsic x, y, z angles (2.2).
 
@@ -62,7 +62,7 @@ def geometric_parameters(constants, motion, isocenter, out):
     out[8] = np.arctan2(x[1], x[0])
 
 
-@exactly_compiled
+@exactly_called
 def displacement_rows(constants, values, motor, rows):
     """rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η]."""
     n, modes = constants.sizes[0], constants.sizes[1]

@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
         short_help="The observer replayed over a recording.",
         help="Where the detector really was: the observer replayed over a recording, the same numbers as live."
         "\n\nExample:  isocenter observe carm run.mf4 -o run.est.npz --design carm.observer.npz"
-        "\n\nA design is made from frequency responses: isocenter observe carm run.mf4 -o run.est.npz --frf a.frf.npz --frf b.frf.npz"
+        "\n\nA design is made from measurements: isocenter observe carm run.mf4 -o run.est.npz --multisine a.mf4 --multisine b.mf4"
         " --standing still.mf4 --tune scan.mf4 --save-design carm.observer.npz",
     )(observe)
 
@@ -35,6 +35,10 @@ def observe(
     frf: Annotated[
         list[Path] | None, typer.Option("--frf", metavar="FRF", help="Frequency response to design from; once per pose.")
     ] = None,
+    multisine: Annotated[
+        list[Path] | None,
+        typer.Option("--multisine", metavar="REC", help="Recording of a multisine to identify for the design; all poses."),
+    ] = None,
     standing: Annotated[
         list[Path] | None, typer.Option("--standing", metavar="REC", help="Recording at rest, for noise, gravity and biases; repeatable.")
     ] = None,
@@ -45,6 +49,7 @@ def observe(
     modes: Annotated[int, typer.Option("--modes", help="Modes of the model.")] = 4,
     filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
     adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
+    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Design or read, replay, write."""
@@ -55,15 +60,15 @@ def observe(
 
     if filter_name not in KINDS:
         raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
-    if design_path is not None and (frf or standing or tune):
-        raise typer.BadParameter("--design: a design is ready; --frf, --standing and --tune make a new one")
+    if design_path is not None and (frf or multisine or standing or tune):
+        raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing and --tune make a new one")
     machine = load(machine_name)
     recording = read_recording(recording_path, machine)
     answer = Answer(json_to)
     design = (
         read_design(design_path)
         if design_path is not None
-        else _designed(machine, recording, frf or [], standing or [], tune or [], modes, answer)
+        else _designed(machine, recording, (frf or [], multisine or []), standing or [], tune or [], modes, answer)
     )
     if save_design is not None:
         write_design(design, save_design)
@@ -82,6 +87,11 @@ def observe(
         )
         bars.update(task, completed=recording.rows)
     write_estimate(estimate, out, recording)
+    if figure is not None:
+        from hil.figures.observer import observer_figure
+
+        observer_figure(estimate).savefig(figure, dpi=130)
+        answer.say(f"{figure}: figure")
     seen = observability(observer, [recording.matrix([f"position_{axis}" for axis in machine.axes])[0]])
     document = _document(estimate, seen)
     answer.say(f"{out}: {filter_name} over {recording.rows} rows, {len(estimate.state_names)} states")
@@ -95,23 +105,35 @@ def observe(
 
 
 def _designed(
-    machine: Machine, recording: Recording, frf: list[Path], standing: list[Path], tune: list[Path], modes: int, answer: Answer
+    machine: Machine,
+    recording: Recording,
+    measured: tuple[list[Path], list[Path]],
+    standing: list[Path],
+    tune: list[Path],
+    modes: int,
+    answer: Answer,
 ) -> ObserverDesign:
-    from hil.identification import read_frf
+    from hil.identification import identify_poses, read_frf
     from hil.observing import design_observer, emulated_design
+    from hil.observing.over_poses import observed_channels
     from hil.recording import read_recording
 
+    frf, multisine = measured
     tuned_on = [read_recording(path, machine) for path in tune] or [recording]
     if not tune:
         answer.say("tuned on the recording itself; --tune gives another")
-    if not frf:
+    if not frf and not multisine:
         if standing:
-            raise typer.BadParameter("--standing goes with --frf: without frequency responses the emulated machine is measured")
+            raise typer.BadParameter("--standing goes with --frf or --multisine: without them the emulated machine is measured")
         answer.say(
-            f"no --design and no --frf: the model is identified on the emulated {machine.name}, not on the machine that was recorded"
+            f"no --design, --frf or --multisine: the model is identified on the emulated {machine.name}, not on the recorded machine"
         )
         return emulated_design(machine, tuned_on, modes)
-    return design_observer(machine, [read_frf(path) for path in frf], [read_recording(path, machine) for path in standing], tuned_on, modes)
+    responses = [read_frf(path) for path in frf]
+    if multisine:
+        recordings = [read_recording(path, machine) for path in multisine]
+        responses += identify_poses(recordings, "robust_bla", outputs=observed_channels(machine))
+    return design_observer(machine, responses, [read_recording(path, machine) for path in standing], tuned_on, modes)
 
 
 def _modes(text: str, modes: int) -> tuple[int, ...]:

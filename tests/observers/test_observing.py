@@ -211,3 +211,31 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
             main([*arguments, *extra])
         error = capsys.readouterr().err
         assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
+
+
+def test_the_command_designs_from_multisines_and_standing_records(machine: Machine, scan: Recording, tmp_path, capsys) -> None:
+    from controllers.lines import Band
+    from hil.experiments import Multisine
+    from hil.recording import write_recording
+
+    plans = Multisine(pose={"roll": 0.2}, lines=Band(1.0, 30.0), period_s=10.0, periods=2, jog=None).plans(machine)
+    simulator, names = Simulator(machine), []
+    for i, plan in enumerate(plans):
+        names.append(tmp_path / f"roll_{i}.mf4")
+        write_recording(emulated_recording(machine, plan, 90 + i, simulator), names[-1])
+    write_recording(emulated_recording(machine, Static(2.0, {"roll": 0.2}).plans(machine)[0], 95, simulator), tmp_path / "still.mf4")
+    write_recording(scan.part(slice(0, 256)), tmp_path / "scan.mf4")
+    arguments = ["observe", "carm", str(tmp_path / "scan.mf4"), "-o", str(tmp_path / "scan.est.npz"), "--modes", "3", "--filter", "ekf"]
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                *arguments,
+                *("--multisine", str(names[0]), "--multisine", str(names[1]), "--standing", str(tmp_path / "still.mf4")),
+                *("--save-design", str(tmp_path / "made.npz"), "--figure", str(tmp_path / "scan.png")),
+            ]
+        )
+    said = capsys.readouterr()
+    assert left.value.code == 0, said.err
+    assert (tmp_path / "scan.png").stat().st_size > 10_000
+    assert "1 poses" in said.out and "tuned on the recording itself" in said.out
+    assert read_design(tmp_path / "made.npz").model.frequencies_Hz(np.array([0.0, 0.2]))[1] == pytest.approx(14.04, rel=0.01)
