@@ -182,13 +182,13 @@ class Oracle:
     def _state(self, x: np.ndarray) -> np.ndarray:
         state = np.zeros(self.plant.state_size)
         state[: 2 * self.n] = x[: 2 * self.n]
-        state[4 * self.n :] = x[2 * self.n : self.core]
+        state[4 * self.n : 4 * self.n + 6] = x[2 * self.n : self.core]
         return state
 
     def _advance(self, x: np.ndarray, effort: np.ndarray) -> np.ndarray:
         state = self._state(x)
         self.plant.advance(state, effort, self.brakes, self.model, self.work)
-        return np.concatenate((state[: 2 * self.n], state[4 * self.n :]))
+        return np.concatenate((state[: 2 * self.n], state[4 * self.n : 4 * self.n + 6]))
 
     def run(self, scan: ShakenScan, start_state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Detector poses (N, 3), (N, 3, 3)."""
