@@ -140,7 +140,8 @@ def test_a_machine_that_moved_while_its_way_was_planned_is_not_run(tmp_path, mon
     pose = dict(zip(CARM.axes, map(float, goal), strict=True))
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         moved_while_planning(bench, monkeypatch, 1500.0)
-        with pytest.raises(MotionRefused, match=r"roll: stands at -0\.19\d+ rad, its way was planned from .* moved by \d\.\de-03 .*run again"):
+        words = r"roll: stands at -0\.19\d+ rad, its way was planned from .* moved by \d\.\de-03 .*run again"
+        with pytest.raises(MotionRefused, match=words):
             bench.run(Static(1.0, pose).plans(CARM)[0], tmp_path / "run.mf4")
         monkeypatch.undo()
         bench.run(Static(1.0, pose).plans(CARM)[0], tmp_path / "again.mf4")  # planned anew from where it stands
