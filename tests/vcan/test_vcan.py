@@ -13,7 +13,7 @@ from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode
 
 INSIDE = Path(__file__).parent / "inside"
 ROOT = Path(__file__).parents[2]
-TIMEOUT_S = 600.0
+TIMEOUT_S = 1200.0
 
 
 def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch) -> None:
