@@ -35,7 +35,7 @@ class Sample:
     brakes_open: np.ndarray = field(init=False)  # bool
     io_age_s: float = field(default=0.0, init=False)
     lateness_s: float = field(default=0.0, init=False)  # of this tick's SYNC against its absolute time
-    arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the tick's work starts here
+    arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the wait for answers ends here
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
 
     def __post_init__(self) -> None:

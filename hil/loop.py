@@ -1,6 +1,7 @@
 """The sample loop: one row per SYNC, feedback and excitation from precomputed plans, limits held, motors stopped on the way out.
 
-Nothing in a tick allocates, logs, prints or waits for anything but the next tick; rows leave through a sink that only copies.
+Nothing in a tick allocates what grows, logs, prints or waits for anything but the next tick and the devices' answers; rows leave through
+a sink that only copies.
 """
 
 from __future__ import annotations
