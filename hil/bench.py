@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from hil.realtime import Scheduling, real_time
 from hil.recording import JournalSink, RecorderProcess, recording_metadata
 from hil.wiring import HeedingMachine, Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
+
+if TYPE_CHECKING:
+    from hil.observing.live import LiveObserver
 
 SETTLE_S = 4
 """Whole seconds of standstill before row 0, in which what the way there has set swinging dies out."""
@@ -99,6 +102,7 @@ class Bench:
     scheduling: Scheduling
     pose: np.ndarray  # (n_axes,) where the machine stands
     commissioning: tuple[str, ...] = ()
+    observer: LiveObserver | None = None
 
     def __post_init__(self) -> None:
         self._still = np.zeros(len(self.machine.axes))
@@ -253,7 +257,8 @@ class Bench:
 
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
         """Where the plan's rows go, ready to take them."""
-        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances())
+        observer = None if self.observer is None else self.observer.metadata
+        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer)
         return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)
 
     def _initial(self) -> dict[str, Any]:
@@ -266,7 +271,9 @@ class Bench:
 
 
 @contextlib.contextmanager
-def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None) -> Iterator[Bench]:
+def open_bench(
+    machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, observer: LiveObserver | None = None
+) -> Iterator[Bench]:
     """A machine found on its bus, at rest.
 
     Parameters
@@ -275,6 +282,8 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
     options : BenchOptions
     start_pose : (n_axes,) array, optional
         In lockstep, where the emulated machine stands when it is switched on.
+    observer : LiveObserver, optional
+        Watches every recorded row.
 
     Raises
     ------
@@ -304,7 +313,7 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
             wiring.clock,
             feedback,
             machine.limits,
-            row_layout(machine),
+            row_layout(machine, () if observer is None else observer.channels),
             guard_io=io is not None,
             io_stale_s=io.stale_after_s if io is not None else np.inf,
             overrun_ticks=machine.overrun_ticks,
@@ -312,8 +321,10 @@ def open_bench(machine: Machine, options: BenchOptions, start_pose: np.ndarray |
             braked=[wiring.link.has_brake(axis) for axis in range(len(machine.axes))],
             timed=not lockstep,
             stop_request=stop_request,
+            observer=observer,
         )
-        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), _look(machine, model, wiring))
+        pose = _look(machine, model, wiring)
+        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
 
 
 def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
@@ -358,8 +369,8 @@ def _warm(feedback: Feedback) -> Feedback:
     return feedback
 
 
-def row_layout(machine: Machine) -> RowLayout:
-    """Columns of this machine's recordings."""
+def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> RowLayout:
+    """Columns of this machine's recordings, and of an observer's."""
     plant = machine.plant
     return RowLayout(
         [AxisColumns(units.axis, units.position, units.effort) for units in machine.units],
@@ -367,6 +378,7 @@ def row_layout(machine: Machine) -> RowLayout:
         imu=bool(plant.imus) and machine.bus is not None and machine.bus.imu is not None,
         link=any(encoder.channel.startswith("link_") for encoder in plant.encoders),
         temperature=machine.bus is not None and machine.bus.io is not None and bool(machine.bus.io.temperature_registers),
+        observed=observed,
     )
 
 

@@ -40,9 +40,20 @@ class RowLayout:
         Sample period; time is row number times period.
     imu, link, temperature : bool
         Which optional sensors the machine has.
+    observed : sequence of (name, unit)
+        What an observer adds: the last columns, at `RowLayout.observed`.
     """
 
-    def __init__(self, axes: Sequence[AxisColumns], period_s: float, *, imu: bool, link: bool, temperature: bool) -> None:
+    def __init__(
+        self,
+        axes: Sequence[AxisColumns],
+        period_s: float,
+        *,
+        imu: bool,
+        link: bool,
+        temperature: bool,
+        observed: Sequence[tuple[str, str]] = (),
+    ) -> None:
         self.axes = tuple(axes)
         self.period_s = period_s
         self.channels: list[tuple[str, str]] = [("time", "s")]
@@ -70,6 +81,8 @@ class RowLayout:
         self._add("sync_lateness", [("sync_lateness", "s")])
         self._add("work_time", [("work_time", "s")])
         self._add("answer_time", [("answer_time", "s")])
+        self._add("observed", list(observed))
+        self.observed = self._groups["observed"]
 
     def _add(self, group: str, channels: list[tuple[str, str]]) -> None:
         self._groups[group] = slice(len(self.channels), len(self.channels) + len(channels))

@@ -55,6 +55,19 @@ class Signals(Protocol):
     def feedforward(self) -> np.ndarray | None: ...
 
 
+class Observer(Protocol):
+    """What watches every recorded row, and may add to the command (`hil.observing.live.LiveObserver`)."""
+
+    estimate: np.ndarray  # (channels,) overwritten by every step; goes into the row
+    effort: np.ndarray  # (n_axes,) overwritten by every step; is added to the command before saturation
+
+    def restart(self, rows: int) -> None:
+        """Row 0 of this many follows."""
+
+    def step(self, sample: Sample, command: np.ndarray) -> None:
+        """One row: what was latched, and the command (n_axes,) of the row before, which is on the wire."""
+
+
 @dataclass
 class StopRequest:
     """Set from a signal handler or another thread; the loop looks at it once per tick."""
@@ -117,6 +130,8 @@ class SampleLoop:
         Which axes have a brake that the I/O reports: open throughout a run.
     timed : bool
         False in lockstep: work and answer times are those of the host, and are left out of the rows so that runs repeat bit for bit.
+    observer : Observer, optional
+        Steps once per recorded row, between the sample and the feedback; runs without a sink are not watched.
     """
 
     link: MachineLink
@@ -131,6 +146,7 @@ class SampleLoop:
     braked: Sequence[bool] = ()
     timed: bool = True
     stop_request: StopRequest = field(default_factory=StopRequest)
+    observer: Observer | None = None
 
     def __post_init__(self) -> None:
         axes = len(self.limits)
@@ -142,6 +158,7 @@ class SampleLoop:
         self._tracking = np.array([limit.tracking_error for limit in self.limits])
         self._row = np.full(self.layout.width, np.nan)
         self._zeros = np.zeros(axes)
+        self._added = np.zeros(axes)  # excitation and what the observer adds
 
     def run(self, plan: Signals, sink: Sink | None = None, progress: Callable[[int], None] | None = None) -> LoopTiming:
         """Walk through a plan, a row per tick.
@@ -154,6 +171,9 @@ class SampleLoop:
             The link lost a device; it has stopped the motors.
         """
         rows = len(plan.reference)
+        observer = self.observer if sink is not None else None
+        if observer is not None:
+            observer.restart(rows)
         lateness, work, answer = np.zeros(rows), np.zeros(rows), np.zeros(rows)
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
@@ -162,7 +182,11 @@ class SampleLoop:
             for k in range(rows):
                 sample = self.link.exchange(self.command)
                 tail_s = self.clock.idle_began_s - handed_over_s if k else 0.0
-                reason = self._step(sample, plan, k)
+                excitation = plan.excitation[k]
+                if observer is not None:
+                    observer.step(sample, self.command)
+                    excitation = np.add(excitation, observer.effort, out=self._added)
+                reason = self._step(sample, plan, k, excitation)
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 if lost > self.overrun_ticks:
@@ -175,6 +199,8 @@ class SampleLoop:
                 if sink is not None:
                     timing_s = (lateness[k], work[k], answer[k]) if self.timed else _UNTIMED
                     self.layout.fill(self._row, k, sample, plan, self.command, timing_s)
+                    if observer is not None:
+                        self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
                 if reason:
                     kept = f"row {k}: {reason}; the motors were stopped and {done} rows are kept"
@@ -186,7 +212,7 @@ class SampleLoop:
             raise
         return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done])
 
-    def _step(self, sample: Sample, plan: Signals, k: int) -> str:
+    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
         position = sample.position
         for axis in range(len(position)):
@@ -197,7 +223,7 @@ class SampleLoop:
                 self._stale[axis] += 1
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        self.feedback.step(reference, self._position, plan.excitation[k], feedforward, self.command)
+        self.feedback.step(reference, self._position, excitation, feedforward, self.command)
         return self.stop_request.reason or self._violation(sample, reference)
 
     def _violation(self, sample: Sample, reference: np.ndarray) -> str:

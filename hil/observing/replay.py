@@ -8,6 +8,7 @@ import numpy as np
 
 from controllers.observers.modal_observer import ModalObserver
 from hil.observing.estimate import Estimate
+from hil.observing.measured import MeasuredRow
 from hil.observing.tuning import rows_of
 from hil.recording import Recording
 
@@ -40,11 +41,13 @@ def observe(
     if absent:
         notes = (*notes, f"not in the recording, so not looked at: {', '.join(absent)}")
     observer.restart()
+    row = MeasuredRow(observer.model)
     values = np.zeros((len(measured), len(observer.channels)))
     innovation = np.zeros(measured.shape)
     states = np.zeros((len(measured), len(observer.state)))
     for k in range(len(measured)):
-        observer.step_measured(measured[k], commands[max(k - 1, 0)])
+        row.take(measured[k])
+        observer.step_measured(row.values, commands[max(k - 1, 0)])
         values[k], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
         if progress is not None and k % 1024 == 0:
             progress(k)

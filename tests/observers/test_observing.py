@@ -8,7 +8,6 @@ import json
 import numpy as np
 import pytest
 
-from drivers.interface import Sample
 from hil.bench import BenchOptions, open_bench
 from hil.cli import main
 from hil.errors import BadAnswer, RecordingError, UnusableInput
@@ -96,34 +95,12 @@ def test_the_detectors_rocking_is_seen_though_no_encoder_sees_it(machine: Machin
 def test_a_live_observer_and_its_replay_agree_to_the_bit(machine: Machine, design: ObserverDesign, tmp_path) -> None:
     live = LiveObserver(design.observer("ukf"))
     plan = Scan("roll", -0.1, 0.1, 0.2, dwell_s=0.3).plans(machine)[0]
-    rows: list[np.ndarray] = []
-    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench:
-        inner = bench.loop.link
-
-        class Watching:
-            """The link with the observer's step where the loop has it: after the exchange, before the feedback."""
-
-            def exchange(self, command: np.ndarray) -> Sample:
-                sample = inner.exchange(command)
-                live.step(sample, command)
-                rows.append(live.estimate.copy())
-                return sample
-
-            def __getattr__(self, name: str):  # type: ignore[no-untyped-def]
-                return getattr(inner, name)
-
-        bench.loop.link = Watching()  # type: ignore[assignment]
-
-        def row_zero_follows() -> None:
-            live.restart()
-            rows.clear()
-
-        bench.wiring.start_truth = row_zero_follows  # type: ignore[method-assign]
+    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, live) as bench:
         bench.run(plan, tmp_path / "live.mf4")
     recording = read_recording(tmp_path / "live.mf4")
-    replayed = observe(recording, design.observer("ukf")).values
-    assert np.array_equal(np.array(rows[: recording.rows]), replayed, equal_nan=True)
-    assert np.isfinite(replayed[-1]).all()
+    replayed = observe(recording, design.observer("ukf"))
+    assert np.array_equal(recording.matrix(replayed.names), replayed.values, equal_nan=True)
+    assert np.isfinite(replayed.values[-1]).all()
 
 
 def test_a_design_file_keeps_every_bit(design: ObserverDesign, scan: Recording, tmp_path) -> None:

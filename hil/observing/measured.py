@@ -1,0 +1,45 @@
+"""What an observer is given of a row, live and in replay alike: what did not arrive is missing, and an IMU's reading that is an old one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.models.modal import ModalModel
+
+
+class MeasuredRow:
+    """The measurements of a row in the order of `ModalModel.channels`, NaN where there is none.
+
+    An IMU whose six channels all read what they read before has sent nothing new: noise alone would have moved one of them. Its reading
+    counts as missing, so that an interface that holds the last value does not pass for a machine that stands still.
+
+    Parameters
+    ----------
+    model : ModalModel
+
+    Attributes
+    ----------
+    values : (measurements,) array
+        Overwritten by every `take`.
+    """
+
+    def __init__(self, model: ModalModel) -> None:
+        self._first = 2 * len(model.axes)
+        self._last = np.full((len(model.sensors), 6), np.nan)
+        self.values = np.full(self._first + 6 * len(model.sensors), np.nan)
+
+    def restart(self) -> None:
+        """Nothing has been read yet."""
+        self._last[:] = np.nan
+
+    def take(self, read: np.ndarray) -> None:
+        """Take over a row as read (measurements,), shorter where the last IMUs have no line."""
+        values = self.values
+        values[: len(read)] = read
+        values[len(read) :] = np.nan
+        for index, last in enumerate(self._last):
+            now = values[self._first + 6 * index :][:6]
+            if np.array_equal(now, last):
+                now[:] = np.nan
+            elif not np.isnan(now).all():
+                last[:] = now
