@@ -2,14 +2,14 @@
 
 Frames
 ------
-d, detector: origin in the panel's centre; x = u along the columns' growing index, y = v along the rows' growing index, z normal to the panel.
-The focal spot of the C-arm lies at negative z.
+d, detector: origin in the panel's centre; x = u along the columns' growing index, y = v along the rows' growing index, z = w normal to
+the panel. The focal spot lies at negative z.
 ph, phantom: whatever the geometry is referred to; the world's frame on the emulated machine, the phantom's own after a phantom calibration.
 
 Parameters
 ----------
-xi = [nu_s^d (3), nu_ph^d (3), theta_w (3)]: focal spot and phantom origin in the detector's frame [m], and the extrinsic x, y, z angles [rad]
-of R_d^ph, the rotation from the detector's frame to the phantom's. So nu_s^ph = R_d^ph (nu_s^d - nu_ph^d).
+xi = [nu_s^d (3), nu_ph^d (3), theta_w (3)]: focal spot and phantom origin in the detector's frame [m], and the extrinsic x, y, z angles
+[rad] of R_d^ph, the rotation from the detector's frame to the phantom's. So nu_s^ph = R_d^ph (nu_s^d - nu_ph^d).
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class ConeBeam:
         )
 
     def matrices(self, detector: Detector) -> np.ndarray:
-        """(N, 3, 4) from homogeneous phantom coordinates [m] to homogeneous (column, row, 1); the scale is the depth from the focal spot [m]."""
+        """(N, 3, 4) from homogeneous phantom coordinates [m] to homogeneous (column, row, 1); scale: the depth from the focal spot [m]."""
         depth = -self.source_m[:, 2]
         upper = np.zeros((len(self), 3, 3))
         upper[:, 0, 0] = upper[:, 1, 1] = depth

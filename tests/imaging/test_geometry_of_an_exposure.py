@@ -12,8 +12,8 @@ DETECTOR = Detector(columns=640, rows=512, pitch_m=0.5e-3, aspect=1.01, skew=0.0
 def some_exposures(n: int = 50, seed: int = 5) -> ConeBeam:
     rng = np.random.default_rng(seed)
     parameters = np.zeros((n, 9))
-    parameters[:, :3] = [0.004, -0.003, -1.16] + rng.normal(0.0, 0.005, (n, 3))
-    parameters[:, 3:6] = [0.01, 0.002, -0.35] + rng.normal(0.0, 0.01, (n, 3))
+    parameters[:, :3] = rng.normal((0.004, -0.003, -1.16), 0.005, (n, 3))
+    parameters[:, 3:6] = rng.normal((0.01, 0.002, -0.35), 0.01, (n, 3))
     parameters[:, 6:] = rng.uniform(-1.5, 1.5, (n, 3))
     return ConeBeam.from_parameters(parameters)
 
