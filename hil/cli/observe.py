@@ -9,11 +9,24 @@ import typer
 
 from hil.cli.options import MachineArgument, load
 from hil.cli.output import Answer, JsonOption, progress
+from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
     from hil.machine import Machine
     from hil.observing import ObserverDesign
+    from hil.observing.live import LiveObserver
     from hil.recording import Recording
+
+ObserverOption = Annotated[
+    Path | None,
+    typer.Option("--observer", metavar="FILE", help="Observer design to run along: estimates join the recording (isocenter observe)."),
+]
+DampingOption = Annotated[
+    float,
+    typer.Option(
+        "--damping", metavar="RATIO", help="With --observer: damping ratio that feedback from its estimate gives the lowest mode."
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -25,6 +38,33 @@ def register(app: typer.Typer) -> None:
         "\n\nA design is made from measurements: isocenter observe carm run.mf4 -o run.est.npz --multisine a.mf4 --multisine b.mf4"
         " --standing still.mf4 --tune scan.mf4 --save-design carm.observer.npz",
     )(observe)
+
+
+def live_observer(path: Path | None, damping: float, machine: Machine, answer: Answer) -> LiveObserver | None:
+    """The observer of a design file, ready for the loop; None without a file."""
+    if path is None:
+        if damping:
+            raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
+        return None
+    from hil.observing import read_design
+    from hil.observing.live import LiveObserver
+
+    design = read_design(path)
+    _check_machine(design, machine, answer)
+    if damping:
+        raise typer.BadParameter("--damping: this version has none")
+    return LiveObserver(design.observer(), str(path))
+
+
+def _check_machine(design: ObserverDesign, machine: Machine, answer: Answer) -> None:
+    """Refuse a design of other axes or another sample rate; say where the machine file has changed since."""
+    if design.model.axes != machine.axes or design.model.sample_rate_Hz != machine.sample_rate_Hz:
+        raise UnusableInput(
+            f"the observer design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
+            f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
+        )
+    if design.machine_hash != machine.hash:
+        answer.say(f"the design was made for another version of {design.machine}; its model and noise are used as they are")
 
 
 def observe(
@@ -74,8 +114,7 @@ def observe(
         write_design(design, save_design)
         answer.say(f"{save_design}: design")
     observer = design.observer(filter_name, _modes(adapt, design.model.modes))  # type: ignore[arg-type]
-    if design.machine_hash != machine.hash:
-        answer.say(f"the design was made for another version of {design.machine}; its model and noise are used as they are")
+    _check_machine(design, machine, answer)
     with progress(answer.console) as bars:
         task = bars.add_task(recording_path.name, total=recording.rows)
         estimate = replay(

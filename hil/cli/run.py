@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from hil.cli.design import designed
+from hil.cli.observe import DampingOption, ObserverOption, live_observer
 from hil.cli.options import (
     BusOption,
     EffectsOption,
@@ -109,6 +110,8 @@ def multisine(
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
     real_time: RealTimeOption = True,
+    observer: ObserverOption = None,
+    damping: DampingOption = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -153,7 +156,7 @@ def multisine(
         jog=jog,
         seed=seed,
     )
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to, notes)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to, notes)
 
 
 @app.command(
@@ -181,6 +184,8 @@ def scan(
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
     real_time: RealTimeOption = True,
+    observer: ObserverOption = None,
+    damping: DampingOption = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -195,7 +200,7 @@ def scan(
         from hil.shaping.shaper_file import read_shaper
 
         experiment = Shaped(experiment, read_shaper(shaper))
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to)
 
 
 @app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
@@ -216,6 +221,8 @@ def jog(
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
     real_time: RealTimeOption = True,
+    observer: ObserverOption = None,
+    damping: DampingOption = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
@@ -224,7 +231,7 @@ def jog(
     machine = load(machine_name)
     shape = Jog(amplitude_rad=amplitude * edge_scale(machine, machine.axes[0]), line=1, axes=_names(axes))
     experiment = JogOnly(jog=shape, pose=parse_pose(pose, machine), period_s=period, periods=periods)
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
+    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to)
 
 
 @app.command(
@@ -244,13 +251,31 @@ def static(
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
     real_time: RealTimeOption = True,
+    observer: ObserverOption = None,
+    damping: DampingOption = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Static
 
     machine = load(machine_name)
-    _run(machine, Static(seconds, parse_pose(pose, machine)), out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
+    _run(
+        machine,
+        Static(seconds, parse_pose(pose, machine)),
+        out,
+        bus,
+        seed,
+        imu,
+        io,
+        noise,
+        frame_log,
+        truth,
+        real_time,
+        observer,
+        damping,
+        effects,
+        json_to,
+    )
 
 
 @app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
@@ -267,13 +292,31 @@ def from_file(
     frame_log: FrameLogOption = None,
     truth: TruthOption = None,
     real_time: RealTimeOption = True,
+    observer: ObserverOption = None,
+    damping: DampingOption = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import read_experiment
 
     machine = load(machine_name)
-    _run(machine, read_experiment(path, machine), out, bus, seed, imu, io, noise, frame_log, truth, real_time, effects, json_to)
+    _run(
+        machine,
+        read_experiment(path, machine),
+        out,
+        bus,
+        seed,
+        imu,
+        io,
+        noise,
+        frame_log,
+        truth,
+        real_time,
+        observer,
+        damping,
+        effects,
+        json_to,
+    )
 
 
 def _run(
@@ -288,6 +331,8 @@ def _run(
     frame_log: Path | None,
     truth: Path | None,
     real_time: bool,
+    observer: Path | None,
+    damping: float,
     effects: Path | None,
     json_to: str | None,
     notes: tuple[str, ...] = (),
@@ -302,9 +347,10 @@ def _run(
     can_be_written(*paths, frame_log, truth)
     emulated = None if effects is None else machine.with_effects(read_effects(effects, machine))
     options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, emulated, real_time)
+    watching = live_observer(observer, damping, machine, answer)
     lockstep = bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
-    with open_bench(machine, options, plans[0].start_pose) as bench:
+    with open_bench(machine, options, plans[0].start_pose, watching) as bench:
         with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):
