@@ -1,0 +1,291 @@
+"""Recordings beside their free-run simulation: repeats grouped, channels chosen, residuals.
+
+Repeats are recordings of the same reference, excitation (or command) and start pose: one simulation answers all of them. A periodic
+recording without repeats is split into its periods instead, and its simulation is averaged over them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.signal
+
+from hil.diagnosis.noise import NoiseModel, noise_model
+from hil.errors import RecordingError
+from hil.machine import Machine
+from hil.recording import Recording
+from hil.simulation import Inputs, Outputs, Simulator, inputs_of
+from virtual_bus.settings import EffectSetting
+
+IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
+SILENT = 1e-12
+"""A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
+
+SPEED_WINDOW_s = 0.05
+"""Length of the local parabola that speeds are taken from: longer than an encoder's steps, shorter than what a joint can reverse in."""
+
+LARGEST_MISSING_SHARE = 0.5
+"""A channel that misses more of its samples than this is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatGroup:
+    """R repeats of N rows of one experiment, and its simulation.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        What each repeat is called: the recording's name, with the period's number where it is one.
+    inputs : Inputs
+        What drives the simulation of the whole recording.
+    windows : tuple of slice
+        Rows of that simulation the repeats stand for; more than one for periods.
+    time_s : (N,) array
+    measured : (R, N, C) array
+        NaN where a sample is missing.
+    simulated : (N, C) array
+        Noise off, averaged over the windows.
+    position, speed, effort, reference : (N, n_axes) arrays
+        For binning: mean over the repeats of what was measured (effort in the drive's unit); the reference is the position's own where a
+        machine has no controller.
+    """
+
+    labels: tuple[str, ...]
+    inputs: Inputs
+    windows: tuple[slice, ...]
+    time_s: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+    effort: np.ndarray
+    reference: np.ndarray
+
+    @property
+    def repeats(self) -> int:
+        return len(self.measured)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(N, C) mean of the repeats; where a sample is missing in all of them, the line between its neighbours."""
+        return self.complete.mean(axis=0)
+
+    @cached_property
+    def complete(self) -> np.ndarray:
+        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time."""
+        residual = self.measured - self.simulated
+        for r, c in np.argwhere(np.isnan(residual).any(axis=1)):
+            missing = np.isnan(residual[r, :, c])
+            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c])
+        return residual + self.simulated
+
+    def fold(self, rows: np.ndarray) -> np.ndarray:
+        """Simulated rows of the whole recording (M, C) as those of the repeats (N, C)."""
+        return np.mean([rows[window] for window in self.windows], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Mismatch:
+    """Every group of repeats beside its simulation, in the same channels.
+
+    `noise` whitens residuals: `noise.whiten(residual)` takes (N, C) and gives numbers of unit variance for one repeat's noise. `noise.std`
+    (C,) is the noise's rms per channel.
+    """
+
+    machine: Machine
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    groups: tuple[RepeatGroup, ...]
+    noise: NoiseModel
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.machine.axes
+
+    def with_simulated(self, simulated: Sequence[np.ndarray]) -> Mismatch:
+        """The same recordings beside other simulations, one (N, C) per group."""
+        return replace(self, groups=tuple(replace(group, simulated=rows) for group, rows in zip(self.groups, simulated, strict=True)))
+
+
+def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]:
+    """Simulated channels by name, each (N,)."""
+    channels: dict[str, np.ndarray] = {}
+    for i, units in enumerate(machine.units):
+        channels[f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"] = outputs.effort[:, i]
+        channels[f"command_{units.axis}"] = outputs.command[:, i]
+        channels[f"position_{units.axis}"] = outputs.position[:, i]
+        channels[f"link_position_{units.axis}"] = outputs.link_position[:, i]
+    if machine.plant.imus:
+        channels.update(zip(IMU_CHANNELS, outputs.imu[:, :6].T, strict=True))
+    return {name: values for name, values in channels.items() if not np.isnan(values).all()}
+
+
+def simulated_matrix(machine: Machine, outputs: Outputs, channels: Sequence[str]) -> np.ndarray:
+    """(N, C) simulated channels in this order."""
+    found = channel_outputs(machine, outputs)
+    return np.column_stack([found[name] for name in channels])
+
+
+def mismatch(
+    machine: Machine,
+    recordings: Mapping[str, Recording],
+    *,
+    channels: Sequence[str] | None = None,
+    noise: NoiseModel | None = None,
+    simulator: Simulator | None = None,
+    effects: Sequence[EffectSetting] | None = None,
+) -> Mismatch:
+    """Group recordings into repeats and simulate each group.
+
+    Parameters
+    ----------
+    machine : Machine
+    recordings : mapping of str to Recording
+        By the name they are reported under; aligned: this machine's units, signs and sample rate.
+    channels : sequence of str, optional
+        As chosen for other recordings of the same diagnosis; found here otherwise.
+    noise : NoiseModel, optional
+        As estimated from other recordings of the same diagnosis; estimated here otherwise.
+    simulator : Simulator, optional
+        Of this machine, where one is compiled already.
+    effects : sequence of EffectSetting, optional
+        The machine's own by default.
+
+    Raises
+    ------
+    RecordingError
+        No recording, no channel in common with the simulation, or a simulation cannot be driven by a recording.
+    BadAnswer
+        The simulation diverged.
+    """
+    if not recordings:
+        raise RecordingError("no recording to diagnose; give at least one")
+    simulator = simulator or Simulator(machine)
+    groups = []
+    for members in _grouped(machine, recordings):
+        inputs = members[0][1]
+        simulated = channel_outputs(machine, simulator.run(inputs, effects=effects))
+        groups.append((members, inputs, simulated))
+    if channels is None:
+        channels = _channels(machine, [(recordings[label], simulated) for members, _, simulated in groups for label, _ in members])
+    channels = tuple(channels)
+    made = tuple(
+        group
+        for members, inputs, simulated in groups
+        for group in [_group(machine, [(label, recordings[label]) for label, _ in members], inputs, simulated, channels)]
+    )
+    first = next(iter(recordings.values()))
+    units = tuple(first.channel(name).unit for name in channels)
+    return Mismatch(machine, channels, units, made, noise or noise_model(made, channels, machine))
+
+
+def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[tuple[str, Inputs]]]:
+    """Labels with inputs, those of the same experiment together, in the order given."""
+    groups: list[list[tuple[str, Inputs]]] = []
+    for label, recording in recordings.items():
+        try:
+            inputs = inputs_of(machine, recording)
+        except RecordingError as problem:
+            raise RecordingError(f"{label}: {problem}") from None
+        for group in groups:
+            if _same_inputs(group[0][1], inputs):
+                group.append((label, inputs))
+                break
+        else:
+            groups.append([(label, inputs)])
+    return groups
+
+
+def _same_inputs(one: Inputs, other: Inputs) -> bool:
+    pairs = [(one.reference, other.reference), (one.command, other.command), (one.excitation, other.excitation)]
+    pairs += [(one.feedforward, other.feedforward), (one.start_pose, other.start_pose)]
+    return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
+
+
+def _channels(machine: Machine, pairs: Sequence[tuple[Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
+    """Channels that are recorded and simulated everywhere and move in one of both."""
+    first_recording, first_simulated = pairs[0]
+    closed = bool(machine.controllers)
+    chosen = []
+    for name in first_simulated:
+        if name.startswith("command_"):
+            axis = name.removeprefix("command_")
+            measured = f"current_{axis}" in first_recording or f"effort_{axis}" in first_recording
+            if not closed or measured:  # given, or shown by what the drive measured
+                continue
+        if not all(name in recording and name in simulated for recording, simulated in pairs):
+            continue
+        if any(recording.channel(name).missing.mean() > LARGEST_MISSING_SHARE for recording, _ in pairs):
+            continue
+        if all(_is_silent(recording[name]) and _is_silent(simulated[name]) for recording, simulated in pairs):
+            continue
+        chosen.append(name)
+    if not chosen:
+        raise RecordingError("no channel in common with the simulation besides the inputs; record position, current or IMU")
+    return tuple(chosen)
+
+
+def _is_silent(values: np.ndarray) -> bool:
+    values = values[np.isfinite(values)]
+    return values.size == 0 or bool(np.ptp(values) <= SILENT * max(np.abs(values).max(), 1e-300))
+
+
+def _group(
+    machine: Machine,
+    members: Sequence[tuple[str, Recording]],
+    inputs: Inputs,
+    simulated: Mapping[str, np.ndarray],
+    channels: tuple[str, ...],
+) -> RepeatGroup:
+    measured = np.stack([recording.matrix(channels) for _, recording in members])
+    rows = np.column_stack([simulated[name] for name in channels])
+    labels = tuple(label for label, _ in members)
+    windows: tuple[slice, ...] = (slice(0, len(rows)),)
+    recording = members[0][1]
+    if len(members) == 1 and recording.experiment.get("period_samples"):
+        periods = _whole_periods(recording)
+        if len(periods) > 1:
+            windows = periods
+            labels = tuple(f"{labels[0]} period {number}" for number in range(1, len(periods) + 1))
+            measured = np.stack([measured[0, window] for window in windows])
+    time_s = recording.time[windows[0]]
+    positions = _bins(members, windows, [f"position_{axis}" for axis in machine.axes], simulated)
+    efforts = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
+    window_rows = max(5, 2 * round(0.5 * SPEED_WINDOW_s * machine.sample_rate_Hz) + 1)
+    speed = np.zeros_like(positions)
+    if len(positions) > window_rows:
+        speed = scipy.signal.savgol_filter(positions, window_rows, 2, deriv=1, delta=1.0 / machine.sample_rate_Hz, axis=0)
+    return RepeatGroup(
+        labels=labels,
+        inputs=inputs,
+        windows=windows,
+        time_s=time_s,
+        measured=measured,
+        simulated=np.mean([rows[window] for window in windows], axis=0),
+        position=positions,
+        speed=speed,
+        effort=_bins(members, windows, efforts, simulated),
+        reference=positions if inputs.reference is None else inputs.reference[windows[0]],
+    )
+
+
+def _whole_periods(recording: Recording) -> tuple[slice, ...]:
+    try:
+        return recording.period_slices
+    except RecordingError:
+        return ()
+
+
+def _bins(
+    members: Sequence[tuple[str, Recording]], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """(N, len(names)) mean over repeats and windows of what was measured; simulated where it was not or where samples are missing."""
+    columns = []
+    for name in names:
+        stand_in = simulated.get(name, np.zeros(members[0][1].rows))
+        values = [np.where(np.isfinite(r[name]), r[name], stand_in) if name in r else stand_in for _, r in members]
+        columns.append(np.mean([value[window] for value in values for window in windows], axis=0))
+    return np.column_stack(columns)

@@ -1,0 +1,268 @@
+"""Noise of a machine, per channel and frequency and between channels, from what repeats do not have in common.
+
+In closed loop a disturbance moves current, encoder and IMU together, and it is coloured. The deviations of repeats from their mean are made
+nearly white per channel (an autoregressive filter, so that what does not repeat at the record's ends leaks little), their cross-spectral
+matrix S(f) between channels is averaged over neighbouring frequencies, and residuals are whitened with S(f)^(-1/2).
+Pintelon and Schoukens 2012, ch. 2.5 and 4.3 (sample covariances of repeats); Kay 1988, ch. 7 (autoregressive spectra).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+
+from hil.diagnosis.result import NoiseKind
+from hil.machine import Machine
+
+if TYPE_CHECKING:
+    from hil.diagnosis.mismatch import RepeatGroup
+
+FILTER_ORDER = 8
+"""Of the autoregressive filter per channel: two resonances and two real poles."""
+
+FREEDOM_PER_CHANNEL = 4
+"""Complex degrees of freedom of S(f) per channel: fewer, and its inverse is dominated by what its sample happens to miss."""
+
+RELATIVE_WIDTH = 0.05
+"""S(f) is averaged over at least this share of the frequency, either side."""
+
+LEAST_COHERENT = 1e-3
+"""Floor of the eigenvalues of S(f) in units of its channels' own spectra: what one channel predicts of another is trusted to 3 %, because
+loops and drives are known no better."""
+
+FILL = 1e-4
+"""White noise added per channel, as a share of its variance, when its autoregressive filter is fitted: bounds the filter's gain."""
+
+STEEP_LINES = 3
+STEEP = 1.5
+"""S(f) is raised where this many neighbouring lines have more than this times the power it gives them."""
+
+GRID_LINES = 400
+"""Frequencies on which S(f)^(-1/2) is kept, equally spaced on a scale that is linear below 1 Hz and logarithmic above."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Second moments of one repeat's noise.
+
+    Attributes
+    ----------
+    kind : "repeats", "periods" or "assumed"
+    std : (C,) array
+        Noise rms per channel, its units.
+    rate_Hz : float
+    filters : (C, FILTER_ORDER + 1) array
+        Prediction-error filter of each channel.
+    grid_Hz : (G,) array
+    roots : (G, C, C) complex array
+        S^(-1/2) of the filtered channels at the grid's frequencies.
+    freedom : float
+        Least complex degrees of freedom any S was averaged over.
+    """
+
+    kind: NoiseKind
+    std: np.ndarray
+    rate_Hz: float
+    filters: np.ndarray
+    grid_Hz: np.ndarray
+    roots: np.ndarray
+    freedom: float
+
+    def spectrum(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened lines.
+
+        Parameters
+        ----------
+        values : (N, C) array
+            In the channels' units, complete.
+
+        Returns
+        -------
+        frequencies_Hz : (K,) array
+        lines : (K, C) complex array
+            Of mean square 1 for one repeat's noise; entry c stands mostly for channel c.
+        """
+        filtered = filter_channels(self.filters, values)
+        lines = np.fft.rfft(filtered, axis=0) / np.sqrt(len(filtered))
+        frequencies = np.fft.rfftfreq(len(filtered), 1.0 / self.rate_Hz)
+        return frequencies, np.einsum("kij,kj->ki", self._roots_at(frequencies), lines)
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """(M,) real numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`."""
+        _, lines = self.spectrum(values)
+        last = len(lines) - 1 if (len(values) - FILTER_ORDER) % 2 == 0 else len(lines)
+        inner = np.sqrt(2.0) * lines[1:last]
+        parts = [lines[0].real, inner.real.ravel(), inner.imag.ravel()]
+        if last < len(lines):
+            parts.append(lines[last].real)
+        return np.concatenate(parts)
+
+    def _roots_at(self, frequencies_Hz: np.ndarray) -> np.ndarray:
+        """Linear between the grid's neighbours."""
+        place = np.clip(np.interp(frequencies_Hz, self.grid_Hz, np.arange(len(self.grid_Hz))), 0.0, len(self.grid_Hz) - 1.000001)
+        low = place.astype(int)
+        share = (place - low)[:, None, None]
+        return (1.0 - share) * self.roots[low] + share * self.roots[low + 1]
+
+
+def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Prediction errors (N - order, C) of every channel."""
+    order = filters.shape[1] - 1
+    return np.column_stack([scipy.signal.lfilter(row, [1.0], column)[order:] for row, column in zip(filters, values.T, strict=True)])
+
+
+def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine: Machine) -> NoiseModel:
+    """Noise from all groups that have repeats; else bounded from the residual and `assumed`.
+
+    Parameters
+    ----------
+    groups : sequence of RepeatGroup
+    channels : sequence of str
+    machine : Machine
+        Its sensors' noise and resolution are the least a channel has.
+    """
+    repeated = [group for group in groups if group.repeats > 1]
+    if not repeated:
+        return assumed_noise([group.mean - group.simulated for group in groups], channels, machine)
+    kind: NoiseKind = "repeats" if any(len(group.windows) == 1 for group in repeated) else "periods"
+    deviations = [_deviations(group.complete) for group in repeated]
+    floor = sensor_floor(channels, machine)
+    rows = [row for group in deviations for row in group]
+    std = np.sqrt(sum((row**2).sum(axis=0) for row in rows) / sum(len(row) for row in rows) + floor**2)
+    filters = np.stack([_prediction_error_filter([row[:, c] for row in rows], std[c]) for c in range(len(channels))])
+    rate_Hz = machine.sample_rate_Hz
+    lines = [np.fft.rfft(filter_channels(filters, row), axis=0) / np.sqrt(len(row) - FILTER_ORDER) for row in rows]
+    frequencies = [np.fft.rfftfreq(len(row) - FILTER_ORDER, 1.0 / rate_Hz) for row in rows]
+    # the mean was taken from the same repeats: R - 1 of R deviations are free, and their scale says so already
+    free = sum(group.repeats - 1 for group in repeated) / sum(group.repeats for group in repeated)
+    grid = _grid(rate_Hz, max(len(row) for row in rows))
+    spectra, freedom = _smoothed(lines, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
+    floors = floor**2 * (filters**2).sum(axis=1)
+    roots = np.stack([_inverse_root(s + np.diag(floors)) for s in spectra])
+    roots /= np.sqrt(_steepness(roots, grid, lines, frequencies))[:, :, None]
+    shrink = np.sqrt(np.clip((freedom - len(channels)) / freedom, 0.1, 1.0))  # the mean of an inverse sample covariance is too large
+    return NoiseModel(kind, std, rate_Hz, filters, grid, roots * shrink[:, None, None], float(freedom.min()))
+
+
+def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], machine: Machine) -> NoiseModel:
+    """Noise of single recordings, bounded from above per channel by what is left of the residual between its strong lines.
+
+    The median of neighbouring lines' power stands for the noise: mismatch that is concentrated in frequency does not raise it, mismatch
+    that is spread does, and is then taken for noise.
+    """
+    floor = sensor_floor(channels, machine)
+    rate_Hz = machine.sample_rate_Hz
+    count = len(channels)
+    std = np.sqrt(sum((row**2).sum(axis=0) for row in residuals) / sum(len(row) for row in residuals) + floor**2)
+    filters = np.stack([_prediction_error_filter([row[:, c] for row in residuals], std[c]) for c in range(count)])
+    grid = _grid(rate_Hz, max(len(row) for row in residuals))
+    roots = np.zeros((len(grid), count, count), dtype=complex)
+    powers, places = [], []
+    for row in residuals:
+        filtered = filter_channels(filters, row)
+        powers.append(np.abs(np.fft.rfft(filtered, axis=0)) ** 2 / len(filtered))
+        places.append(np.fft.rfftfreq(len(filtered), 1.0 / rate_Hz))
+    power, place = np.concatenate(powers), np.concatenate(places)
+    spacing = rate_Hz / max(len(row) for row in residuals)
+    floors = floor**2 * (filters**2).sum(axis=1)
+    variance = np.zeros(count)
+    for g, f in enumerate(grid):
+        near = np.abs(place - f) <= max(10.5 * spacing, 0.3 * f)
+        level = np.median(power[near], axis=0) / np.log(2.0) + floors  # the median of an exponential distribution is ln 2 of its mean
+        roots[g] = np.diag(1.0 / np.sqrt(level))
+        variance += level / (len(grid) * (filters**2).sum(axis=1))
+    return NoiseModel("assumed", np.sqrt(np.minimum(variance, std**2)), rate_Hz, filters, grid, roots, np.inf)
+
+
+def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:
+    """(C,) least noise rms of every channel: rounding of its lattice."""
+    least: dict[str, float] = {}
+    for encoder in machine.plant.encoders:
+        least[encoder.channel] = encoder.resolution
+    for current in machine.plant.currents:
+        least[current.channel] = current.resolution
+    for imu in machine.plant.imus:
+        for letter in "xyz":
+            least[f"imu_{letter}"] = imu.accelerometer_resolution_m_s2
+            least[f"gyro_{letter}"] = imu.gyro_resolution_rad_s
+    for drive in machine.plant.drives:
+        least[f"command_{drive.axis}"] = drive.resolution
+    rounding = np.array([least.get(name, 0.0) for name in channels]) / np.sqrt(12.0)
+    return np.where(rounding > 0.0, rounding, 1e-12)
+
+
+def _deviations(complete: np.ndarray) -> np.ndarray:
+    """(R, N, C) deviations from the repeats' mean, scaled to one repeat's variance."""
+    repeats = len(complete)
+    return (complete - complete.mean(axis=0)) * np.sqrt(repeats / (repeats - 1.0))
+
+
+def _prediction_error_filter(rows: Sequence[np.ndarray], std: float) -> np.ndarray:
+    """(FILTER_ORDER + 1,) filter that makes these series nearly white: Yule-Walker on their mean autocovariance."""
+    total = sum(len(row) for row in rows)
+    covariance = np.array([sum(float(row[lag:] @ row[: len(row) - lag]) for row in rows) / total for lag in range(FILTER_ORDER + 1)])
+    covariance[0] += FILL * std**2
+    weights = scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])
+    return np.concatenate(([1.0], -weights))
+
+
+def _grid(rate_Hz: float, rows: int) -> np.ndarray:
+    nyquist = 0.5 * rate_Hz
+    scale = np.arcsinh(nyquist)
+    return np.sinh(np.linspace(0.0, scale, min(GRID_LINES, max(rows // 4, 8))))
+
+
+def _smoothed(
+    lines: Sequence[np.ndarray], frequencies: Sequence[np.ndarray], grid: np.ndarray, free: float, wanted: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """S (G, C, C) on the grid and its complex degrees of freedom (G,): neighbours until there are enough of them."""
+    place = np.concatenate(frequencies)
+    order = np.argsort(place, kind="stable")
+    place, line = place[order], np.concatenate(lines)[order]
+    count = line.shape[1]
+    sums = np.zeros((len(place) + 1, count, count), dtype=complex)
+    np.cumsum(line[:, :, None] * line[:, None, :].conj(), axis=0, out=sums[1:])
+    needed = min(int(np.ceil(wanted / free)), len(place))
+    spectra = np.zeros((len(grid), count, count), dtype=complex)
+    freedom = np.zeros(len(grid))
+    for g, f in enumerate(grid):
+        low, high = np.searchsorted(place, [f * (1.0 - RELATIVE_WIDTH), f * (1.0 + RELATIVE_WIDTH)])
+        short = needed - (high - low)
+        if short > 0:
+            low = max(0, low - (short + 1) // 2)
+            high = min(len(place), low + needed)
+            low = max(0, high - needed)
+        s = (sums[high] - sums[low]) / (high - low)
+        spectra[g] = s.real if f == 0.0 else s
+        freedom[g] = (high - low) * free
+    return spectra, freedom
+
+
+def _steepness(roots: np.ndarray, grid: np.ndarray, lines: Sequence[np.ndarray], frequencies: Sequence[np.ndarray]) -> np.ndarray:
+    """(G, C) power of the whitened lines nearest to every grid frequency, where it is above 1.
+
+    Where a spectrum is steep (a slow disturbance) its average over neighbours is too small for the lowest of them.
+    """
+    place = np.concatenate(frequencies)
+    order = np.argsort(place, kind="stable")
+    place, line = place[order], np.concatenate(lines)[order]
+    nearest = len(frequencies) * STEEP_LINES
+    found = np.ones(roots.shape[:2])
+    for g, f in enumerate(grid):
+        low = int(np.clip(np.searchsorted(place, f) - nearest // 2, 0, max(0, len(place) - nearest)))
+        whitened = line[low : low + nearest] @ roots[g].T
+        found[g] = (np.abs(whitened) ** 2).mean(axis=0)
+    return np.where(found > STEEP, found, 1.0)
+
+
+def _inverse_root(s: np.ndarray) -> np.ndarray:
+    """Hermitian S^(-1/2), its eigenvalues bounded from below in units of the channels' own spectra."""
+    own = np.sqrt(np.diag(s).real)
+    value, vector = np.linalg.eigh(s / own[:, None] / own[None, :])
+    value = np.maximum(value, LEAST_COHERENT)
+    return (vector / np.sqrt(value)) @ vector.conj().T / own[None, :]

@@ -1,0 +1,183 @@
+"""What a diagnosis says, as frozen values, and the JSON that carries it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Verdict = Literal["inconclusive", "unknown_physics", "ambiguous", "explained", "retuned", "consistent"]
+NoiseKind = Literal["repeats", "periods", "assumed"]
+Span = tuple[float, float]
+
+STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor")
+
+
+@dataclass(frozen=True, order=True)
+class EffectAt:
+    """One effect of the catalogue at one place of the machine."""
+
+    effect: str
+    at: str
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.at}"
+
+    def document(self) -> dict[str, str]:
+        return {"effect": self.effect, "at": self.at}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its unit and its 95 % interval."""
+
+    value: float
+    unit: str
+    ci95: Span
+
+    def document(self) -> dict[str, Any]:
+        return {"value": self.value, "unit": self.unit, "ci95": list(self.ci95)}
+
+
+@dataclass(frozen=True)
+class RetunedValue:
+    """A number of the machine file before and after re-tuning."""
+
+    nominal: float
+    value: float
+    unit: str
+    ci95: Span
+
+    def document(self) -> dict[str, Any]:
+        return {"nominal": self.nominal, "value": self.value, "unit": self.unit, "ci95": list(self.ci95)}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that the diagnosis holds for present."""
+
+    effect: EffectAt
+    confidence: float
+    parameters: Mapping[str, Estimate]
+    ambiguous_with: tuple[EffectAt, ...] = ()
+    separating_experiment: str | None = None  # file that `isocenter run` takes
+    evidence_for: tuple[str, ...] = ()
+    evidence_against: tuple[str, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        return {
+            **self.effect.document(),
+            "confidence": self.confidence,
+            "parameters": {name: estimate.document() for name, estimate in self.parameters.items()},
+            "ambiguous_with": [other.document() for other in self.ambiguous_with],
+            "separating_experiment": self.separating_experiment,
+            "evidence_for": list(self.evidence_for),
+            "evidence_against": list(self.evidence_against),
+        }
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects that act together, and how sure it is that it is them."""
+
+    effects: tuple[EffectAt, ...]  # () : no effect
+    confidence: float
+
+    def document(self) -> dict[str, Any]:
+        return {"effects": [effect.document() for effect in self.effects], "confidence": self.confidence}
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where the explainable mismatch is. A dimension in which it is not localised is left out (an empty mapping)."""
+
+    channels: Mapping[str, float] = field(default_factory=dict)  # shares, summing to 1
+    time_s: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)  # by recording
+    frequency_hz: tuple[Span, ...] = ()
+    position: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)  # by axis
+    speed: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)
+    effort: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)
+    direction: Mapping[str, str] = field(default_factory=dict)  # "both", "positive" or "negative"
+
+    def document(self) -> dict[str, Any]:
+        document: dict[str, Any] = {"channels": dict(self.channels)}
+        if self.frequency_hz:
+            document["frequency_hz"] = [list(span) for span in self.frequency_hz]
+        for name in ("time_s", "position", "speed", "effort"):
+            spans: Mapping[str, tuple[Span, ...]] = getattr(self, name)
+            if spans:
+                document[name] = {key: [list(span) for span in value] for key, value in spans.items()}
+        if self.direction:
+            document["direction"] = dict(self.direction)
+        return document
+
+
+@dataclass(frozen=True)
+class Stages:
+    """One misfit measure at the five stages of a diagnosis; None where there is nothing to compute it from."""
+
+    nominal: float | None
+    retuned: float | None
+    extended: float | None
+    placebo: float | None
+    noise_floor: float | None
+
+    def document(self) -> dict[str, float | None]:
+        return {stage: getattr(self, stage) for stage in STAGES}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How far every stage is from the recordings.
+
+    `channels` are free-run NRMSE (held-out where there is one); `train` and `held_out` are root mean squares over channels of the residual
+    in units of that channel's noise.
+    """
+
+    channels: Mapping[str, Stages]
+    train: Stages
+    held_out: Stages | None
+    removed_share: float | None
+    removed_share_from_nominal: float | None
+
+    def document(self) -> dict[str, Any]:
+        return {
+            "channels": {name: stages.document() for name, stages in self.channels.items()},
+            "train": self.train.document(),
+            "held_out": None if self.held_out is None else self.held_out.document(),
+            "removed_share": self.removed_share,
+            "removed_share_from_nominal": self.removed_share_from_nominal,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer."""
+
+    verdict: Verdict
+    reason: str  # the verdict in one sentence; for `inconclusive` what is missing
+    findings: tuple[Finding, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    retuned: Mapping[str, RetunedValue]
+    frozen: Mapping[str, str]  # machine-file numbers the recordings do not show, and why
+    noise: NoiseKind
+    location: Location
+    fit: Fit
+    unexplained_share: float
+    seconds: float
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, as docs/diagnosis.md and the report's readers expect them."""
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "findings": [finding.document() for finding in self.findings],
+            "hypotheses": [hypothesis.document() for hypothesis in self.hypotheses],
+            "retuned": {name: value.document() for name, value in self.retuned.items()},
+            "frozen": dict(self.frozen),
+            "noise": self.noise,
+            "location": self.location.document(),
+            "fit": self.fit.document(),
+            "unexplained_share": self.unexplained_share,
+            "seconds": self.seconds,
+        }
