@@ -88,6 +88,7 @@ class LoopTiming:
     lateness_s: np.ndarray
     work_time_s: np.ndarray
     answer_time_s: np.ndarray
+    notes: tuple[str, ...] = ()  # what happened that the run could go on with
 
     def summary(self) -> dict[str, float]:
         """Percentiles in microseconds of lateness, work time, the answers' share of it, and the rest, our own; and the ticks missed."""
@@ -178,6 +179,7 @@ class SampleLoop:
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
         done = 0
+        notes: tuple[str, ...] = ()
         try:
             for k in range(rows):
                 sample = self.link.exchange(self.command)
@@ -186,6 +188,8 @@ class SampleLoop:
                 if observer is not None:
                     observer.step(sample, self.command)
                     excitation = np.add(excitation, observer.effort, out=self._added)
+                    if sample.imu_fault and not notes:
+                        notes = (f"row {k}: {sample.imu_fault}; the observer goes on with encoders and model",)
                 reason = self._step(sample, plan, k, excitation)
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
@@ -210,7 +214,7 @@ class SampleLoop:
         except BaseException:
             self.link.stop()
             raise
-        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done])
+        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done], notes)
 
     def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
@@ -229,6 +233,8 @@ class SampleLoop:
     def _violation(self, sample: Sample, reference: np.ndarray) -> str:
         if sample.fault:
             return sample.fault
+        if sample.imu_fault and self.observer is None:  # an observer goes on without
+            return sample.imu_fault
         for axis, limit in enumerate(self.limits):
             if self._stale[axis] > self.stale_ticks:
                 return f"{limit.axis}: no position for {self._stale[axis]} ticks, timing.stale_ticks bridges {self.stale_ticks}"

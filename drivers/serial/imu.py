@@ -89,7 +89,7 @@ class ImuDriver:
         self._counter = -1  # unwrapped
         self._time_ticks = -1  # unwrapped
         self._gone = False
-        self._fault = ""  # waits for the next poll
+        self._fault = ""  # the first since it was configured
 
     @property
     def checksum_errors(self) -> int:
@@ -120,6 +120,7 @@ class ImuDriver:
         self._ask(MessageId.SET_SYNC_SETTINGS, encode_sync_settings([sync]), wait)
         self._ask(MessageId.GO_TO_MEASUREMENT, b"", wait)
         self._counter = self._time_ticks = -1
+        self._fault = ""
         self.lost_packets = self.late_packets = 0
         return self.identity
 
@@ -133,7 +134,7 @@ class ImuDriver:
     def poll(self, sample: Sample) -> bool:
         """Take the newest reading that has arrived since the last call into `sample`; NaN and -1 when there is none. Never waits.
 
-        A device error, a failed self-test or a port that is gone is put into `sample.fault`.
+        A device error, a failed self-test or a port that is gone stands in `sample.imu_fault` from then on.
 
         Returns
         -------
@@ -148,9 +149,7 @@ class ImuDriver:
             self._count(reading)
         if newest is not None and newest.status is not None and not newest.status & STATUS_SELF_TEST_PASSED:
             self._report("reports a failed self-test")
-        if self._fault:
-            sample.fault = sample.fault or self._fault
-            self._fault = ""
+        sample.imu_fault = self._fault
         if newest is None:
             sample.imu.fill(np.nan)
             sample.imu_time_s = float("nan")

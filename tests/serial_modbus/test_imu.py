@@ -202,21 +202,17 @@ def test_a_reading_without_acceleration_fills_no_row(bench):
         (encode(MessageId.MTDATA2, b"\x10\x20\x09"), "beyond the message"),
     ],
 )
-def test_device_faults_reach_the_sample_in_words_once(bench, wire, words):
+def test_device_faults_stand_in_the_sample_in_words_until_the_device_is_configured_anew(bench, wire, words):
     bench.device_end.write(wire)
     bench.driver.poll(bench.sample)
-    assert words in bench.sample.fault
-    assert bench.sample.fault.startswith("imu 'imu': ")
-    bench.sample.fault = ""
-    bench.driver.poll(bench.sample)
-    assert bench.sample.fault == ""
-
-
-def test_an_earlier_fault_of_another_device_is_not_overwritten(bench):
-    bench.sample.fault = "propeller_drive: over-current"
     bench.device_end.write(encode(MessageId.WAKE_UP))
     bench.driver.poll(bench.sample)
-    assert bench.sample.fault == "propeller_drive: over-current"
+    assert words in bench.sample.imu_fault  # the first one stands
+    assert bench.sample.imu_fault.startswith("imu 'imu': ")
+    assert bench.sample.fault == ""  # motion does not hang on it
+    bench.driver.configure(no_wait)
+    bench.driver.poll(bench.sample)
+    assert bench.sample.imu_fault == ""
 
 
 def test_on_its_own_clock_the_device_sends_at_its_rate_with_its_clock_error():
@@ -451,12 +447,12 @@ def test_a_line_that_is_hung_up_is_a_fault_in_words():
     driver = ImuDriver(PORT, stream)
     sample = Sample(2)
     assert not driver.poll(sample)
-    assert sample.fault == ""
+    assert sample.imu_fault == ""
     pty.close()
 
     def fault_told():
         assert not driver.poll(sample)
-        return "is gone" in sample.fault
+        return "is gone" in sample.imu_fault
 
     assert eventually(fault_told)
     assert np.all(np.isnan(sample.imu))
