@@ -31,7 +31,6 @@ DEFAULT_VIRTUAL_CHANNEL = "isocenter"
 DEFAULT_UDP_GROUP = "239.74.163.2"  # python-can's administratively scoped IPv4 group: not routed beyond the site
 ARPHRD_CAN = 280  # /sys/class/net/*/type of a CAN interface (linux/if_arp.h)
 IFF_UP = 0x1
-IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h; Python's socket module does not name them
 SLCAN_BIT_RATES = (10_000, 20_000, 50_000, 83_300, 100_000, 125_000, 250_000, 500_000, 750_000, 1_000_000)
 EXAMPLES = "lockstep:, virtual:NAME, socketcan:vcan0, udp:GROUP, slcan:/dev/ttyACM0@1000000"
 
@@ -106,10 +105,11 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
     if parsed.interface == "slcan" and bitrate not in SLCAN_BIT_RATES:
         raise BusUnavailable(f"{url}: slcan has no code for {bitrate} bit/s; it knows {', '.join(map(str, SLCAN_BIT_RATES))}")
     try:
-        bus = can.Bus(interface=parsed.interface, channel=parsed.channel, ignore_config=True, **arguments)
         if parsed.interface == "udp_multicast":
-            _hear_own_group_only(bus)
-        return bus
+            from drivers.udp_bus import UdpBus
+
+            return UdpBus(str(parsed.channel), **arguments)
+        return can.Bus(interface=parsed.interface, channel=parsed.channel, ignore_config=True, **arguments)
     except Exception as error:  # back ends raise whatever their vendor's library does, NameError of a missing library included
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise BusUnavailable(f"{url}: {reason}; {_remedy(parsed.interface)}") from error
@@ -130,15 +130,6 @@ def _udp(url: str, rest: str) -> BusUrl:
     if "@" in rest:
         options["port"] = _number(url, port, "UDP port", 1, 65535)
     return BusUrl(url, "udp_multicast", group, options)
-
-
-def _hear_own_group_only(bus: can.BusABC) -> None:
-    """Linux hands a port's multicast datagrams of every group that anybody on the host has joined to every socket of that port; python-can
-    leaves that on, and two benches on two groups would share one bus."""
-    if sys.platform.startswith("linux"):
-        multicast = bus._multicast  # type: ignore[attr-defined]  # python-can has no public way to its socket
-        level, option = (socket.IPPROTO_IP, IP_MULTICAST_ALL) if multicast.ip_version == 4 else (socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL)
-        multicast._socket.setsockopt(level, option, 0)
 
 
 def _slcan(url: str, rest: str) -> BusUrl:

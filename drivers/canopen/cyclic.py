@@ -181,6 +181,7 @@ class CyclicExchange:
         self._heartbeats = {HEARTBEAT + node.node_id: node.node_id for node in settings.nodes}
         self._emergencies = {EMERGENCY + node.node_id: node.node_id for node in settings.nodes}
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
+        self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
         self._missed = 0
         self._fault = ""
         self.late_frames = 0  # process data that came after its tick had been closed
@@ -221,8 +222,7 @@ class CyclicExchange:
             self._network.send_heartbeat()
         self._tick += 1
         sample.lateness_s = self._clock.wait_tick()
-        if self._outstanding:
-            self._drop_stale(sample)
+        self._drop_stale(sample)
         if before_sync is not None:
             before_sync()
         self._clear(sample)
@@ -246,11 +246,15 @@ class CyclicExchange:
         sample.statusword.fill(-1)
 
     def _receive(self, sample: Sample, overdue_s: float) -> int:
-        """Read until all answers to this SYNC are there or overdue; return a mask of those that are not."""
+        """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.
+
+        Whoever has left earlier SYNCs unanswered may still answer them: the last of so many answers is this SYNC's. Were the first taken
+        for it, every row from then on would show an earlier one. When fewer come, answers were lost, and the newest is this SYNC's.
+        """
         outstanding = self._expected
         remaining = self._answer_timeout_s
-        overtime = 0
-        bus, by_cob_id, now = self._bus, self._by_cob_id, self._clock.now
+        overtime = came = 0
+        bus, by_cob_id, now, owed = self._bus, self._by_cob_id, self._clock.now, self._owed
         while outstanding:
             message = receive_frame(bus, remaining)
             if message is None:
@@ -262,7 +266,11 @@ class CyclicExchange:
                 bit, tpdo = entry
                 try:
                     tpdo.take(message.data, sample)
-                    outstanding &= ~(1 << bit)
+                    came |= 1 << bit
+                    if owed[bit]:
+                        owed[bit] -= 1
+                    else:
+                        outstanding &= ~(1 << bit)
                 except ProtocolError as error:
                     self._fault = self._fault or f"{tpdo.who}: {error}"
             remaining = overdue_s - now()
@@ -271,6 +279,10 @@ class CyclicExchange:
                 overtime += 1
                 if overtime > STALE_FRAMES_MAX:
                     break
+        if outstanding:
+            outstanding &= ~came
+            for bit in range(len(owed)):
+                owed[bit] = owed[bit] + 1 if outstanding >> bit & 1 else 0
         return outstanding
 
     def _drop_stale(self, sample: Sample) -> None:
@@ -283,13 +295,13 @@ class CyclicExchange:
             if entry is None:
                 self._other(message)
             else:
+                bit, tpdo = entry
                 self.late_frames += 1
+                self._owed[bit] = max(0, self._owed[bit] - 1)
                 try:
-                    entry[1].take(
-                        message.data, sample
-                    )  # keeps the counter's wraps and the newest statusword right; the row is cleared next
+                    tpdo.take(message.data, sample)  # keeps the counter's wraps and the newest statusword right; the row is cleared next
                 except ProtocolError as error:
-                    self._fault = self._fault or f"{entry[1].who}: {error}"
+                    self._fault = self._fault or f"{tpdo.who}: {error}"
 
     def _other(self, message: can.Message) -> None:
         identifier = message.arbitration_id

@@ -69,6 +69,29 @@ def test_udp_buses_of_two_groups_do_not_hear_each_other():
             bus.shutdown()
 
 
+def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
+    pytest.importorskip("msgpack")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    try:
+        ours = open_bus(f"udp:239.74.163.23@{port}", 1)
+        theirs = can.Bus(interface="udp_multicast", channel="239.74.163.23", port=port, fd=False)
+    except (BusUnavailable, can.CanError) as error:
+        pytest.skip(f"this host joins no multicast group: {error}")
+    with ours, theirs:
+        try:
+            ours.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
+        except can.CanError as error:
+            pytest.skip(f"this host routes no multicast: {error}")
+        heard = theirs.recv(2.0)
+        assert heard is not None and (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
+        theirs.send(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03"))
+        heard = ours.recv(2.0)
+        assert heard is not None and (heard.arbitration_id, bytes(heard.data)) == (0x201, b"\x03")
+        assert ours.recv(0.0) is None
+
+
 @pytest.mark.parametrize(
     ("url", "interface", "channel", "options"),
     [

@@ -1,0 +1,103 @@
+"""python-can's UDP multicast bus as a sample loop wants it: the same datagrams, but no echo and one system call per frame.
+
+python-can sends through the socket it listens on, so every frame comes back to its sender, as on no CAN controller; each echo wakes the
+process and is decoded. Here frames leave through a socket of their own, which tells them apart, and on Linux the kernel drops the echoes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import select
+import socket
+import struct
+import sys
+import time
+
+import can
+from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
+
+RECEIVE_BYTES = 4096
+PYTHON_CAN_PORT = 43113
+IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h; Python's socket module does not name them
+SO_ATTACH_FILTER = 26  # asm-generic/socket.h
+LOAD_WORD, LOAD_HALF, JUMP_EQUAL, RETURN = 0x20, 0x28, 0x15, 0x06  # classic BPF, linux/bpf_common.h
+NETWORK_HEADER = -0x100000  # SKF_NET_OFF: offsets count from the IP header; plain ones from the UDP header
+SOURCE_ADDRESS, SOURCE_PORT = 12, 0  # of the IPv4 header, of the UDP header
+WHOLE, NOTHING = 0xFFFFFFFF, 0
+
+
+class UdpBus(UdpMulticastBus):
+    """CAN frames as datagrams to a multicast group. Parameters are those of `UdpMulticastBus`."""
+
+    def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 1, fd: bool = False) -> None:
+        super().__init__(channel, port, hop_limit, fd=fd)
+        self.channel_info = f"udp:{channel}" + ("" if port == PYTHON_CAN_PORT else f"@{port}")
+        multicast = self._multicast
+        self._listener = listener = multicast._socket
+        listener.setblocking(False)
+        self._sender = sender = socket.socket(listener.family, socket.SOCK_DGRAM)
+        v4 = listener.family == socket.AF_INET
+        try:
+            if v4:
+                sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hop_limit)
+            else:
+                sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hop_limit)
+            sender.connect((channel, port))
+        except OSError:
+            sender.close()
+            self.shutdown()
+            raise
+        self._own = sender.getsockname()[:2]
+        if sys.platform.startswith("linux"):
+            # Linux hands a port's datagrams of every group that anybody on the host has joined to every socket of that port; python-can
+            # leaves that on, and two benches on two groups would share one bus.
+            listener.setsockopt(*((socket.IPPROTO_IP, IP_MULTICAST_ALL) if v4 else (socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL)), 0)
+            if v4:
+                _drop_datagrams_from(listener, *self._own)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """See `can.BusABC`; never waits."""
+        try:
+            self._sender.send(pack_message(msg))
+        except OSError as error:
+            raise can.CanOperationError(f"failed to send: {error.strerror or error}", error.errno) from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            try:
+                data, sender = self._listener.recvfrom(RECEIVE_BYTES)
+            except BlockingIOError:
+                if timeout is not None and timeout <= 0.0:
+                    return None, False
+                if not select.select([self._listener], [], [], timeout)[0]:
+                    return None, False
+                timeout = 0.0
+                continue
+            except OSError as error:
+                raise can.CanOperationError(f"failed to receive: {error.strerror or error}", error.errno) from error
+            if sender[:2] != self._own:
+                break
+        try:
+            return unpack_message(data, replace={"timestamp": time.time()}, check=True), False
+        except Exception as error:
+            raise can.CanOperationError(f"a datagram of {len(data)} bytes from {sender[0]} is no CAN frame: {error}") from error
+
+    def shutdown(self) -> None:
+        """Close both sockets."""
+        super().shutdown()
+        self._sender.close()
+
+
+def _drop_datagrams_from(listener: socket.socket, address: str, port: int) -> None:
+    """Have the kernel drop what comes from there (IPv4), before anybody wakes."""
+    instructions = (
+        (LOAD_WORD, 0, 0, NETWORK_HEADER + SOURCE_ADDRESS & 0xFFFFFFFF),
+        (JUMP_EQUAL, 0, 3, int.from_bytes(socket.inet_aton(address), "big")),
+        (LOAD_HALF, 0, 0, SOURCE_PORT),
+        (JUMP_EQUAL, 0, 1, port),
+        (RETURN, 0, 0, NOTHING),
+        (RETURN, 0, 0, WHOLE),
+    )
+    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *instruction) for instruction in instructions))
+    listener.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("@HP", len(instructions), ctypes.addressof(code)))
