@@ -14,8 +14,9 @@ import numpy as np
 import scipy.signal
 
 from hil.diagnosis.noise import NoiseModel, noise_model
-from hil.errors import RecordingError
+from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
+from hil.machine.load import machine_from_text
 from hil.recording import Recording
 from hil.simulation import Inputs, Outputs, Simulator, inputs_of
 from virtual_bus.settings import EffectSetting
@@ -39,6 +40,8 @@ class RepeatGroup:
     ----------
     labels : tuple of str
         What each repeat is called: the recording's name, with the period's number where it is one.
+    machine : Machine
+        The diagnosed machine, with the controller of these recordings where their own machine file has another one.
     inputs : Inputs
         What drives the simulation of the whole recording.
     windows : tuple of slice
@@ -54,6 +57,7 @@ class RepeatGroup:
     """
 
     labels: tuple[str, ...]
+    machine: Machine
     inputs: Inputs
     windows: tuple[slice, ...]
     time_s: np.ndarray
@@ -135,7 +139,6 @@ def mismatch(
     *,
     channels: Sequence[str] | None = None,
     noise: NoiseModel | None = None,
-    simulator: Simulator | None = None,
     effects: Sequence[EffectSetting] | None = None,
 ) -> Mismatch:
     """Group recordings into repeats and simulate each group.
@@ -149,8 +152,6 @@ def mismatch(
         As chosen for other recordings of the same diagnosis; found here otherwise.
     noise : NoiseModel, optional
         As estimated from other recordings of the same diagnosis; estimated here otherwise.
-    simulator : Simulator, optional
-        Of this machine, where one is compiled already.
     effects : sequence of EffectSetting, optional
         The machine's own by default.
 
@@ -163,40 +164,57 @@ def mismatch(
     """
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
-    simulator = simulator or Simulator(machine)
-    groups = []
-    for members in _grouped(machine, recordings):
-        inputs = members[0][1]
-        simulated = channel_outputs(machine, simulator.run(inputs, effects=effects))
-        groups.append((members, inputs, simulated))
+    drawn = [
+        (group, channel_outputs(machine, Simulator(group[0].machine).run(group[0].inputs, effects=effects)))
+        for group in _grouped(machine, recordings)
+    ]
     if channels is None:
-        channels = _channels(machine, [(recordings[label], simulated) for members, _, simulated in groups for label, _ in members])
+        channels = _channels(machine, [(member.recording, simulated) for group, simulated in drawn for member in group])
     channels = tuple(channels)
-    made = tuple(
-        group
-        for members, inputs, simulated in groups
-        for group in [_group(machine, [(label, recordings[label]) for label, _ in members], inputs, simulated, channels)]
-    )
+    made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
     first = next(iter(recordings.values()))
     units = tuple(first.channel(name).unit for name in channels)
     return Mismatch(machine, channels, units, made, noise or noise_model(made, channels, machine))
 
 
-def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[tuple[str, Inputs]]]:
-    """Labels with inputs, those of the same experiment together, in the order given."""
-    groups: list[list[tuple[str, Inputs]]] = []
+@dataclass(frozen=True, eq=False)
+class _Member:
+    label: str
+    recording: Recording
+    machine: Machine
+    inputs: Inputs
+
+
+def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[_Member]]:
+    """Recordings of the same experiment together, in the order given."""
+    machines = {machine.hash: machine, "": machine}
+    groups: list[list[_Member]] = []
     for label, recording in recordings.items():
+        own = machines.setdefault(recording.machine_hash, _with_controller_of(machine, recording))
         try:
-            inputs = inputs_of(machine, recording)
+            member = _Member(label, recording, own, inputs_of(own, recording))
         except RecordingError as problem:
             raise RecordingError(f"{label}: {problem}") from None
         for group in groups:
-            if _same_inputs(group[0][1], inputs):
-                group.append((label, inputs))
+            if group[0].machine is own and _same_inputs(group[0].inputs, member.inputs):
+                group.append(member)
                 break
         else:
-            groups.append([(label, inputs)])
+            groups.append([member])
     return groups
+
+
+def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
+    """The diagnosed machine under the controller a recording was made with, as far as the recording carries it."""
+    if not recording.machine_text or recording.machine_hash == machine.hash:
+        return machine
+    try:
+        own = machine_from_text(recording.machine_text, label="the recording's machine file")
+    except MachineFileError:
+        return machine
+    if own.axes != machine.axes or bool(own.controllers) != bool(machine.controllers):
+        return machine
+    return replace(machine, controllers=own.controllers)
 
 
 def _same_inputs(one: Inputs, other: Inputs) -> bool:
@@ -233,18 +251,12 @@ def _is_silent(values: np.ndarray) -> bool:
     return values.size == 0 or bool(np.ptp(values) <= SILENT * max(np.abs(values).max(), 1e-300))
 
 
-def _group(
-    machine: Machine,
-    members: Sequence[tuple[str, Recording]],
-    inputs: Inputs,
-    simulated: Mapping[str, np.ndarray],
-    channels: tuple[str, ...],
-) -> RepeatGroup:
-    measured = np.stack([recording.matrix(channels) for _, recording in members])
+def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], channels: tuple[str, ...]) -> RepeatGroup:
+    machine, inputs, recording = members[0].machine, members[0].inputs, members[0].recording
+    measured = np.stack([member.recording.matrix(channels) for member in members])
     rows = np.column_stack([simulated[name] for name in channels])
-    labels = tuple(label for label, _ in members)
+    labels = tuple(member.label for member in members)
     windows: tuple[slice, ...] = (slice(0, len(rows)),)
-    recording = members[0][1]
     if len(members) == 1 and recording.experiment.get("period_samples"):
         periods = _whole_periods(recording)
         if len(periods) > 1:
@@ -260,6 +272,7 @@ def _group(
         speed = scipy.signal.savgol_filter(positions, window_rows, 2, deriv=1, delta=1.0 / machine.sample_rate_Hz, axis=0)
     return RepeatGroup(
         labels=labels,
+        machine=machine,
         inputs=inputs,
         windows=windows,
         time_s=time_s,
@@ -279,13 +292,12 @@ def _whole_periods(recording: Recording) -> tuple[slice, ...]:
         return ()
 
 
-def _bins(
-    members: Sequence[tuple[str, Recording]], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]
-) -> np.ndarray:
+def _bins(members: Sequence[_Member], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]) -> np.ndarray:
     """(N, len(names)) mean over repeats and windows of what was measured; simulated where it was not or where samples are missing."""
     columns = []
     for name in names:
-        stand_in = simulated.get(name, np.zeros(members[0][1].rows))
-        values = [np.where(np.isfinite(r[name]), r[name], stand_in) if name in r else stand_in for _, r in members]
+        stand_in = simulated.get(name, np.zeros(members[0].recording.rows))
+        found = [member.recording[name] if name in member.recording.channels else stand_in for member in members]
+        values = [np.where(np.isfinite(column), column, stand_in) for column in found]
         columns.append(np.mean([value[window] for value in values for window in windows], axis=0))
     return np.column_stack(columns)

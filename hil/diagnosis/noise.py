@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,7 +91,7 @@ class NoiseModel:
         filtered = filter_channels(self.filters, values)
         lines = np.fft.rfft(filtered, axis=0) / np.sqrt(len(filtered))
         frequencies = np.fft.rfftfreq(len(filtered), 1.0 / self.rate_Hz)
-        return frequencies, np.einsum("kij,kj->ki", self._roots_at(frequencies), lines)
+        return frequencies, (_roots_of(self, len(values)) @ lines[:, :, None])[:, :, 0]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """(M,) real numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`."""
@@ -102,12 +103,15 @@ class NoiseModel:
             parts.append(lines[last].real)
         return np.concatenate(parts)
 
-    def _roots_at(self, frequencies_Hz: np.ndarray) -> np.ndarray:
-        """Linear between the grid's neighbours."""
-        place = np.clip(np.interp(frequencies_Hz, self.grid_Hz, np.arange(len(self.grid_Hz))), 0.0, len(self.grid_Hz) - 1.000001)
-        low = place.astype(int)
-        share = (place - low)[:, None, None]
-        return (1.0 - share) * self.roots[low] + share * self.roots[low + 1]
+
+@lru_cache(maxsize=16)
+def _roots_of(noise: NoiseModel, rows: int) -> np.ndarray:
+    """(K, C, C) S^(-1/2) at the lines of a record of this many rows, linear between the grid's neighbours."""
+    frequencies = np.fft.rfftfreq(rows - FILTER_ORDER, 1.0 / noise.rate_Hz)
+    place = np.clip(np.interp(frequencies, noise.grid_Hz, np.arange(len(noise.grid_Hz))), 0.0, len(noise.grid_Hz) - 1.000001)
+    low = place.astype(int)
+    share = (place - low)[:, None, None]
+    return (1.0 - share) * noise.roots[low] + share * noise.roots[low + 1]
 
 
 def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,167 @@
+"""Many free runs of one machine, whitened: over plant parameters and effects, on one or more processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import TracebackType
+
+import numpy as np
+
+from controllers.errors import ControlError
+from hil.diagnosis.mismatch import Mismatch, simulated_matrix
+from hil.diagnosis.noise import NoiseModel
+from hil.errors import BenchError
+from hil.machine import Machine
+from hil.simulation import Simulator
+from virtual_bus.errors import EmulatorError
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.parameters import PlantParameter
+from virtual_bus.settings import EffectSetting
+
+TRAIN, HELD_OUT = "train", "held_out"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One machine to try: plant parameters (in the order of `FreeRuns.parameters`), and effects besides the machine file's."""
+
+    values: np.ndarray
+    effects: tuple[EffectSetting, ...] = ()
+
+
+def smooth(machine: Machine) -> Machine:
+    """The same machine without the lattices of its sensors and targets.
+
+    Rounding is noise to a recording, and it hides what a small change of a parameter does: a sensitivity through a coarse encoder is zero
+    or a jump.
+    """
+    plant = machine.plant
+    return replace(
+        machine,
+        plant=replace(
+            plant,
+            drives=tuple(replace(drive, resolution=0.0) for drive in plant.drives),
+            encoders=tuple(replace(encoder, resolution=0.0) for encoder in plant.encoders),
+            currents=tuple(replace(current, resolution=0.0) for current in plant.currents),
+            imus=tuple(replace(imu, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for imu in plant.imus),
+        ),
+    )
+
+
+class _Runner:
+    """Runs trials in this process."""
+
+    def __init__(self, sets: Mapping[str, Mismatch], noise: NoiseModel) -> None:
+        self._sets = sets
+        self._noise = noise
+
+    @cached_property
+    def _simulators(self) -> dict[str, list[Simulator]]:
+        return {name: [Simulator(smooth(group.machine)) for group in found.groups] for name, found in self._sets.items()}
+
+    def rows(self, name: str, trial: Trial) -> list[np.ndarray] | None:
+        """(N, C) simulated channels per group; None where the machine cannot stand or the simulation diverges."""
+        found = self._sets[name]
+        effects = (*found.machine.plant.effects, *trial.effects)
+        folded = []
+        for group, simulator in zip(found.groups, self._simulators[name], strict=True):
+            try:
+                outputs = simulator.run(group.inputs, trial.values, effects)
+            except (BenchError, EmulatorError, ControlError):
+                return None
+            rows = group.fold(simulated_matrix(group.machine, outputs, found.channels))
+            if not np.isfinite(rows).all():
+                return None
+            folded.append(rows)
+        return folded
+
+    def whitened(self, name: str, trial: Trial) -> np.ndarray | None:
+        rows = self.rows(name, trial)
+        return None if rows is None else self.join(name, rows)
+
+    def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
+        """(M,) rows of all groups in units of the noise of the repeats' mean."""
+        weights = [np.sqrt(group.repeats) for group in self._sets[name].groups]
+        return np.concatenate([weight * self._noise.whiten(values) for weight, values in zip(weights, rows, strict=True)])
+
+
+_runner: _Runner | None = None  # of a worker process
+
+
+def _start_worker(runner: _Runner) -> None:
+    global _runner
+    _runner = runner
+
+
+def _run_in_worker(task: tuple[str, Trial]) -> np.ndarray | None:
+    assert _runner is not None
+    return _runner.whitened(*task)
+
+
+class FreeRuns:
+    """Free runs over the training and the held-out groups, in units of the noise of the repeats' mean.
+
+    Parameters
+    ----------
+    sets : mapping of str to Mismatch
+        `TRAIN` and, where there is one, `HELD_OUT`.
+    noise : NoiseModel
+    jobs : int
+        Processes. 1: all in this one.
+    """
+
+    def __init__(self, sets: Mapping[str, Mismatch], noise: NoiseModel, jobs: int = 1) -> None:
+        self.sets = dict(sets)
+        self.noise = noise
+        self.machine = sets[TRAIN].machine
+        self.parameters: tuple[PlantParameter, ...] = compile_plant(self.machine.plant).parameters
+        self.count = 0
+        self._local = _Runner(self.sets, noise)
+        self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
+        if jobs > 1:
+            how = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
+            context = multiprocessing.get_context(how)
+            self._pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(self._local,))
+
+    def __enter__(self) -> FreeRuns:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def nominal(self) -> np.ndarray:
+        return np.array([parameter.value for parameter in self.parameters])
+
+    @property
+    def has_held_out(self) -> bool:
+        return HELD_OUT in self.sets
+
+    def measured(self, name: str = TRAIN) -> np.ndarray:
+        """(M,) mean of the repeats."""
+        return self._local.join(name, [group.mean for group in self.sets[name].groups])
+
+    def repeats(self, name: str = TRAIN) -> list[list[np.ndarray]]:
+        """Whitened repeats per group, each in units of one repeat's noise."""
+        return [[self.noise.whiten(rows) for rows in group.complete] for group in self.sets[name].groups]
+
+    def run(self, trials: Sequence[Trial], name: str = TRAIN) -> list[np.ndarray | None]:
+        """(M,) simulated channels of every trial; None where it cannot be simulated."""
+        self.count += len(trials)
+        if self._pool is None or len(trials) < 2:
+            return [self._local.whitened(name, trial) for trial in trials]
+        chunk = max(1, len(trials) // (4 * self._jobs))
+        return list(self._pool.map(_run_in_worker, [(name, trial) for trial in trials], chunksize=chunk))
+
+    def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
+        return self.run([trial], name)[0]
+
+    def rows(self, trial: Trial, name: str = TRAIN) -> list[np.ndarray] | None:
+        """(N, C) per group in the channels' units."""
+        return self._local.rows(name, trial)

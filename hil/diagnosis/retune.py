@@ -1,0 +1,175 @@
+"""Re-tuning of the machine file's own numbers: masses, inertias, centres of mass, springs, dampers, drive constants.
+
+Parameters are counted from their nominal value in units of PRIOR of it. The free-run residual in units of noise is made small together with
+a weak prior (one unit of PRIOR, Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
+LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds; Nocedal and Wright 2006, ch. 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.optimize
+
+from hil.diagnosis.free_run import FreeRuns, Trial
+from hil.errors import BadAnswer
+from virtual_bus.plant.parameters import PlantParameter
+
+PRIOR = 0.1
+"""Standard deviation of a nominal number, as a share of it."""
+
+LARGEST_CHANGE = 0.15
+"""As a share of the nominal value."""
+
+DIFFERENCE = 0.25
+"""Of sensitivities, in units of PRIOR: large against rounding, small against the curvature of a tenth."""
+
+INVISIBLE = 0.05
+"""A parameter whose whole prior moves the simulation by less than this in units of noise, summed over the record, is not shown by it."""
+
+UNDECIDED = 0.7
+"""A parameter whose standard deviation is still above this share of the prior's is not determined by the recordings."""
+
+ITERATIONS = 4
+SETTLED = 1e-3
+"""Relative decrease of the cost below which re-tuning has ended."""
+
+TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant")
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A machine's numbers after re-tuning.
+
+    Attributes
+    ----------
+    indices : (P,) int array
+        Which plant parameters were tuned.
+    scale : (P,) array
+        One unit of the tuned coordinates.
+    offset : (P,) array
+        Tuned coordinates.
+    values : (all parameters,) array
+    predicted : (M,) array
+        Whitened free run at `values`.
+    jacobian : (M, P) array
+        Of the prediction with the tuned coordinates.
+    covariance : (P, P) array
+        Of the tuned coordinates, prior included.
+    """
+
+    parameters: tuple[PlantParameter, ...]
+    indices: np.ndarray
+    scale: np.ndarray
+    offset: np.ndarray
+    values: np.ndarray
+    predicted: np.ndarray
+    jacobian: np.ndarray
+    covariance: np.ndarray
+
+    def at(self, offset: np.ndarray) -> np.ndarray:
+        """Plant parameters at these tuned coordinates."""
+        values = np.array([parameter.value for parameter in self.parameters])
+        values[self.indices] += offset * self.scale
+        return values
+
+    @property
+    def names(self) -> list[str]:
+        return [f"{self.parameters[i].owner}.{self.parameters[i].quantity}" for i in self.indices]
+
+
+def tunable(parameters: Sequence[PlantParameter]) -> np.ndarray:
+    """(P,) indices of the plant parameters that re-tuning may change."""
+    return np.array([k for k, p in enumerate(parameters) if p.quantity.startswith(TUNED) and p.value != 0.0], dtype=int)
+
+
+def retune(runs: FreeRuns) -> Tuning:
+    """Tune all of them to the training groups.
+
+    Raises
+    ------
+    BadAnswer
+        The nominal machine cannot be simulated.
+    """
+    indices = tunable(runs.parameters)
+    scale = np.abs(runs.nominal[indices]) * PRIOR
+    predicted = runs.run_one(Trial(runs.nominal))
+    if predicted is None:
+        raise BadAnswer(f"{runs.machine.name}: its free run cannot be simulated; check the machine with `isocenter machine check`")
+    measured = runs.measured()
+    tuning = Tuning(
+        runs.parameters, indices, scale, np.zeros(len(indices)), runs.nominal, predicted,
+        np.zeros((len(predicted), len(indices))), np.eye(len(indices)),
+    )  # fmt: skip
+    tuning = linearised(runs, tuning)
+    visible = np.linalg.norm(tuning.jacobian, axis=0) > INVISIBLE
+    tuning = _only(tuning, visible)
+    cost = _cost(measured, tuning.predicted, tuning.offset)
+    for iteration in range(ITERATIONS):
+        step = bounded_step(tuning.jacobian, measured - tuning.predicted, tuning.offset)
+        better = _line_search(runs, tuning, step, measured, cost)
+        if better is None:
+            break
+        before = cost
+        tuning, cost = better
+        if before - cost < SETTLED * before:
+            break
+        if iteration < 2:
+            tuning = linearised(runs, tuning)
+    return with_covariance(tuning)
+
+
+def linearised(runs: FreeRuns, tuning: Tuning) -> Tuning:
+    """With the sensitivities at its present values."""
+    sign = np.where(tuning.offset > 0.0, -1.0, 1.0)  # towards nominal: never beyond the bounds
+    moved = [tuning.offset + DIFFERENCE * sign[k] * unit for k, unit in enumerate(np.eye(len(tuning.offset)))]
+    answers = runs.run([Trial(tuning.at(offset)) for offset in moved])
+    jacobian = np.zeros((len(tuning.predicted), len(moved)))
+    for k, answer in enumerate(answers):
+        if answer is not None:
+            jacobian[:, k] = (answer - tuning.predicted) * (sign[k] / DIFFERENCE)
+    return replace(tuning, jacobian=jacobian)
+
+
+def bounded_step(jacobian: np.ndarray, residual: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Change of the tuned coordinates that minimises |residual - J step|^2 + |offset + step|^2 within LARGEST_CHANGE."""
+    if not len(offset):
+        return offset
+    hessian = jacobian.T @ jacobian + np.eye(len(offset))
+    root = np.linalg.cholesky(hessian).T
+    target = np.linalg.solve(root.T, jacobian.T @ residual - offset)
+    bound = LARGEST_CHANGE / PRIOR
+    low, high = -bound - offset, bound - offset
+    return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-9), np.maximum(high, 1e-9)), method="bvls").x
+
+
+def with_covariance(tuning: Tuning) -> Tuning:
+    """With the covariance of the tuned coordinates from sensitivities and prior."""
+    count = len(tuning.offset)
+    return replace(tuning, covariance=np.linalg.inv(tuning.jacobian.T @ tuning.jacobian + np.eye(count)) if count else np.eye(0))
+
+
+def _line_search(runs: FreeRuns, tuning: Tuning, step: np.ndarray, measured: np.ndarray, cost: float) -> tuple[Tuning, float] | None:
+    for share in (1.0, 0.5, 0.2):
+        offset = tuning.offset + share * step
+        values = tuning.at(offset)
+        predicted = runs.run_one(Trial(values))
+        if predicted is not None and (found := _cost(measured, predicted, offset)) < cost:
+            return replace(tuning, offset=offset, values=values, predicted=predicted), found
+    return None
+
+
+def _cost(measured: np.ndarray, predicted: np.ndarray, offset: np.ndarray) -> float:
+    return float(np.sum((measured - predicted) ** 2) + np.sum(offset**2))
+
+
+def _only(tuning: Tuning, chosen: np.ndarray) -> Tuning:
+    return replace(
+        tuning,
+        indices=tuning.indices[chosen],
+        scale=tuning.scale[chosen],
+        offset=tuning.offset[chosen],
+        jacobian=tuning.jacobian[:, chosen],
+    )
