@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from virtual_bus.settings import Body, Drive, Encoder, Imu, Joint, PlantSettings
+from virtual_bus.settings import Body, Drive, Encoder, Imu, Joint, PlantSettings, SpeedSensor
 
 JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
+
+POINT_RADIUS_m = 1e-3
+"""MuJoCo refuses a mass without inertia; a point mass, which the machine file allows where nothing turns, gets this radius of gyration."""
 
 
 def to_mjcf(settings: PlantSettings, name: str) -> str:
@@ -28,7 +32,7 @@ def to_mjcf(settings: PlantSettings, name: str) -> str:
     )  # fmt: skip
     _add_bodies(SubElement(root, "worldbody"), settings)
     joints = {joint.name: joint for joint in settings.tree.joints}
-    sums = [encoder for encoder in settings.encoders if len(encoder.joints) > 1]
+    sums = [sensor for sensor in (*settings.encoders, *settings.speeds) if len(sensor.joints) > 1]
     if sums:
         _add_sums(SubElement(root, "tendon"), sums)
     actuators = SubElement(root, "actuator")
@@ -40,6 +44,11 @@ def to_mjcf(settings: PlantSettings, name: str) -> str:
             SubElement(sensors, "tendonpos", name=encoder.channel, tendon=encoder.channel)
         else:
             SubElement(sensors, "jointpos", name=encoder.channel, joint=joints[encoder.joints[0]].name)
+    for speed in settings.speeds:
+        if len(speed.joints) > 1:
+            SubElement(sensors, "tendonvel", name=speed.channel, tendon=speed.channel)
+        else:
+            SubElement(sensors, "jointvel", name=speed.channel, joint=joints[speed.joints[0]].name)
     for current in settings.currents:
         SubElement(sensors, "actuatorfrc", name=current.channel, actuator=current.axis)
     for imu in settings.imus:
@@ -83,7 +92,7 @@ def _add_bodies(world: Element, settings: PlantSettings) -> None:
 def _add_inertia(element: Element, body: Body) -> None:
     if body.mass_kg == 0.0 and not body.inertia_kg_m2.any():
         return
-    inertia = body.inertia_kg_m2
+    inertia = body.inertia_kg_m2 if body.inertia_kg_m2.any() else body.mass_kg * POINT_RADIUS_m**2 * np.eye(3)
     SubElement(
         element, "inertial", pos=_numbers(body.center_of_mass_m), mass=_number(body.mass_kg),
         fullinertia=_numbers(np.array([*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]])),
@@ -97,7 +106,7 @@ def _add_joint(element: Element, joint: Joint) -> None:
     )  # fmt: skip
 
 
-def _add_sums(tendons: Element, sums: list[Encoder]) -> None:
+def _add_sums(tendons: Element, sums: Sequence[Encoder | SpeedSensor]) -> None:
     for encoder in sums:
         fixed = SubElement(tendons, "fixed", name=encoder.channel)
         for joint in encoder.joints:
