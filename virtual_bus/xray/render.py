@@ -1,0 +1,170 @@
+"""Line integrals of attenuation over a panel: exact lengths of rays inside balls and rods, several rays a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from virtual_bus.xray.objects import Item, packed
+
+MARGIN_PIXELS = 1.0
+"""Added around an item's shadow before its rays are cast: a ball's shadow is an ellipse a little larger than its centre's ray says."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The flat panel's grid: column and row 0 are the first stored value, columns grow with u, rows with v, the middle is the panel's centre."""
+
+    columns: int
+    rows: int
+    pitch_m: float
+    aspect: float = 1.0  # row pitch over column pitch
+    skew: float = 0.0  # columns of shift to the right for each row
+
+
+@dataclass(frozen=True)
+class View:
+    """Where focal spot and panel are, in the frame of the scene."""
+
+    source_m: np.ndarray  # (3,)
+    panel_m: np.ndarray  # (3,) its centre
+    panel_rotation: np.ndarray  # (3, 3) u, v, w as columns
+
+
+def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) -> np.ndarray:
+    """Integrals of attenuation along rays.
+
+    Parameters
+    ----------
+    view : View
+    panel : Panel
+    items : sequence of Ball and Rod
+    rays : int
+        Rays in a row and in a column of each pixel, evenly spread.
+
+    Returns
+    -------
+    (rows * rays, columns * rays) array
+        Sum of attenuation times length, dimensionless.
+    """
+    result = np.zeros((panel.rows * rays, panel.columns * rays))
+    _cast(
+        packed(items),
+        np.asarray(view.source_m, dtype=float),
+        np.asarray(view.panel_m, dtype=float),
+        np.ascontiguousarray(view.panel_rotation, dtype=float),
+        panel.pitch_m,
+        panel.aspect,
+        panel.skew,
+        rays,
+        result,
+    )
+    return result
+
+
+def transmission(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) -> np.ndarray:
+    """(rows, columns) share of photons that reach each pixel: the mean over its rays of exp(-attenuation)."""
+    result = np.empty((panel.rows, panel.columns))
+    _mean_through(attenuation(view, panel, items, rays), rays, result)
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_through(integrals, rays, result):
+    rows, columns = result.shape
+    for row in range(rows):
+        for column in range(columns):
+            through = 0.0
+            for i in range(row * rays, (row + 1) * rays):
+                for j in range(column * rays, (column + 1) * rays):
+                    integral = integrals[i, j]
+                    through += 1.0 if integral == 0.0 else np.exp(-integral)
+            result[row, column] = through / rays**2
+
+
+@njit(cache=True, error_model="numpy")
+def _cast(items, source, center, rotation, pitch, aspect, skew, rays, result):
+    rows, columns = result.shape
+    local_source = rotation.T @ (source - center)
+    step = pitch / rays
+    for k in range(items.shape[0]):
+        radius = items[k, 6]
+        start = rotation.T @ (items[k, :3] - center)
+        end = rotation.T @ (items[k, 3:6] - center)
+        low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
+        for tip in (start, end):
+            share = local_source[2] / (local_source[2] - tip[2])
+            reach = radius * abs(share) * 1.5 + MARGIN_PIXELS * pitch
+            u = local_source[0] + (tip[0] - local_source[0]) * share
+            v = local_source[1] + (tip[1] - local_source[1]) * share
+            low_u, high_u = min(low_u, u - reach), max(high_u, u + reach)
+            low_v, high_v = min(low_v, v - reach), max(high_v, v + reach)
+        axis = end - start
+        length = np.sqrt(np.sum(axis**2))
+        middle_row, middle_column = (rows - 1) / 2.0, (columns - 1) / 2.0
+        first_row = max(0, int(np.floor(low_v / (step * aspect) + middle_row)))
+        last_row = min(rows - 1, int(np.ceil(high_v / (step * aspect) + middle_row)))
+        for row in range(first_row, last_row + 1):
+            v = (row - middle_row) * step * aspect
+            shift = skew * (row - middle_row)
+            left, right = low_u, high_u
+            if length > 0.0 and high_v - low_v > 4.0 * pitch:  # a long rod: only the rays near its shadow's line
+                left, right = _near(start, end, radius, local_source, v, pitch, low_u, high_u)
+            first = max(0, int(np.floor(left / step + middle_column + shift)))
+            last = min(columns - 1, int(np.ceil(right / step + middle_column + shift)))
+            for column in range(first, last + 1):
+                u = (column - middle_column - shift) * step
+                inside = _inside(local_source, u, v, start, axis, length, radius)
+                result[row, column] += items[k, 7] * inside
+
+
+@njit(cache=True, error_model="numpy")
+def _near(start, end, radius, source, v, pitch, low_u, high_u):
+    """Range of u in which rays through row v may meet the rod."""
+    share_0 = source[2] / (source[2] - start[2])
+    share_1 = source[2] / (source[2] - end[2])
+    u0, v0 = source[0] + (start[0] - source[0]) * share_0, source[1] + (start[1] - source[1]) * share_0
+    u1, v1 = source[0] + (end[0] - source[0]) * share_1, source[1] + (end[1] - source[1]) * share_1
+    reach = 1.5 * radius * max(abs(share_0), abs(share_1)) + MARGIN_PIXELS * pitch
+    run, rise = u1 - u0, v1 - v0
+    along = np.hypot(run, rise)
+    if abs(rise) < 0.02 * along:
+        return low_u, high_u
+    middle = u0 + (v - v0) * run / rise
+    half = reach * along / abs(rise)
+    return max(low_u, middle - half), min(high_u, middle + half)
+
+
+@njit(cache=True, error_model="numpy")
+def _inside(source, u, v, start, axis, length, radius):
+    """Length of the ray from the source to (u, v, 0) inside a ball (length 0) or a rod with flat ends."""
+    ray = np.array([u - source[0], v - source[1], -source[2]])
+    ray /= np.sqrt(np.sum(ray**2))
+    offset = source - start
+    if length == 0.0:
+        along = np.sum(ray * offset)
+        rest = radius**2 - (np.sum(offset**2) - along**2)
+        return 2.0 * np.sqrt(rest) if rest > 0.0 else 0.0
+    unit = axis / length
+    ray_along, offset_along = np.sum(ray * unit), np.sum(offset * unit)
+    across = ray - ray_along * unit
+    offset_across = offset - offset_along * unit
+    a = np.sum(across**2)
+    b = np.sum(across * offset_across)
+    c = np.sum(offset_across**2) - radius**2
+    if a < 1e-18:  # along the rod's axis
+        low, high = (-np.inf, np.inf) if c < 0.0 else (0.0, 0.0)
+    else:
+        root = b * b - a * c
+        if root <= 0.0:
+            return 0.0
+        low, high = (-b - np.sqrt(root)) / a, (-b + np.sqrt(root)) / a
+    if abs(ray_along) > 1e-15:
+        first, second = -offset_along / ray_along, (length - offset_along) / ray_along
+        low, high = max(low, min(first, second)), min(high, max(first, second))
+    elif offset_along < 0.0 or offset_along > length:
+        return 0.0
+    return max(0.0, high - low)
