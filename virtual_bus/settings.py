@@ -79,6 +79,15 @@ class Encoder:
 
 
 @dataclass(frozen=True)
+class SpeedSensor:
+    """Speed of the sum of one or more joints, quantised to resolution."""
+
+    channel: str  # "speed_<axis>"
+    joints: tuple[str, ...]
+    resolution: float  # rad/s or m/s at the joint; 0 means none
+
+
+@dataclass(frozen=True)
 class CurrentSensor:
     """The drive's measured current (or effort), with white noise and quantisation."""
 
@@ -140,6 +149,12 @@ class PlantSettings:
     sample_period_s: float
     substeps: int  # plant steps per sample, a whole number
     watched_bodies: tuple[str, ...] = ()  # whose pose the truth file holds
+    speeds: tuple[SpeedSensor, ...] = ()
+
+    @property
+    def joint_sensors(self) -> tuple[Encoder | SpeedSensor, ...]:
+        """Encoders, then speed sensors."""
+        return (*self.encoders, *self.speeds)
     effects: tuple[EffectSetting, ...] = field(default=())
 
 

@@ -11,10 +11,10 @@ from controllers.settings import AxisController, AxisLimits
 from hil.machine.build_bodies import build_tree
 from hil.machine.messages import Complaint
 from hil.machine.model import AxisUnits, Geometry
-from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, TemperatureTable
+from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
 from hil.machine.units import ANGULAR, CONSTANT_UNITS, LINEAR
-from virtual_bus.settings import CurrentSensor, Drive, Encoder, Imu, Joint, PlantSettings, Thermometer, Tree
+from virtual_bus.settings import CurrentSensor, Drive, Encoder, Imu, Joint, PlantSettings, SpeedSensor, Thermometer, Tree
 
 Where = tuple[str | int, ...]
 
@@ -50,11 +50,13 @@ def build_plant(table: MachineTable) -> PlantSettings:
         armatures[drive.joint] = (drive.rotor_inertia or drive.rotor_mass) * drive.ratio**2
     tree = build_tree(table, armatures)
     kinds = {axis: joints[drive.joint].type for axis, drive in table.drives.items()}
-    encoders, currents, imus, thermometers = [], [], [], []
+    encoders, speeds, currents, imus, thermometers = [], [], [], [], []
     for channel, sensor in table.sensors.items():
         where: Where = ("sensors", channel)
         if isinstance(sensor, EncoderTable):
             encoders.append(_encoder(channel, sensor, table, tree))
+        elif isinstance(sensor, SpeedTable):
+            speeds.append(_speed(channel, sensor, table, tree))
         elif isinstance(sensor, CurrentTable):
             currents.append(_current(channel, sensor, table))
         elif isinstance(sensor, ImuTable):
@@ -65,8 +67,8 @@ def build_plant(table: MachineTable) -> PlantSettings:
         elif isinstance(sensor, TemperatureTable):
             thermometers.append(_thermometer(channel, sensor, table))
     for axis in kinds:
-        if f"position_{axis}" not in table.sensors:
-            raise Complaint(("sensors", f"position_{axis}"), "is missing; every axis has a motor-side encoder")
+        if f"position_{axis}" not in table.sensors and (table.controller or table.bus):
+            raise Complaint(("sensors", f"position_{axis}"), "is missing; every axis with a controller has a motor-side encoder")
     watched = () if table.geometry is None else tuple(dict.fromkeys((table.geometry.source_body, table.geometry.detector_body)))
     return PlantSettings(
         tree=tree,
@@ -78,6 +80,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
         sample_period_s=1.0 / table.timing.sample_rate,
         substeps=table.timing.substeps,
         watched_bodies=watched,
+        speeds=tuple(speeds),
     )
 
 
@@ -125,16 +128,9 @@ def require_effort_unit(table: Table, field: str, unit: str, where: Where) -> No
 
 def _encoder(channel: str, sensor: EncoderTable, table: MachineTable, tree: Tree) -> Encoder:
     where: Where = ("sensors", channel)
-    axis = _axis_of(channel, ("position", "link_position"), table)
-    by_name = {joint.name: joint for joint in tree.joints}
-    for number, joint in enumerate(sensor.joints):
-        require_known(joint, by_name, (*where, "joints", number), "joint")
+    axis = _axis_of(channel, ("position", "link_position"), "an encoder", table)
     drive = table.drives[axis]
-    kind = by_name[drive.joint].kind
-    if drive.joint not in sensor.joints:
-        raise Complaint((*where, "joints"), f"must contain the axis's joint {drive.joint}")
-    if any(by_name[joint].kind != kind for joint in sensor.joints):
-        raise Complaint((*where, "joints"), f"mixes revolute and prismatic joints; all must be {kind} like {drive.joint}")
+    kind = _check_joints(sensor, drive, tree, where)
     return Encoder(channel, sensor.joints, _encoder_resolution(sensor, drive, kind, where), sensor.kind == "absolute")
 
 
@@ -150,6 +146,28 @@ def _encoder_resolution(sensor: EncoderTable, drive: DriveTable, kind: str, wher
         choices = "resolution_rad, counts_per_turn" if kind == "revolute" else "resolution_um"
         raise Complaint(where, f"needs {choices} or the drive's encoder_counts_per_motor_turn")
     return math.tau / (drive.encoder_counts_per_motor_turn * drive.ratio)
+
+
+def _check_joints(sensor: EncoderTable | SpeedTable, drive: DriveTable, tree: Tree, where: Where) -> str:
+    """Complain unless the joints may be summed for this axis; what kind they are."""
+    by_name = {joint.name: joint for joint in tree.joints}
+    for number, joint in enumerate(sensor.joints):
+        require_known(joint, by_name, (*where, "joints", number), "joint")
+    kind = by_name[drive.joint].kind
+    if drive.joint not in sensor.joints:
+        raise Complaint((*where, "joints"), f"must contain the axis's joint {drive.joint}")
+    if any(by_name[joint].kind != kind for joint in sensor.joints):
+        raise Complaint((*where, "joints"), f"mixes revolute and prismatic joints; all must be {kind} like {drive.joint}")
+    return kind
+
+
+def _speed(channel: str, sensor: SpeedTable, table: MachineTable, tree: Tree) -> SpeedSensor:
+    where: Where = ("sensors", channel)
+    if table.bus is not None:
+        raise Complaint((*where, "type"), "no node of the bus sends it; speed sensors are for machines without [bus]")
+    kind = _check_joints(sensor, table.drives[_axis_of(channel, ("speed",), "a speed sensor", table)], tree, where)
+    require_kind(sensor, "resolution", kind, where)
+    return SpeedSensor(channel, sensor.joints, sensor.resolution)
 
 
 def _current(channel: str, sensor: CurrentTable, table: MachineTable) -> CurrentSensor:
@@ -194,13 +212,13 @@ def _thermometer(channel: str, sensor: TemperatureTable, table: MachineTable) ->
     return Thermometer(channel, sensor.axis, sensor.ambient, sensor.rise, sensor.time_constant, sensor.resolution)
 
 
-def _axis_of(channel: str, stems: tuple[str, ...], table: MachineTable) -> str:
+def _axis_of(channel: str, stems: tuple[str, ...], what: str, table: MachineTable) -> str:
     for stem in stems:
         axis = channel.removeprefix(f"{stem}_")
         if axis != channel and axis in table.drives:
             return axis
     possible = ", ".join(f"{stem}_{axis}" for axis in table.drives for stem in stems)
-    raise Complaint(("sensors", channel), f"is no channel of an encoder; call it one of {possible}")
+    raise Complaint(("sensors", channel), f"is no channel of {what}; call it one of {possible}")
 
 
 def joint_of(axis: str, table: MachineTable, tree: Tree) -> Joint:

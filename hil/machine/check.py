@@ -110,12 +110,13 @@ def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -
 
 def _from_command_to_position(machine: Machine, linear: control.StateSpace, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The mechanical part alone: the IMU's low passes listen and do nothing."""
-    rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes]
+    rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes if machine.controllers]
     part = slice(0, 2 * joints)
     return np.asarray(linear.A)[part, part], np.asarray(linear.B)[part], np.asarray(linear.C)[rows, part]
 
 
-def _shown(machine: Machine, pose: tuple[float, ...]) -> str:
+def shown_pose(machine: Machine, pose: tuple[float, ...]) -> str:
+    """A pose in the units people use."""
     parts = []
     for units, position in zip(machine.units, pose, strict=True):
         number = f"{math.degrees(position):.4g} deg" if units.position == "rad" else f"{position:.4g} m"
@@ -135,7 +136,7 @@ def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
         low_at, high_at = results[at.index(low)].pose, results[at.index(high)].pose
         text = f"mode {number + 1}: {low[0]:.2f} to {high[0]:.2f} Hz over the poses, damping {min(dampings):.1%} to {max(dampings):.1%}"
         if high[0] - low[0] > 1e-3 * high[0]:
-            text += f"; lowest at {_shown(machine, low_at)}, highest at {_shown(machine, high_at)}"
+            text += f"; lowest at {shown_pose(machine, low_at)}, highest at {shown_pose(machine, high_at)}"
         stable = min(dampings) > -1e-9
         findings.append(Finding("mode", stable, text, {"frequency_Hz": [low[0], high[0]], "damping": [min(dampings), max(dampings)]}))
     return findings
@@ -148,7 +149,7 @@ def _holding(machine: Machine, results: list[PoseResult]) -> list[Finding]:
         effort = float(worst.holding[axis])
         allowed = HOLDING_SHARE * drive.limit
         text = (
-            f"{drive.axis}: holding takes at most {abs(effort):.3g} {drive.unit} (at {_shown(machine, worst.pose)}), "
+            f"{drive.axis}: holding takes at most {abs(effort):.3g} {drive.unit} (at {shown_pose(machine, worst.pose)}), "
             f"{abs(effort) / drive.limit:.0%} of its {drive.limit:g} {drive.unit} limit; up to {HOLDING_SHARE:.0%} is right"
         )
         findings.append(Finding("holding", abs(effort) <= allowed, text, {"axis": drive.axis, "effort": effort, "limit": drive.limit}))
@@ -161,7 +162,7 @@ def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
     text = f"closed loop {'stable' if ok else 'not stable'} in {len(results)} poses, largest pole radius {worst.pole_radius:.6f}"
     if not ok:
         unstable = sum(result.pole_radius >= 1.0 for result in results)
-        text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {_shown(machine, worst.pose)}; lower the gain"
+        text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {shown_pose(machine, worst.pose)}; lower the gain"
     return Finding("stability", ok, text, {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)})
 
 
@@ -189,7 +190,7 @@ def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
             margin, frequency = getattr(worst.margins[axis], value), getattr(worst.margins[axis], at)
             text = f"{name}: {what} margin at least {margin:.1f} {unit}"
             if math.isfinite(margin):
-                text += f" (at {frequency:.2f} Hz, {_shown(machine, worst.pose)})"
+                text += f" (at {frequency:.2f} Hz, {shown_pose(machine, worst.pose)})"
             text += f"; at least {least:g} {unit} is right"
             numbers = {"axis": name, value: margin, at: frequency, "pose": worst.pose}
             findings.append(Finding(f"{what}_margin", margin >= least, text, numbers))

@@ -32,7 +32,7 @@ def to_mjcf(settings: PlantSettings, name: str) -> str:
     )  # fmt: skip
     _add_bodies(SubElement(root, "worldbody"), settings)
     joints = {joint.name: joint for joint in settings.tree.joints}
-    sums = [sensor for sensor in (*settings.encoders, *settings.speeds) if len(sensor.joints) > 1]
+    sums = [sensor for sensor in settings.joint_sensors if len(sensor.joints) > 1]
     if sums:
         _add_sums(SubElement(root, "tendon"), sums)
     actuators = SubElement(root, "actuator")

@@ -77,6 +77,14 @@ class EncoderTable(Table):
     counts_per_turn: Count | None = None
 
 
+class SpeedTable(Table):
+    """[sensors.speed_AXIS]."""
+
+    type: Literal["speed"]
+    joints: Annotated[tuple[Name, ...], Field(min_length=1)]
+    resolution: Annotated[NotNegative, Quantity("angular_speed", "speed")] = 0.0
+
+
 class CurrentTable(Table):
     """[sensors.current_AXIS] or [sensors.effort_AXIS]."""
 
@@ -114,7 +122,7 @@ class TemperatureTable(Table):
     resolution: Annotated[NotNegative, Quantity("temperature_step")] = 0.0
 
 
-SensorTable = Annotated[EncoderTable | CurrentTable | ImuTable | TemperatureTable, Field(discriminator="type")]
+SensorTable = Annotated[EncoderTable | SpeedTable | CurrentTable | ImuTable | TemperatureTable, Field(discriminator="type")]
 
 
 class ControllerTable(Table):

@@ -54,6 +54,7 @@ def machine_document(machine: Machine) -> dict[str, Any]:
         ],
         "sensors": [
             *(encoder.channel for encoder in plant.encoders),
+            *(sensor.channel for sensor in plant.speeds),
             *(sensor.channel for sensor in plant.currents),
             *(imu.name for imu in plant.imus),
             *(thermometer.channel for thermometer in plant.thermometers),

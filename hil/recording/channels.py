@@ -20,10 +20,11 @@ EFFORT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "mV": 1e-3, "Nm": 1.0, "N": 1.0, "kN":
 CURRENT = {"A": 1.0, "mA": 1e-3}
 ACCELERATION = {"m/s^2": 1.0, "g": _STANDARD_GRAVITY}
 ANGULAR_RATE = {"rad/s": 1.0, "deg/s": _DEG}
+SPEED = ANGULAR_RATE | {"m/s": 1.0, "mm/s": 1e-3}
 TEMPERATURE = {"degC": 1.0}
 NUMBER = {"": 1.0}
 
-SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "deg/s": "rad/s", "mm": "m", "um": "m", "g": "m/s^2"}
+SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "deg/s": "rad/s", "mm/s": "m/s", "mm": "m", "um": "m", "g": "m/s^2"}
 SI_OF |= {"mA": "A", "mV": "V", "kN": "N"}
 """The unit a value is kept in once it is read, where that differs from the unit in the file."""
 
@@ -50,6 +51,7 @@ KINDS = (
     Kind("effort_.+", EFFORT),
     Kind("position_.+", POSITION),
     Kind("link_position_.+", POSITION),
+    Kind("speed_.+", SPEED),
     Kind("imu_[xyz]", ACCELERATION),
     Kind("gyro_[xyz]", ANGULAR_RATE),
     Kind("imu_time", TIME),

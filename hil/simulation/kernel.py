@@ -38,6 +38,7 @@ class Rows(NamedTuple):
     effort: np.ndarray  # (N, n) as the drives measure it
     position: np.ndarray  # (N, n)
     link_position: np.ndarray  # (N, n)
+    speed: np.ndarray  # (N, n)
     imu: np.ndarray  # (N, 6 imus)
 
 
@@ -80,6 +81,7 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
             measure(state, currents, no_rise, imu_motion, noise, sensors, readings)
         rows.position[k] = readings.position
         rows.link_position[k] = readings.link_position
+        rows.speed[k] = readings.speed
         rows.effort[k] = readings.effort
         rows.imu[k] = readings.imu
         if closed:

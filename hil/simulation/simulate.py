@@ -23,7 +23,8 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
 
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
     Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with
-    the controller states of the recording's metadata, else with integrators at the holding effort.
+    the controller states of the recording's metadata, else with integrators at the holding effort. Metadata `initial.speeds`, where a
+    recording begins in motion, are the axes' speeds at row 0.
 
     Parameters
     ----------
@@ -62,7 +63,8 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     excitation = _complete(machine, recording, "excitation", np.zeros(shape))
     feedforward = _feedforward(machine, recording, shape)
     states = recording.metadata.get("initial", {}).get("controller_states") if closed else None
-    return Inputs(reference, excitation, feedforward, command, _start_pose(machine, recording, reference), states)
+    pose = _start_pose(machine, recording, reference)
+    return Inputs(reference, excitation, feedforward, command, pose, states, _start_speed(machine, recording))
 
 
 def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs: Outputs) -> Recording:
@@ -83,6 +85,7 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     add("effort", outputs.effort, _effort_unit)
     add("position", outputs.position, _position_unit)
     add("link_position", outputs.link_position, _position_unit)
+    add("speed", outputs.speed, _speed_unit)
     for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
         channels[name] = Channel(IMU_UNITS[name], values)
     made = {"noise": False, "effects": _in_words(machine)}
@@ -92,6 +95,10 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
 
 def _position_unit(units: AxisUnits) -> str:
     return units.position
+
+
+def _speed_unit(units: AxisUnits) -> str:
+    return f"{units.position}/s"
 
 
 def _effort_unit(units: AxisUnits) -> str:
@@ -128,6 +135,15 @@ def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | 
     if reference is not None:
         return reference[0].copy()
     return _complete(machine, recording, "position", np.zeros((1, len(machine.axes))))[0]
+
+
+def _start_speed(machine: Machine, recording: Recording) -> np.ndarray | None:
+    speeds = recording.metadata.get("initial", {}).get("speeds")
+    if speeds is None:
+        return None
+    if len(speeds) != len(machine.axes):
+        raise RecordingError(f"metadata initial.speeds has {len(speeds)} entries; {machine.name} has {len(machine.axes)} axes")
+    return np.array(speeds, dtype=float)
 
 
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:

@@ -36,7 +36,9 @@ class Inputs:
     command : array or None
         Given instead of a reference to a machine without controllers.
     start_pose : (n_axes,) array
-        Standstill in elastic equilibrium at row 0.
+        Elastic equilibrium at row 0.
+    start_speed : (n_axes,) array or None
+        Of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
     controller_states : mapping or None
         As `Feedback.states`; None: integrators at the holding effort.
     """
@@ -47,6 +49,7 @@ class Inputs:
     command: np.ndarray | None
     start_pose: np.ndarray
     controller_states: Mapping[str, Any] | None = None
+    start_speed: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,9 @@ class Outputs:
 
     command: np.ndarray  # (N, n_axes)
     effort: np.ndarray  # (N, n_axes) as the drives measure it; NaN where they do not
-    position: np.ndarray  # (N, n_axes) [rad or m]
+    position: np.ndarray  # (N, n_axes) [rad or m]; NaN without a motor-side encoder
     link_position: np.ndarray  # (N, n_axes); NaN without a link encoder
+    speed: np.ndarray  # (N, n_axes) [rad/s or m/s]; NaN without a speed sensor
     imu: np.ndarray  # (N, 6 imus) specific force [m/s^2] and angular rate [rad/s]
 
 
@@ -76,7 +80,7 @@ class Simulator:
         self._work = self.plant.new_work()
 
     def run(self, inputs: Inputs, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> Outputs:
-        """Simulate from standstill.
+        """Simulate from standstill, or from the start speed.
 
         Parameters
         ----------
@@ -95,6 +99,8 @@ class Simulator:
         """
         model = self.plant.model(values, effects)
         state = resting_state(self.plant, model, inputs.start_pose, held_by_brakes=False)
+        if inputs.start_speed is not None:
+            state[[self.plant.joints + joint for joint in self.plant.joint_of_axis().values()]] = inputs.start_speed
         holding = holding_effort(self.plant, model, inputs.start_pose)
         loop = self._closed_loop(inputs, holding) if inputs.command is None else self._open_loop
         rows = self._rows(inputs)
@@ -116,7 +122,7 @@ class Simulator:
         if failed >= 0 or not np.isfinite(state).all():
             at = f"at {failed / self.machine.sample_rate_Hz:.4g} s" if failed >= 0 else "in its last sample"
             raise BadAnswer(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
-        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.imu)
+        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.speed, rows.imu)
 
     def _rows(self, inputs: Inputs) -> Rows:
         shape = inputs.excitation.shape
@@ -130,6 +136,7 @@ class Simulator:
             effort=np.zeros(shape),
             position=np.zeros(shape),
             link_position=np.zeros(shape),
+            speed=np.zeros(shape),
             imu=np.zeros((shape[0], 6 * len(self.machine.plant.imus))),
         )
 

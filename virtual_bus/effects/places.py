@@ -64,6 +64,7 @@ def places(kind: EffectKind, settings: PlantSettings) -> list[str]:
         found += [encoder.channel for encoder in settings.encoders]
     if "channel" in kind.allowed_at:
         found += [current.channel for current in settings.currents] + imu_channel_names(settings)
+        found += [sensor.channel for sensor in settings.speeds]
     if "imu" in kind.allowed_at or "channel" in kind.allowed_at:
         found += [imu.name for imu in settings.imus]
     if kind.needs == "spring":

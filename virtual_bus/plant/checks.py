@@ -25,7 +25,7 @@ def check_plant(settings: PlantSettings) -> None:
     for drive in settings.drives:
         if drive.joint not in joints:
             raise PlantError(f"drives.{drive.axis}.joint = {drive.joint!r}: no such joint; the tree has {', '.join(sorted(joints))}")
-    for encoder in settings.encoders:
+    for encoder in settings.joint_sensors:
         for joint in encoder.joints:
             if joint not in joints:
                 raise PlantError(f"sensors.{encoder.channel}.joints: no joint {joint!r}; the tree has {', '.join(sorted(joints))}")

@@ -33,8 +33,9 @@ def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.n
 def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> control.StateSpace:
     """Small motions about rest at these axis positions (axes,), actuated joints free, without friction effects and brakes.
 
-    Inputs are `command_<axis>` in the drives' units. Outputs bear the recording channels' names: every encoder, then imu_x, imu_y, imu_z,
-    gyro_x, gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low passes.
+    Inputs are `command_<axis>` in the drives' units. Outputs bear the recording channels' names: every encoder and speed sensor, then
+    imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low
+    passes.
     """
     settings, n = plant.settings, plant.joints
     q = equilibrium(plant, model, axis_positions)
@@ -45,10 +46,10 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
     a = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), to_acceleration])
     b = np.vstack([np.zeros((n, gain.shape[1])), inverse @ gain])
 
-    encoders = np.zeros((len(settings.encoders), 2 * n))
-    for row, encoder in zip(encoders, settings.encoders, strict=True):
+    encoders = np.zeros((len(settings.encoders) + len(settings.speeds), 2 * n))
+    for row, encoder in zip(encoders, settings.joint_sensors, strict=True):
         for joint in encoder.joints:
-            row[settings.tree.joint_index(joint)] += 1.0
+            row[settings.tree.joint_index(joint) + (n if encoder in settings.speeds else 0)] += 1.0
     by_position, by_speed, by_acceleration = imu_gradients(plant, model, q)
     imu = np.hstack([by_position, by_speed]) + by_acceleration @ to_acceleration
     imu_direct = by_acceleration @ b[n:]
@@ -69,7 +70,7 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
     return control.ss(
         a, b, c, d,
         inputs=[f"command_{drive.axis}" for drive in settings.drives],
-        outputs=[encoder.channel for encoder in settings.encoders] + channels,
+        outputs=[sensor.channel for sensor in settings.joint_sensors] + channels,
         states=joints + [f"{joint}_speed" for joint in joints] + [f"{channels[k]}_filter" for k in filtered],
         name="plant",
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """Effects of sensors: errors of encoders, turned and scaled IMUs, lost signs, late clocks and lost samples of single channels.
 
-Channels in one order: motor-side encoders by axis, link encoders by axis, currents by axis, then six per IMU.
+Channels in one order: motor-side encoders by axis, link encoders by axis, currents by axis, six per IMU, then speeds by axis.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def channel_names(settings: PlantSettings) -> list[str]:
     axes = [drive.axis for drive in settings.drives]
     currents = {current.axis: current.channel for current in settings.currents}
     names = [f"position_{axis}" for axis in axes] + [f"link_position_{axis}" for axis in axes]
-    return names + [currents.get(axis, f"current_{axis}") for axis in axes] + imu_channel_names(settings)
+    names += [currents.get(axis, f"current_{axis}") for axis in axes] + imu_channel_names(settings)
+    return names + [f"speed_{axis}" for axis in axes]
 
 
 def new_memory(settings: PlantSettings) -> SensorMemory:
@@ -134,7 +135,7 @@ def add_encoder_errors(encoder_error_of, sensors, memory):
 @compiled
 def turn_imus(sensors, memory):
     """IMU channels through gain and offset, in place."""
-    first = len(memory.values) - len(sensors.imu_offset)
+    first = 3 * (len(sensors.lattice) // 2)
     for triple in range(len(sensors.imu_gain)):
         start = first + 3 * triple
         x, y, z = memory.values[start], memory.values[start + 1], memory.values[start + 2]

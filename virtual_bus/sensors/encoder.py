@@ -1,4 +1,4 @@
-"""Encoders: the sum of one or more joints, on a lattice that is fixed to the scale."""
+"""Encoders and speed sensors: the sum of one or more joints, on a lattice that is fixed to the scale."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from virtual_bus.plant.jit import compiled
-from virtual_bus.settings import Encoder, PlantSettings
+from virtual_bus.settings import Encoder, PlantSettings, SpeedSensor
 
 
 @compiled
@@ -19,8 +19,17 @@ def quantised(value: float, resolution: float) -> float:
 
 @compiled
 def encoder_reading(position: float, resolution: float) -> float:
-    """What an encoder reads of a position; NaN where there is none, which a resolution of NaN says."""
+    """What an encoder reads of a position, or a speed sensor of a speed; NaN where there is none, which a resolution of NaN says."""
     return quantised(position, resolution) if resolution >= 0.0 else np.nan
+
+
+@compiled
+def summed_speed(weights: np.ndarray, state: np.ndarray) -> float:
+    """Speed [rad/s or m/s] seen by a sensor whose joints have weight 1, of a plant's state: joint positions, then joint speeds."""
+    total = 0.0
+    for j in range(len(weights)):
+        total += weights[j] * state[len(weights) + j]
+    return total
 
 
 @compiled
@@ -33,9 +42,9 @@ def summed_position(weights: np.ndarray, joint_positions: np.ndarray) -> float:
 
 
 def encoder_arrays(settings: PlantSettings, prefix: str) -> tuple[np.ndarray, np.ndarray]:
-    """Joint weights (axes, n) and resolutions (axes,) of the encoders `<prefix>_<axis>`; resolution NaN where an axis has none."""
-    chosen = {encoder.channel: encoder for encoder in settings.encoders}
-    encoders: Sequence[Encoder | None] = [chosen.get(f"{prefix}_{drive.axis}") for drive in settings.drives]
+    """Joint weights (axes, n) and resolutions (axes,) of the sensors `<prefix>_<axis>`; resolution NaN where an axis has none."""
+    chosen: dict[str, Encoder | SpeedSensor] = {sensor.channel: sensor for sensor in settings.joint_sensors}
+    encoders: Sequence[Encoder | SpeedSensor | None] = [chosen.get(f"{prefix}_{drive.axis}") for drive in settings.drives]
     weights = np.zeros((len(encoders), len(settings.tree.joints)))
     for row, encoder in zip(weights, encoders, strict=True):
         for joint in encoder.joints if encoder else ():

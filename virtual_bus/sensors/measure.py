@@ -19,7 +19,7 @@ from virtual_bus.plant.modules import load_generated
 from virtual_bus.sensors import current, effects, encoder, imu, thermometer
 from virtual_bus.sensors.current import current_arrays, current_reading
 from virtual_bus.sensors.effects import DROPOUTS, SensorEffects, before_noise, encoder_error, repeat_lost, sensor_effects
-from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position
+from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position, summed_speed
 from virtual_bus.sensors.imu import imu_arrays, measured_channel
 from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -32,6 +32,8 @@ class SensorModel(NamedTuple):
     position_resolution: np.ndarray  # (axes,) rad or m
     link_joints: np.ndarray  # (axes, n)
     link_resolution: np.ndarray  # (axes,)
+    speed_joints: np.ndarray  # (axes, n)
+    speed_resolution: np.ndarray  # (axes,) rad/s or m/s
     effort_resolution: np.ndarray  # (axes,) drive's unit
     imu_bias: np.ndarray  # (6 imus,)
     imu_resolution: np.ndarray  # (6 imus,)
@@ -48,6 +50,7 @@ class Readings(NamedTuple):
 
     position: np.ndarray  # (axes,)
     link_position: np.ndarray  # (axes,)
+    speed: np.ndarray  # (axes,)
     effort: np.ndarray  # (axes,)
     imu: np.ndarray  # (6 imus,)
     temperature_degC: np.ndarray  # (axes,)
@@ -57,10 +60,11 @@ def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | Non
     """The arrays `measure` takes of a machine's sensors, with these effects or the settings' own."""
     position_joints, position_resolution = encoder_arrays(settings, "position")
     link_joints, link_resolution = encoder_arrays(settings, "link_position")
+    speeds = encoder_arrays(settings, "speed")
     bias, _, imu_resolution = imu_arrays(settings)
     added = sensor_effects(settings, settings.effects if effects is None else effects)
     return SensorModel(
-        position_joints, position_resolution, link_joints, link_resolution, current_arrays(settings)[0], bias, imu_resolution,
+        position_joints, position_resolution, link_joints, link_resolution, *speeds, current_arrays(settings)[0], bias, imu_resolution,
         *thermometer_arrays(settings), added.switches, added,
     )  # fmt: skip
 
@@ -68,7 +72,7 @@ def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | Non
 def new_readings(settings: PlantSettings) -> Readings:
     """Readings for `measure` to fill."""
     axes = len(settings.drives)
-    return Readings(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(6 * len(settings.imus)), np.zeros(axes))
+    return Readings(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(6 * len(settings.imus)), np.zeros(axes))
 
 
 def noise_rms(settings: PlantSettings) -> dict[str, float]:
@@ -110,6 +114,7 @@ def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readin
     for i in range(axes):
         readings.position[i] = encoder_reading(summed_position(sensors.position_joints[i], state), sensors.position_resolution[i])
         readings.link_position[i] = encoder_reading(summed_position(sensors.link_joints[i], state), sensors.link_resolution[i])
+        readings.speed[i] = encoder_reading(summed_speed(sensors.speed_joints[i], state), sensors.speed_resolution[i])
         readings.effort[i] = current_reading(effort[i], noise[i], sensors.effort_resolution[i])
         temperature = sensors.ambient_degC[i] + temperature_rise[i]
         readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
@@ -123,17 +128,20 @@ def measure_affected(
 ):
     """The same of sensors with effects: the functions are those of the effects' module, `memory` is a SensorMemory."""
     axes = len(effort)
+    first_speed = 3 * axes + len(imu_reading)
     added, values = sensors.effects, memory.values
     for i in range(axes):
         values[i] = summed_position(sensors.position_joints[i], state)
         values[axes + i] = summed_position(sensors.link_joints[i], state)
         values[2 * axes + i] = effort[i]
+        values[first_speed + i] = summed_speed(sensors.speed_joints[i], state)
     for k in range(len(imu_reading)):
         values[3 * axes + k] = imu_reading[k]
     before_noise(encoder_error_of, signed_by, lag_of, added, memory)
     for i in range(axes):
         readings.position[i] = encoder_reading(values[i], sensors.position_resolution[i])
         readings.link_position[i] = encoder_reading(values[axes + i], sensors.link_resolution[i])
+        readings.speed[i] = encoder_reading(values[first_speed + i], sensors.speed_resolution[i])
         readings.effort[i] = current_reading(values[2 * axes + i], noise[i], sensors.effort_resolution[i])
         temperature = sensors.ambient_degC[i] + temperature_rise[i]
         readings.temperature_degC[i] = quantised(temperature, sensors.temperature_resolution[i])
@@ -144,6 +152,7 @@ def measure_affected(
         repeat_lost(readings.link_position, axes, lost_by, added, memory)
         repeat_lost(readings.effort, 2 * axes, lost_by, added, memory)
         repeat_lost(readings.imu, 3 * axes, lost_by, added, memory)
+        repeat_lost(readings.speed, first_speed, lost_by, added, memory)
 
 
 @compiled
