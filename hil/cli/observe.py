@@ -51,9 +51,15 @@ def live_observer(path: Path | None, damping: float, machine: Machine, answer: A
 
     design = read_design(path)
     _check_machine(design, machine, answer)
-    if damping:
-        raise typer.BadParameter("--damping: this version has none")
-    return LiveObserver(design.observer(), str(path))
+    observer = design.observer()
+    if not damping:
+        return LiveObserver(observer, str(path))
+    from controllers.damping import DampingSettings, ModalDamping
+    from hil.observing.damping import accept_damping, examine_damping
+
+    law = ModalDamping(design.model, DampingSettings(damping), observer.adapted)
+    answer.say(accept_damping(machine, examine_damping(machine, design, law, observer)))
+    return LiveObserver(observer, str(path), law, [units.effort for units in machine.units])
 
 
 def _check_machine(design: ObserverDesign, machine: Machine, answer: Answer) -> None:

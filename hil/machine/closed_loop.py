@@ -48,7 +48,7 @@ class LinearLoop:
 
     def pole_radius(self) -> float:
         """Largest |pole| of the closed loop; below 1 it is stable."""
-        filters = [_state_space(sections) for sections in self._sections]
+        filters = [cascade_state_space(sections) for sections in self._sections]
         n, axes = len(self._a), len(filters)
         loop = scipy.linalg.block_diag(self._a, np.zeros((axes, axes)), *[f[0] for f in filters])
         loop[:n, n : n + axes] = self._b  # the drives hold the last sample's command
@@ -63,7 +63,7 @@ class LinearLoop:
 
     def margins(self) -> tuple[Margins, ...]:
         """Margins of every axis, the other loops closed."""
-        frequencies = self._frequencies()
+        frequencies = frequency_grid(self._poles, self._rate_Hz)
         z = np.exp(2j * np.pi * frequencies / self._rate_Hz)
         identity = np.eye(len(self._a))
         plant = self._c @ np.linalg.solve(z[:, None, None] * identity - self._a, np.broadcast_to(self._b, (len(z), *self._b.shape)))
@@ -76,13 +76,15 @@ class LinearLoop:
             found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0))
         return tuple(found)
 
-    def _frequencies(self) -> np.ndarray:
-        nyquist = self._rate_Hz / 2.0
-        grid = [np.geomspace(LOWEST_Hz, nyquist, POINTS)]
-        for pole in self._poles[self._poles.imag > 0.0]:
-            grid.append((np.abs(pole) - RESONANCE_WIDTHS * abs(pole.real)) / (2.0 * np.pi))
-        joined = np.unique(np.concatenate(grid))
-        return joined[(joined >= LOWEST_Hz) & (joined < nyquist)]
+
+def frequency_grid(poles: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
+    """Frequencies [Hz] up to half the sample rate, dense about the plant's resonances: `poles` (n,) of the continuous plant."""
+    nyquist = sample_rate_Hz / 2.0
+    grid = [np.geomspace(LOWEST_Hz, nyquist, POINTS)]
+    for pole in poles[poles.imag > 0.0]:
+        grid.append((np.abs(pole) - RESONANCE_WIDTHS * abs(pole.real)) / (2.0 * np.pi))
+    joined = np.unique(np.concatenate(grid))
+    return joined[(joined >= LOWEST_Hz) & (joined < nyquist)]
 
 
 def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
@@ -114,7 +116,7 @@ def _response(sections: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.prod((b0 + (b1 + b2 / z) / z) / (1.0 + (a1 + a2 / z) / z), axis=0)
 
 
-def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def cascade_state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Cascade as transition (m, m), input (m,), output (m,) and feedthrough."""
     a, b, c, d = scipy.signal.zpk2ss(*scipy.signal.sos2zpk(sections))
     return a, np.asarray(b).reshape(-1), np.asarray(c).reshape(-1), float(np.asarray(d).reshape(-1)[0])

@@ -1,14 +1,19 @@
-"""The observer in the sample loop: what the loop hands over per tick, and what a recording gets."""
+"""The observer in the sample loop: what the loop hands over per tick, what a recording gets, and what is added to the command."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
 from hil.observing.measured import MeasuredRow
+
+IMU_GAP_ROWS = 8
+"""Rows without an IMU that the estimate is acted upon all the same: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
 
 
 class LiveObserver:
@@ -19,36 +24,56 @@ class LiveObserver:
     observer : ModalObserver
     design : str
         Where its design is from, for the recording's metadata.
+    damping : ModalDamping, optional
+        Feedback from the estimate.
+    effort_units : sequence of str
+        Of the drives, where there is damping.
 
     Attributes
     ----------
     channels : list of (name, unit)
-        Columns for the recording, in the order of `estimate`.
+        Columns for the recording, in the order of `estimate`: the observer's, then `damping_<axis>` and `damping_share`.
     estimate : (channels,) array
         Overwritten by every step; NaN before the first.
     effort : (n_axes,) array
-        What it adds to the command: nothing.
+        What it adds to the command.
     metadata : mapping
         Of the recording, so that a replay is the same filter.
     """
 
-    def __init__(self, observer: ModalObserver, design: str = "") -> None:
-        self.observer = observer
-        self.channels = list(observer.channels)
-        self.estimate = observer.estimate
+    def __init__(
+        self, observer: ModalObserver, design: str = "", damping: ModalDamping | None = None, effort_units: Sequence[str] = ()
+    ) -> None:
+        self.observer, self.damping = observer, damping
         axes = len(observer.model.axes)
-        self.effort = np.zeros(axes)
+        self.effort = np.zeros(axes) if damping is None else damping.effort
+        self.channels = list(observer.channels)
         adapted = [mode + 1 for mode in observer.adapted]
         self.metadata: dict[str, Any] = {"design": design, "filter": observer.kind, "adapted_modes": adapted}
+        if damping is not None:
+            self.channels += [(f"damping_{axis}", unit) for axis, unit in zip(observer.model.axes, effort_units, strict=True)]
+            self.channels.append(("damping_share", ""))
+            self.metadata["damping"] = {"mode": damping.settings.mode + 1, "ratio": damping.settings.ratio}
+        self.estimate = np.full(len(self.channels), np.nan)
+        self._observed = len(observer.channels)
+        self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")
         self._row = MeasuredRow(observer.model)
         self._read = np.full(2 * axes + 6, np.nan)
-        observer.step_measured(self._row.values, np.zeros(axes))  # compiled before a tick waits for it
+        self._without_imu = 0
+        nothing = np.zeros(axes)
+        observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
+        if damping is not None:
+            damping.step(observer.state, nothing, False)
         self.restart(0)
 
     def restart(self, rows: int) -> None:
-        """Before row 0 of a recording: a replay starts there, too."""
+        """Before row 0 of a recording of so many rows: a replay starts there, too."""
         self._row.restart()
         self.observer.restart()
+        self.estimate[:] = np.nan
+        self._without_imu = 0
+        if self.damping is not None:
+            self.damping.restart(rows)
 
     def step(self, sample: Sample, command: np.ndarray) -> None:
         """One tick, before the feedback: this tick's sample and the previous row's command (n_axes,), which is on the wire."""
@@ -57,4 +82,19 @@ class LiveObserver:
         read[axes : 2 * axes] = sample.link_position
         read[2 * axes :] = sample.imu
         self._row.take(read)
-        self.observer.step_measured(self._row.values, command)
+        observer, observed = self.observer, self._observed
+        observer.step_measured(self._row.values, command)
+        self.estimate[:observed] = observer.estimate
+        damping = self.damping
+        if damping is not None:
+            damping.step(observer.state, command, self._is_good())
+            self.estimate[observed : observed + axes] = damping.effort
+            self.estimate[observed + axes] = damping.share
+
+    def _is_good(self) -> bool:
+        """Whether the estimate may be acted upon: numbers, no alarm, and an IMU that has been heard of lately."""
+        axes = len(self.effort)
+        self._without_imu = self._without_imu + 1 if np.isnan(self._row.values[2 * axes :]).all() else 0
+        return (
+            self._without_imu <= IMU_GAP_ROWS and not self.observer.estimate[self._alarm] and bool(np.isfinite(self.observer.state).all())
+        )
