@@ -16,7 +16,7 @@ MARGIN_PIXELS = 1.0
 
 @dataclass(frozen=True)
 class Panel:
-    """The flat panel's grid: column and row 0 are the first stored value, columns grow with u, rows with v, the middle is the panel's centre."""
+    """The flat panel: columns grow with u, rows with v from the first stored value on; the middle of the image is the panel's centre."""
 
     columns: int
     rows: int
