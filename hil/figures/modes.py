@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.identification.modal_model import ModalModel
+from hil.identification.modal_model import ModalFrfModel
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
 POINTS = 121
 
 
-def modes_figure(model: ModalModel, poses: np.ndarray, *, angle: bool = True, title: str = "") -> Figure:
+def modes_figure(model: ModalFrfModel, poses: np.ndarray, *, angle: bool = True, title: str = "") -> Figure:
     """Curves of the model with 95 % bands, points of the fits at single poses.
 
     Parameters

@@ -9,7 +9,7 @@ from hil.identification.identify import ARBITRARY_METHODS, METHODS, POSE_METHODS
 from hil.identification.local_fast import PoseModel, fast_local, nd_local
 from hil.identification.local_model import LocalModel
 from hil.identification.local_robust import robust_local
-from hil.identification.modal_model import ModalModel, fit_modal_model
+from hil.identification.modal_model import ModalFrfModel, fit_modal_model
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.identification.result import Distortion, FrequencyResponse
 from hil.identification.selection import Candidate, Selection, select_local_model
@@ -26,7 +26,7 @@ __all__ = [
     "FrequencyResponse",
     "IdentificationError",
     "LocalModel",
-    "ModalModel",
+    "ModalFrfModel",
     "PeriodicRecords",
     "PoseModel",
     "Selection",

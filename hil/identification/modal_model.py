@@ -48,8 +48,11 @@ class PoseFunction:
 
 
 @dataclass(frozen=True)
-class ModalModel:
+class ModalFrfModel:
     """Omega(theta), Z(theta), B_m(theta), C_m(theta) of (5.35) as pairs s^2 + a_1 s + a_0 with numerators N_0 + N_1 s, and D.
+
+    What the responses say, whatever the machine. The observer's model, with shapes of modes about a known chain of axes, is
+    `controllers.models.modal.ModalModel`.
 
     Attributes
     ----------
@@ -146,7 +149,7 @@ class ModalModel:
         return a0, a1, N0, N1, np.array([f(x) for f in self.D]).reshape(-1, n_u)
 
 
-def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> ModalModel:
+def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> ModalFrfModel:
     """Fit the model to responses at poses along one scheduling parameter; the number of modes and every polynomial's order are chosen.
 
     Parameters
@@ -174,7 +177,7 @@ def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> M
         return smooth(x, values, variance)
 
     elements = [(i, j) for i in range(n_y) for j in range(n_u)]
-    return ModalModel(
+    return ModalFrfModel(
         a0=tuple(over_poses(np.array([f.a0[k] for f in fits]), pole_variance[:, k]) for k in range(K)),
         a1=tuple(over_poses(np.array([f.a1[k] for f in fits]), pole_variance[:, K + k]) for k in range(K)),
         N0=tuple(

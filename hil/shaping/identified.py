@@ -56,7 +56,7 @@ def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output
 
 
 def subject_from_model(machine: Machine, plant: control.StateSpace, axis: str, output: str = "link") -> Subject:
-    """Subject from an identified plant model at one pose (`ModalModel.state_space`), the loop closed around it.
+    """Subject from an identified plant model at one pose (`ModalFrfModel.state_space`), the loop closed around it.
 
     Raises
     ------
