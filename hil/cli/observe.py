@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,26 +42,29 @@ def register(app: typer.Typer) -> None:
     )(observe)
 
 
-def live_observer(path: Path | None, damping: float, machine: Machine, answer: Answer) -> LiveObserver | None:
-    """The observer of a design file, ready for the loop; None without a file."""
+@contextlib.contextmanager
+def live_observer(path: Path | None, damping: float, machine: Machine, bus: str, answer: Answer) -> Iterator[LiveObserver | None]:
+    """The observer of a design file, ready for the loop on a bus; None without a file."""
     if path is None:
         if damping:
             raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
-        return None
+        yield None
+        return
     from hil.observing import read_design
     from hil.observing.live import LiveObserver
 
     design = read_design(path)
     _check_machine(design, machine, answer)
-    observer = design.observer()
-    if not damping:
-        return LiveObserver(observer, str(path))
-    from controllers.damping import DampingSettings, ModalDamping
-    from hil.observing.damping import accept_damping, examine_damping
+    observer, law = design.observer(), None
+    if damping:
+        from controllers.damping import DampingSettings, ModalDamping
+        from hil.observing.damping import accept_damping, examine_damping
 
-    law = ModalDamping(design.model, DampingSettings(damping), observer.adapted)
-    answer.say(accept_damping(machine, examine_damping(machine, design, law, observer)))
-    return LiveObserver(observer, str(path), law, [units.effort for units in machine.units])
+        law = ModalDamping(design.model, DampingSettings(damping), observer.adapted)
+        answer.say(accept_damping(machine, examine_damping(machine, design, law, observer)))
+    units = [units.effort for units in machine.units] if law is not None else []
+    with contextlib.closing(LiveObserver(observer, str(path), law, units, "" if bus.startswith("lockstep:") else bus)) as live:
+        yield live
 
 
 def _check_machine(design: ObserverDesign, machine: Machine, answer: Answer) -> None:

@@ -347,10 +347,12 @@ def _run(
     can_be_written(*paths, frame_log, truth)
     emulated = None if effects is None else machine.with_effects(read_effects(effects, machine))
     options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, emulated, real_time)
-    watching = live_observer(observer, damping, machine, answer)
     lockstep = bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
-    with open_bench(machine, options, plans[0].start_pose, watching) as bench:
+    with (
+        live_observer(observer, damping, machine, bus, answer) as watching,
+        open_bench(machine, options, plans[0].start_pose, watching) as bench,
+    ):
         with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):
@@ -360,7 +362,9 @@ def _run(
                 task = bars.add_task(path.name, total=plan.rows)
                 timing = bench.run(plan, path, follower(bars, task))
                 bars.update(task, completed=plan.rows)
-                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary()})
+                for note in timing.notes:
+                    answer.say(f"{path}: {note}")
+                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": timing.notes})
         scheduling = str(bench.scheduling)
     answer.say(f"{machine.name} on {bus} ({scheduling})")
     for record in records:

@@ -10,6 +10,7 @@ import numpy as np
 from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
+from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
 
 IMU_GAP_ROWS = 8
@@ -28,6 +29,8 @@ class LiveObserver:
         Feedback from the estimate.
     effort_units : sequence of str
         Of the drives, where there is damping.
+    bus_url : str
+        Of the bus under which other processes find the newest estimate (`hil.observing.board`); "" keeps it here.
 
     Attributes
     ----------
@@ -42,7 +45,12 @@ class LiveObserver:
     """
 
     def __init__(
-        self, observer: ModalObserver, design: str = "", damping: ModalDamping | None = None, effort_units: Sequence[str] = ()
+        self,
+        observer: ModalObserver,
+        design: str = "",
+        damping: ModalDamping | None = None,
+        effort_units: Sequence[str] = (),
+        bus_url: str = "",
     ) -> None:
         self.observer, self.damping = observer, damping
         axes = len(observer.model.axes)
@@ -60,6 +68,7 @@ class LiveObserver:
         self._row = MeasuredRow(observer.model)
         self._read = np.full(2 * axes + 6, np.nan)
         self._without_imu = 0
+        self._board = EstimateBoard(bus_url, [name for name, _ in self.channels]) if bus_url else None
         nothing = np.zeros(axes)
         observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
         if damping is not None:
@@ -72,6 +81,7 @@ class LiveObserver:
         self.observer.restart()
         self.estimate[:] = np.nan
         self._without_imu = 0
+        self._rows = 0
         if self.damping is not None:
             self.damping.restart(rows)
 
@@ -90,6 +100,14 @@ class LiveObserver:
             damping.step(observer.state, command, self._is_good())
             self.estimate[observed : observed + axes] = damping.effort
             self.estimate[observed + axes] = damping.share
+        if self._board is not None:
+            self._board.put(self._rows, self.estimate)
+        self._rows += 1
+
+    def close(self) -> None:
+        """Nobody reads the estimate any more."""
+        if self._board is not None:
+            self._board.close()
 
     def _is_good(self) -> bool:
         """Whether the estimate may be acted upon: numbers, no alarm, and an IMU that has been heard of lately."""
