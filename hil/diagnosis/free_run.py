@@ -46,6 +46,7 @@ def smooth(machine: Machine) -> Machine:
             plant,
             drives=tuple(replace(drive, resolution=0.0) for drive in plant.drives),
             encoders=tuple(replace(encoder, resolution=0.0) for encoder in plant.encoders),
+            speeds=tuple(replace(sensor, resolution=0.0) for sensor in plant.speeds),
             currents=tuple(replace(current, resolution=0.0) for current in plant.currents),
             imus=tuple(replace(imu, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for imu in plant.imus),
         ),

@@ -122,6 +122,7 @@ def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]
         channels[f"command_{units.axis}"] = outputs.command[:, i]
         channels[f"position_{units.axis}"] = outputs.position[:, i]
         channels[f"link_position_{units.axis}"] = outputs.link_position[:, i]
+        channels[f"speed_{units.axis}"] = outputs.speed[:, i]
     if machine.plant.imus:
         channels.update(zip(IMU_CHANNELS, outputs.imu[:, :6].T, strict=True))
     return {name: values for name, values in channels.items() if not np.isnan(values).all()}
@@ -219,7 +220,7 @@ def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
 
 def _same_inputs(one: Inputs, other: Inputs) -> bool:
     pairs = [(one.reference, other.reference), (one.command, other.command), (one.excitation, other.excitation)]
-    pairs += [(one.feedforward, other.feedforward), (one.start_pose, other.start_pose)]
+    pairs += [(one.feedforward, other.feedforward), (one.start_pose, other.start_pose), (one.start_speed, other.start_speed)]
     return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
@@ -263,13 +264,18 @@ def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], chan
             windows = periods
             labels = tuple(f"{labels[0]} period {number}" for number in range(1, len(periods) + 1))
             measured = np.stack([measured[0, window] for window in windows])
+    elif settle_rows := recording.experiment.get("settle_rows"):
+        windows = (slice(settle_rows, len(rows)),)
+        measured = measured[:, settle_rows:]
     time_s = recording.time[windows[0]]
     positions = _bins(members, windows, [f"position_{axis}" for axis in machine.axes], simulated)
     efforts = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
     window_rows = max(5, 2 * round(0.5 * SPEED_WINDOW_s * machine.sample_rate_Hz) + 1)
-    speed = np.zeros_like(positions)
+    speed = _bins(members, windows, [f"speed_{axis}" for axis in machine.axes], simulated)
+    encoded = np.array([f"position_{axis}" in simulated for axis in machine.axes])
     if len(positions) > window_rows:
-        speed = scipy.signal.savgol_filter(positions, window_rows, 2, deriv=1, delta=1.0 / machine.sample_rate_Hz, axis=0)
+        slope = scipy.signal.savgol_filter(positions, window_rows, 2, deriv=1, delta=1.0 / machine.sample_rate_Hz, axis=0)
+        speed = np.where(encoded, slope, speed)
     return RepeatGroup(
         labels=labels,
         machine=machine,

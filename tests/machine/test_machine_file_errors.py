@@ -92,7 +92,7 @@ def test_a_mistake_gets_one_line_that_names_it(old, new, words):
 
 
 def test_a_missing_file_names_what_is_shipped(tmp_path):
-    with pytest.raises(MachineFileError, match=r"nothing\.toml: No such file.*carm, emps"):
+    with pytest.raises(MachineFileError, match=r"nothing\.toml: No such file.*carm, coupled_electric_drives, emps"):
         load_machine(tmp_path / "nothing.toml")
 
 

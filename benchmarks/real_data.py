@@ -1,0 +1,152 @@
+"""Recordings that other people measured, read in place as recordings of the shipped machines: no file is copied or changed.
+
+`REAL_SETS` lists them by machine: what a diagnosis is fitted to, and what is held out. The folder is `../shared/data` beside the project.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.signal
+
+from hil.machine import Machine, load_machine
+from hil.recording import Channel, Recording, read_recording, recording_metadata
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+SILVERBOX_ARROW_ROWS = 40_000
+"""The benchmark's test: noise of growing amplitude."""
+SILVERBOX_FIT_ROWS = (40_600, 60_000)
+SILVERBOX_BAND = 0.48
+"""Share of the sample rate up to which the measured input is taken for a signal."""
+
+DRIVES_FIT_ROWS = 400
+MOTOR_SECONDS = 0.4
+"""Length of one piece of a motor's record: an open loop's position drifts, and a drift of 2 pi / 72 has left cogging's phase."""
+MOTOR_PIECES = 8
+MOTOR_SLOPE_ROWS = 9
+"""Rows of the parabola that a piece's first speed is taken from: an eighth of a cogging period at 6 rad/s."""
+
+
+@dataclass(frozen=True)
+class RealSet:
+    """One machine's recordings."""
+
+    machine: Machine
+    train: Mapping[str, Recording]
+    held_out: Mapping[str, Recording]
+
+
+def emps() -> RealSet:
+    """The prismatic axis in closed loop: its first record for fitting, the one with force pulses held out."""
+    machine = load_machine("emps")
+    return RealSet(
+        machine,
+        {"DATA_EMPS": read_recording(DATA / "emps" / "DATA_EMPS.mat", machine)},
+        {"DATA_EMPS_PULSES": read_recording(DATA / "emps" / "DATA_EMPS_PULSES.mat", machine)},
+    )
+
+
+def silverbox() -> RealSet:
+    """The electronic mass on a spring: a stretch of the odd multisines for fitting, the arrow held out."""
+    machine = load_machine("silverbox")
+    v1, v2 = _table(DATA / "silverbox" / "SNLS80mV.csv", 2).T
+    command = _one_row_later(hold_equivalent(v1))
+    arrow = slice(0, SILVERBOX_ARROW_ROWS)
+    return RealSet(
+        machine,
+        {"multisines": _recording(machine, {"command_mass": command, "position_mass": v2}, slice(*SILVERBOX_FIT_ROWS), settle_rows=1000)},
+        {"arrow": _recording(machine, {"command_mass": command, "position_mass": v2}, arrow)},
+    )
+
+
+def coupled_electric_drives() -> RealSet:
+    """Motors, belt and pulley: samples 0 to 399 of each record with uniform noise for fitting, 400 to 499 held out.
+
+    The held-out recordings are whole, so that the motion at sample 400 is known; their first 400 rows only settle.
+    """
+    machine = load_machine("coupled_electric_drives")
+    u1, u2, z1, z2 = _table(DATA / "coupled_electric_drives" / "DATAUNIF.csv", 4).T
+    records = {"z11": (u1, z1), "z12": (u2, z2)}
+
+    def parts(rows: slice, settle_rows: int) -> dict[str, Recording]:
+        return {
+            name: _recording(machine, {"command_motors": u, "speed_motors": z}, rows, settle_rows=settle_rows)
+            for name, (u, z) in records.items()
+        }
+
+    return RealSet(machine, parts(slice(0, DRIVES_FIT_ROWS), 0), parts(slice(None), DRIVES_FIT_ROWS))
+
+
+def laas_anti_cogging() -> RealSet:
+    """The bare motor, uncompensated: pieces of speed_test1 for fitting, pieces of speed_test held out.
+
+    The flag means the opposite in the two files: the rough half, which nothing compensates, has flag 0 in speed_test1 and 1 in speed_test.
+    """
+    machine = load_machine("laas_anti_cogging")
+    return RealSet(machine, _motor_pieces(machine, "speed_test1.txt", 0), _motor_pieces(machine, "speed_test.txt", 1))
+
+
+REAL_SETS: dict[str, Callable[[], RealSet]] = {
+    "emps": emps,
+    "silverbox": silverbox,
+    "coupled_electric_drives": coupled_electric_drives,
+    "laas_anti_cogging": laas_anti_cogging,
+}
+
+
+def hold_equivalent(values: np.ndarray) -> np.ndarray:
+    """The staircase (N,) whose hold over each sample is, within the band, the band-limited signal with these samples.
+
+    A hold delays by half a sample and weakens frequency f by sinc(f T); both are taken back in the spectrum of the record and its mirror
+    image.
+    """
+    spectrum = np.fft.rfft(np.concatenate([values, values[::-1]]))
+    frequency = np.fft.rfftfreq(2 * len(values))
+    spectrum *= np.where(frequency < SILVERBOX_BAND, np.exp(1j * np.pi * frequency) / np.sinc(frequency), 0.0)
+    return np.fft.irfft(spectrum)[: len(values)]
+
+
+def _one_row_later(effort: np.ndarray) -> np.ndarray:
+    """Commands (N,) of an effort that acts from each row to the next: command k acts from row k + 1 on."""
+    return np.append(effort[1:], effort[-1])
+
+
+def _motor_pieces(machine: Machine, file: str, rough_flag: int) -> dict[str, Recording]:
+    """Pieces of the uncompensated half, spread over it, each from its own pose and speed."""
+    table = _table(DATA / "laas_anti_cogging" / file, 6)
+    time, position, speed, _, current, _ = table[table[:, 5] == rough_flag].T
+    rate_Hz = machine.sample_rate_Hz
+    even = np.arange(time[0], time[-1], 1.0 / rate_Hz)
+    position, speed, current = (np.interp(even, time, values) for values in (position, speed, current))
+    acting = np.append(0.5 * (current[1:] + current[:-1]), current[-1])
+    slope = scipy.signal.savgol_filter(position, MOTOR_SLOPE_ROWS, 2, deriv=1, delta=1.0 / rate_Hz)
+    rows = round(MOTOR_SECONDS * rate_Hz)
+    starts = np.linspace(rows, len(even) - rows, MOTOR_PIECES).astype(int)
+    pieces = {}
+    for number, start in enumerate(starts, 1):
+        channels = {"command_rotor": _one_row_later(acting), "position_rotor": position, "speed_rotor": speed}
+        part = slice(start, start + rows)
+        pieces[f"{Path(file).stem} piece {number}"] = _recording(machine, channels, part, speeds=[float(slope[start])])
+    return pieces
+
+
+def _recording(
+    machine: Machine, channels: Mapping[str, np.ndarray], rows: slice, *, settle_rows: int = 0, speeds: list[float] | None = None
+) -> Recording:
+    units = machine.units[0]
+    unit_of = {"command": units.effort, "position": units.position, "speed": f"{units.position}/s"}
+    values = {name: column[rows] for name, column in channels.items()}
+    count = len(next(iter(values.values())))
+    made = {"time": Channel("s", np.arange(count) / machine.sample_rate_Hz)}
+    made |= {name: Channel(unit_of[name.split("_")[0]], column) for name, column in values.items()}
+    experiment = {"settle_rows": settle_rows} if settle_rows else {}
+    initial = {"speeds": speeds} if speeds is not None else {}
+    return Recording(made, recording_metadata(machine, experiment=experiment, initial=initial))
+
+
+def _table(path: Path, columns: int) -> np.ndarray:
+    return np.genfromtxt(path, delimiter=",", skip_header=1)[:, :columns]
