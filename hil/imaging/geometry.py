@@ -101,6 +101,20 @@ class ConeBeam:
         angles = Rotation.from_matrix(self.rotation).as_euler("xyz")
         return np.concatenate([self.source_m, self.phantom_m, angles], axis=1)
 
+    def moved(self, deviation: np.ndarray) -> ConeBeam:
+        """The exposures with deviations (N, 9) added: source and phantom [m], and a rotation vector [rad] in the detector's frame.
+
+        R_d^ph is multiplied by exp(deviation) from the right: unlike angles, rotation vectors have no pose in which they fail.
+        """
+        deviation = np.atleast_2d(deviation)
+        turned = self.rotation @ Rotation.from_rotvec(deviation[:, 6:]).as_matrix()
+        return ConeBeam(self.source_m + deviation[:, :3], self.phantom_m + deviation[:, 3:6], turned)
+
+    def deviation_from(self, other: ConeBeam) -> np.ndarray:
+        """(N, 9) what takes `other` here by `moved`: the thesis's Delta xi (2.3)."""
+        turned = Rotation.from_matrix(np.swapaxes(other.rotation, 1, 2) @ self.rotation).as_rotvec()
+        return np.concatenate([self.source_m - other.source_m, self.phantom_m - other.phantom_m, turned], axis=1)
+
     @property
     def source_in_phantom_m(self) -> np.ndarray:
         """(N, 3) focal spot in the phantom's frame."""

@@ -1,0 +1,201 @@
+"""Pose of every exposure from where a phantom's bullets are seen: six parameters with the source held, or all nine, with covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.geometry import ConeBeam
+
+SIX, NINE = slice(3, 9), slice(0, 9)
+"""Deviations that are fitted: phantom and rotation, or source too."""
+
+FEWEST = {"six": 5, "nine": 8}
+"""Bullets an exposure needs: two coordinates each, at least four more than parameters, so that a wrong one shows."""
+
+STEPS = 12
+STEP_M, STEP_RAD = 1e-6, 1e-6
+"""Differences for the Jacobian: a micrometre and a microradian, 1e-3 pixel."""
+
+OUTLIER = 5.0
+"""A bullet this many standard deviations off, robustly estimated, is left out: a wrong match or an undetected overlap."""
+
+OVERLAP = 3.3
+"""Bullets whose predicted centres are nearer than this many shadow radii disturb each other's centroid and are left out."""
+
+
+@dataclass(frozen=True)
+class PoseFit:
+    """Geometry of N exposures, fitted.
+
+    Attributes
+    ----------
+    beam : ConeBeam
+    covariance : (N, 9, 9) array
+        Of the deviations (`ConeBeam.moved`) [m, rad]; zero for a source that was held; NaN where an exposure could not be used.
+    residual_m : (N,) array
+        Root mean square distance on the panel, per coordinate.
+    used : (N,) int array
+        Bullets used.
+    good : (N,) bool array
+        Exposures with enough bullets.
+    """
+
+    beam: ConeBeam
+    covariance: np.ndarray
+    residual_m: np.ndarray
+    used: np.ndarray
+    good: np.ndarray
+
+
+def match_bullets(seen: np.ndarray, predicted: np.ndarray, gate: float) -> np.ndarray:
+    """Which of the seen shadows is which bullet.
+
+    A shift common to all is found first, by the vote of all pairs; then the assignment with the least sum of squared distances.
+
+    Parameters
+    ----------
+    seen : (m, 2) array
+        [pixel]
+    predicted : (n, 2) array
+        Where each bullet is expected [pixel].
+    gate : float
+        Farthest a shadow may lie from its prediction after the shift [pixel].
+
+    Returns
+    -------
+    (n,) int array
+        Index of the shadow of each bullet; -1: not seen.
+    """
+    matched = np.full(len(predicted), -1)
+    if not len(seen):
+        return matched
+    offsets = (seen[:, None, :] - predicted[None, :, :]).reshape(-1, 2)
+    votes = (np.linalg.norm(offsets[:, None, :] - offsets[None, :, :], axis=2) < 0.5 * gate).sum(axis=1)
+    winner = np.flatnonzero(np.linalg.norm(offsets - offsets[np.argmax(votes)], axis=1) < 0.5 * gate)
+    shift = offsets[winner].mean(axis=0)
+    cost = np.linalg.norm(seen[:, None, :] - predicted[None, :, :] - shift, axis=2) ** 2
+    rows, columns = linear_sum_assignment(np.minimum(cost, gate**2))
+    near = cost[rows, columns] < gate**2
+    matched[columns[near]] = rows[near]
+    return matched
+
+
+def too_near(predicted: np.ndarray, radius_pixels: float) -> np.ndarray:
+    """(n,) bool: bullets whose shadow another bullet's shadow disturbs."""
+    distance = np.linalg.norm(predicted[:, None, :] - predicted[None, :, :], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    return distance.min(axis=1) < OVERLAP * radius_pixels
+
+
+def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray, start: ConeBeam, nine: bool = False) -> PoseFit:
+    """Fit every exposure by Gauss-Newton on the panel's coordinates.
+
+    Parameters
+    ----------
+    points_m : (P, 3) array
+        Bullets in the phantom's frame.
+    observed_m : (N, P, 2) array
+        Where they are seen on the panel; NaN: not seen.
+    sigma_m : (N, P) array
+        Standard deviation of each coordinate.
+    start : ConeBeam
+        Of the N exposures; its source is kept unless `nine`.
+    nine : bool
+        Fit the source too. With six parameters a source that moved by 1 mm turns into 0.32 mm and 0.85 mrad, and no residual shows it.
+
+    Raises
+    ------
+    UnusableInput
+        Shapes that do not belong together, or no exposure with enough bullets.
+    """
+    count, bullets = len(start), len(points_m)
+    if observed_m.shape != (count, bullets, 2) or sigma_m.shape != (count, bullets):
+        raise UnusableInput(f"observations {observed_m.shape}, deviations {sigma_m.shape}; {count} exposures of {bullets} bullets differ")
+    fitted = NINE if nine else SIX
+    size = 9 if nine else 6
+    present = np.isfinite(observed_m).all(axis=2) & np.isfinite(sigma_m)
+    needed = FEWEST["nine" if nine else "six"]
+    if not (present.sum(axis=1) >= needed).any():
+        raise UnusableInput(
+            f"no exposure shows {needed} bullets (the most is {int(present.sum(axis=1).max(initial=0))}); is the phantom in the beam?"
+        )
+    beam = start
+    for outer in range(2):
+        good = present.sum(axis=1) >= needed
+        weight = np.where(present & good[:, None], 1.0 / np.where(present, sigma_m, 1.0), 0.0)
+        for _ in range(STEPS):
+            residual = np.nan_to_num(observed_m - beam.project(points_m)) * weight[..., None]
+            jacobian = _jacobian(beam, points_m, fitted, size) * weight[..., None, None]
+            normal = np.einsum("npia,npib->nab", jacobian, jacobian) + 1e-9 * np.eye(size) * ~good[:, None, None]
+            slope = np.einsum("npia,npi->na", jacobian, residual)
+            change = np.zeros((count, 9))
+            change[:, fitted] = np.linalg.solve(normal, slope[..., None])[..., 0] * good[:, None]
+            beam = beam.moved(change)
+            if np.abs(change).max() < 1e-9:
+                break
+        standard = np.linalg.norm(residual, axis=2) / np.sqrt(2.0)
+        if outer == 0:
+            spread = np.nanmedian(np.where(weight > 0.0, standard, np.nan), axis=1, keepdims=True)
+            present = present & ~(standard > OUTLIER * np.maximum(spread, 1.0))
+    covariance = np.zeros((count, 9, 9))
+    covariance[:, fitted, fitted] = np.linalg.inv(normal)
+    covariance[~good] = np.nan
+    used = (weight > 0.0).sum(axis=1)
+    distance = np.where(weight[..., None] > 0.0, np.nan_to_num(observed_m - beam.project(points_m)), 0.0)
+    residual_m = np.sqrt(np.sum(distance**2, axis=(1, 2)) / np.maximum(2 * used, 1))
+    return PoseFit(beam, covariance, np.where(good, residual_m, np.nan), used, good)
+
+
+def _jacobian(beam: ConeBeam, points_m: np.ndarray, fitted: slice, size: int) -> np.ndarray:
+    """(N, P, 2, size) change of the panel coordinates with each fitted deviation, by central differences."""
+    result = np.empty((len(beam), len(points_m), 2, size))
+    for k, column in enumerate(range(9)[fitted]):
+        step = STEP_M if column < 6 else STEP_RAD
+        change = np.zeros((len(beam), 9))
+        change[:, column] = step
+        result[..., k] = (beam.moved(change).project(points_m) - beam.moved(-change).project(points_m)) / (2.0 * step)
+    return result
+
+
+def observe(
+    found: np.ndarray,
+    variance: np.ndarray,
+    points_m: np.ndarray,
+    beam: ConeBeam,
+    detector: Detector,
+    radius_pixels: float,
+    gate: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """One exposure's shadows as observations of the bullets.
+
+    Parameters
+    ----------
+    found : (m, 2) array
+        [pixel]
+    variance : (m,) array
+        [pixel^2]
+    points_m : (P, 3) array
+    beam : ConeBeam
+        Of this one exposure, as it is expected.
+    detector : Detector
+    radius_pixels, gate : float
+
+    Returns
+    -------
+    observed_m : (P, 2) array
+        NaN: not seen, or disturbed by a neighbour.
+    sigma_m : (P,) array
+    """
+    predicted = detector.to_pixels(beam.project(points_m)[0])
+    matched = match_bullets(found, predicted, gate)
+    usable = (matched >= 0) & ~too_near(predicted, radius_pixels)
+    observed = np.full((len(points_m), 2), np.nan)
+    sigma = np.full(len(points_m), np.nan)
+    observed[usable] = detector.to_metres(found[matched[usable]])
+    sigma[usable] = np.sqrt(variance[matched[usable]]) * detector.pitch_m
+    return observed, sigma
