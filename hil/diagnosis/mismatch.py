@@ -269,7 +269,8 @@ def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], chan
         measured = measured[:, settle_rows:]
     time_s = recording.time[windows[0]]
     positions = _bins(members, windows, [f"position_{axis}" for axis in machine.axes], simulated)
-    efforts = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
+    measures = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
+    efforts = [name if name in recording or name in simulated else f"command_{name.split('_', 1)[1]}" for name in measures]
     window_rows = max(5, 2 * round(0.5 * SPEED_WINDOW_s * machine.sample_rate_Hz) + 1)
     speed = _bins(members, windows, [f"speed_{axis}" for axis in machine.axes], simulated)
     encoded = np.array([f"position_{axis}" in simulated for axis in machine.axes])

@@ -30,18 +30,20 @@ def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.n
     return gradients[0], gradients[1], gradients[2]
 
 
-def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> control.StateSpace:
+def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, *, by_joint: bool = False) -> control.StateSpace:
     """Small motions about rest at these axis positions (axes,), actuated joints free, without friction effects and brakes.
 
-    Inputs are `command_<axis>` in the drives' units. Outputs bear the recording channels' names: every encoder and speed sensor, then
-    imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low
-    passes.
+    Inputs are `command_<axis>` in the drives' units; `by_joint`: `effort_<joint>` [Nm or N] on every joint instead. Outputs bear the
+    recording channels' names: every encoder and speed sensor, then imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z of every IMU after its low
+    passes. States are joint positions, joint speeds and the low passes.
     """
     settings, n = plant.settings, plant.joints
     q = equilibrium(plant, model, axis_positions)
     inverse = np.linalg.inv(inertia_matrix(plant, model, q))
-    gain = np.zeros((n, len(settings.drives)))
-    gain[list(plant.joint_of_axis().values()), np.arange(len(settings.drives))] = plant.drive_gains(model, q)
+    names = [f"effort_{joint.name}" for joint in settings.tree.joints] if by_joint else [f"command_{d.axis}" for d in settings.drives]
+    gain = np.eye(n) if by_joint else np.zeros((n, len(names)))
+    if not by_joint:
+        gain[list(plant.joint_of_axis().values()), np.arange(len(settings.drives))] = plant.drive_gains(model, q)
     to_acceleration = np.hstack([-inverse @ static_stiffness(plant, model, q), -inverse * model["damping"][0]])
     a = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), to_acceleration])
     b = np.vstack([np.zeros((n, gain.shape[1])), inverse @ gain])
@@ -69,7 +71,7 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
     joints = [joint.name for joint in settings.tree.joints]
     return control.ss(
         a, b, c, d,
-        inputs=[f"command_{drive.axis}" for drive in settings.drives],
+        inputs=names,
         outputs=[sensor.channel for sensor in settings.joint_sensors] + channels,
         states=joints + [f"{joint}_speed" for joint in joints] + [f"{channels[k]}_filter" for k in filtered],
         name="plant",

@@ -1,0 +1,162 @@
+"""Which equation is short: the effort every joint would have to feel, and what is left for the sensors.
+
+Small deviations of the closed loop are linear: residual(f) = T(f) d(f) + sensors(f) + noise(f), with d the missing efforts on the joints
+and T the response from them to the channels, controller and one row of delay included. d is the least-squares estimate in units of noise
+with a prior that keeps it finite where no channel sees it; what T d does not reproduce is left to the sensor equations.
+Kailath, Sayed, Hassibi 2000, ch. 3 (smoothing as linear estimation); it uses the whole record, before and after each row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from hil.diagnosis.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.whitened import in_noise_units
+from hil.machine import Machine
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.linearise import linearised
+from virtual_bus.plant.statics import equilibrium
+
+PRIOR_OF_EFFORT = 1.0
+"""Rms of a joint's missing effort beforehand, as a share of the drives' largest rms effort on their joints."""
+
+PRIOR_CORNER_Hz = 1.0
+"""Above it that effort's spectrum falls with the square of frequency, as that of a friction which reverses does."""
+
+LOWEST_Hz = 1e-4
+"""Stands for zero: a free joint's response to a constant effort is not finite."""
+
+NO_END = 1e12
+"""Stands for an integrator's gain at zero frequency."""
+
+LEAST_PRIOR = 1e-9
+"""In Nm or N, for recordings in which no drive works."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """What one group's residual asks of the equations.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    effort : (N, joints) array
+        Missing effort on each joint [Nm or N], positive towards positive position.
+    sensors : (N, C) array
+        What no effort explains, in the channels' units.
+    joint_share : (joints,) array
+        Share of the residual's power, in units of noise, that each joint's effort reproduces alone.
+    sensor_share : (C,) array
+        Share of each channel's power that is left to its sensor.
+    """
+
+    joints: tuple[str, ...]
+    effort: np.ndarray
+    sensors: np.ndarray
+    joint_share: np.ndarray
+    sensor_share: np.ndarray
+
+
+def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None = None) -> Disturbance:
+    """Estimate one group's missing efforts about its mean pose.
+
+    Parameters
+    ----------
+    found : Mismatch
+        Gives machine, channels and noise.
+    group : RepeatGroup
+    values : (parameters,) array, optional
+        Plant parameters the group was simulated with; the machine file's by default.
+    """
+    residual = group.mean - group.simulated
+    extended = _odd_extension(residual)
+    frequencies = np.fft.rfftfreq(len(extended), 1.0 / found.noise.rate_Hz)
+    lines = np.fft.rfft(extended, axis=0)
+    response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, values)
+    weight = _noise_weight(found, frequencies, group.repeats)
+    machine = group.machine
+    plant = compile_plant(machine.plant)
+    gains = plant.drive_gains(plant.model(values), np.zeros(plant.joints))
+    prior = max(PRIOR_OF_EFFORT * float((np.sqrt(np.mean(group.effort**2, axis=0)) * gains).max()), LEAST_PRIOR)
+    t = response * weight[:, :, None]
+    normal = t.conj().transpose(0, 2, 1)
+    density = prior**2 * found.noise.rate_Hz / (np.pi * PRIOR_CORNER_Hz) / (1.0 + (frequencies / PRIOR_CORNER_Hz) ** 2)
+    hessian = normal @ t + np.eye(t.shape[2]) / density[:, None, None]
+    d = np.linalg.solve(hessian, normal @ (lines * weight)[:, :, None])[:, :, 0]
+    rows = len(residual)
+    effort = np.fft.irfft(d, len(extended), axis=0)[:rows]
+    left = residual - np.fft.irfft((response @ d[:, :, None])[:, :, 0], len(extended), axis=0)[:rows]
+    whole = _power(found, residual)
+    shares = []
+    for j in range(d.shape[1]):
+        t_j = t[:, :, j]
+        alone = (t_j.conj() * lines * weight).sum(axis=1) / ((np.abs(t_j) ** 2).sum(axis=1) + 1.0 / density)
+        rest = residual - np.fft.irfft(response[:, :, j] * alone[:, None], len(extended), axis=0)[:rows]
+        shares.append(1.0 - _power(found, rest).sum() / max(whole.sum(), 1e-300))
+    names = tuple(joint.name for joint in machine.plant.tree.joints)
+    return Disturbance(names, effort, left, np.clip(shares, 0.0, 1.0), np.clip(_power(found, left) / np.maximum(whole, 1e-300), 0.0, 1.0))
+
+
+def loop_response(
+    machine: Machine, pose: np.ndarray, channels: tuple[str, ...], frequencies_Hz: np.ndarray, values: np.ndarray | None = None
+) -> np.ndarray:
+    """(L, C, joints) response of the channels to an effort on every joint, the controllers closing the loop.
+
+    y = P_d d + P_u H u and u = -C_y y with H the hold and the row of delay between command and effort (docs/notation.md); without
+    controllers u does not answer.
+    """
+    plant = compile_plant(machine.plant)
+    model = plant.model(values)
+    system = linearised(plant, model, pose, by_joint=True)
+    axes = len(machine.axes)
+    a, b, c, d = (np.asarray(getattr(system, letter)) for letter in "ABCD")
+    period_s = 1.0 / machine.sample_rate_Hz
+    s = 2j * np.pi * np.maximum(frequencies_Hz, LOWEST_Hz)[:, None, None]
+    from_effort = c @ np.linalg.solve(s * np.eye(len(a)) - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape))) + d
+    from_drive = from_effort[:, :, list(plant.joint_of_axis().values())] * plant.drive_gains(model, equilibrium(plant, model, pose))
+    omega_t = 2.0 * np.pi * frequencies_Hz * period_s
+    hold = np.exp(-1.5j * omega_t) * np.sinc(frequencies_Hz * period_s)
+    labels = list(system.output_labels)
+    command = np.zeros((len(s), axes, plant.joints), dtype=complex)
+    if machine.controllers:
+        rows = [labels.index(f"position_{axis}") for axis in machine.axes]
+        feedback = np.zeros((len(s), axes), dtype=complex)
+        for k, controller in enumerate(machine.controllers):
+            _, feedback[:, k] = scipy.signal.sosfreqz(controller.position_sections, omega_t)
+        feedback = np.where(np.isfinite(feedback), feedback, NO_END)
+        loop = np.eye(axes) + feedback[:, :, None] * from_drive[:, rows] * hold[:, None, None]
+        command = -np.linalg.solve(loop, feedback[:, :, None] * from_effort[:, rows])
+    outputs = from_effort + (from_drive * hold[:, None, None]) @ command
+    measured = command * np.exp(-1j * omega_t)[:, None, None]
+    columns = []
+    for name in channels:
+        kind, _, of = name.partition("_")
+        axis = machine.axes.index(of) if kind in ("command", "current", "effort") else None
+        if axis is None:
+            columns.append(outputs[:, labels.index(name)])
+        else:
+            columns.append((command if name.startswith("command_") else measured)[:, axis])
+    return np.stack(columns, axis=1)
+
+
+def _noise_weight(found: Mismatch, frequencies_Hz: np.ndarray, repeats: int) -> np.ndarray:
+    """(L, C) inverse of the noise rms of the repeats' mean per line of unit-scaled values."""
+    noise = found.noise
+    own = np.linalg.norm(np.linalg.inv(noise.roots), axis=2)
+    filtered = np.column_stack([np.interp(frequencies_Hz, noise.grid_Hz, column) for column in own.T])
+    z = np.exp(-2j * np.pi * np.outer(frequencies_Hz / noise.rate_Hz, np.arange(noise.filters.shape[1])))
+    return np.abs(z @ noise.filters.T) / filtered * np.sqrt(repeats)
+
+
+def _power(found: Mismatch, signal: np.ndarray) -> np.ndarray:
+    return np.asarray((in_noise_units(found.noise, signal).rows ** 2).sum(axis=0))
+
+
+def _odd_extension(values: np.ndarray) -> np.ndarray:
+    """(2 N, C) the record and its point reflection about its end, trend kept: periodic without a jump."""
+    trend = np.linspace(0.0, 1.0, len(values))[:, None] * (values[-1] - values[0]) + values[0]
+    rest = values - trend
+    return np.concatenate([rest, -rest[::-1]]) + np.concatenate([trend, trend[::-1]])
