@@ -15,7 +15,7 @@ from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
     from hil.machine import Machine
-    from hil.observing import ObserverDesign
+    from hil.observing import Estimate, ObserverDesign
     from hil.observing.live import LiveObserver
     from hil.recording import Recording
 
@@ -143,7 +143,7 @@ def observe(
         observer_figure(estimate).savefig(figure, dpi=130)
         answer.say(f"{figure}: figure")
     seen = observability(observer, [recording.matrix([f"position_{axis}" for axis in machine.axes])[0]])
-    document = _document(estimate, seen)
+    document = _document(estimate, seen) | {"live": _against_live(estimate, recording)}
     answer.say(f"{out}: {filter_name} over {recording.rows} rows, {len(estimate.state_names)} states")
     for note in (*estimate.notes, *seen.lines):
         answer.say(note)
@@ -151,6 +151,8 @@ def observe(
         f"NIS {document['mean_nis']:.2f} per measurement (1 fits), {100.0 * document['share_in_band']:.1f} % of rows in the 95 % band,"
         f" alarm in {100.0 * document['alarm_share']:.1f} % of rows"
     )
+    if document["live"]:
+        answer.say(f"live estimates in the recording: {document['live']}")
     answer.write({"estimate": out, **document})
 
 
@@ -194,6 +196,19 @@ def _modes(text: str, modes: int) -> tuple[int, ...]:
     if any(not 0 <= mode < modes for mode in chosen) or len(set(chosen)) < len(chosen):
         raise typer.BadParameter(f"--adapt {text}: the model has modes 1 to {modes}, each named once")
     return chosen
+
+
+def _against_live(estimate: Estimate, recording: Recording) -> str:
+    """How the replay compares with what ran along: `the same`, bit for bit, or the first difference; "" where nothing did."""
+    import numpy as np
+
+    if not all(name in recording for name in estimate.names):
+        return ""
+    differ = ~np.isclose(recording.matrix(estimate.names), estimate.values, rtol=0.0, atol=0.0, equal_nan=True)
+    if not differ.any():
+        return "the same"
+    row = int(np.flatnonzero(differ.any(axis=1))[0])
+    return f"others from row {row} on ({estimate.names[int(np.flatnonzero(differ[row])[0])]}): another design, filter or --adapt ran along"
 
 
 def _document(estimate, seen) -> dict:  # type: ignore[no-untyped-def]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
@@ -19,7 +18,6 @@ from hil.observing import (
     observe,
     read_design,
     read_estimate,
-    tune,
     write_design,
     write_estimate,
 )
@@ -30,23 +28,6 @@ from hil.simulation import Simulator
 from virtual_bus.physics import Physics
 
 TILT_rad = 6e-5  # 0.6 mm/s^2 of an accelerometer's bias not told from tilt
-POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("carm")
-
-
-@pytest.fixture(scope="module")
-def design(machine: Machine) -> ObserverDesign:
-    """Identified on the emulated C-arm around roll 0, tuned on an undisturbed scan."""
-    poses = [{"roll": roll} for roll in POSES_rad]
-    simulator = Simulator(machine)
-    standing = [emulated_recording(machine, Static(4.0, pose).plans(machine)[0], 40 + i, simulator) for i, pose in enumerate(poses)]
-    scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60, simulator)
-    untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3)
-    return dataclasses.replace(untuned, noise=tune(untuned.model, untuned.noise, [scan], evaluations=60).noise)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,31 @@
+"""One observer of the emulated C-arm around roll 0 for all tests here: identifying it takes a quarter of a minute."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from hil.experiments import Scan, Static
+from hil.machine import Machine, load_machine
+from hil.observing import ObserverDesign, design_observer, tune
+from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.simulation import Simulator
+
+POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)
+
+
+@pytest.fixture(scope="session")
+def machine() -> Machine:
+    return load_machine("carm")
+
+
+@pytest.fixture(scope="session")
+def design(machine: Machine) -> ObserverDesign:
+    """Identified on the emulated C-arm around roll 0, tuned on an undisturbed scan."""
+    poses = [{"roll": roll} for roll in POSES_rad]
+    simulator = Simulator(machine)
+    standing = [emulated_recording(machine, Static(4.0, pose).plans(machine)[0], 40 + i, simulator) for i, pose in enumerate(poses)]
+    scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60, simulator)
+    untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3)
+    return dataclasses.replace(untuned, noise=tune(untuned.model, untuned.noise, [scan], evaluations=60).noise)
