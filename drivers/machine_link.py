@@ -25,6 +25,7 @@ from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwor
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
 from drivers.canopen.supervision import Supervision
+from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError, MotionRefused
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
@@ -73,6 +74,7 @@ class CanMachine:
         self.drives = tuple(drives(settings))
         self.inputs = tuple(self._cyclic.inputs)
         self.sample = Sample(len(self.axes))
+        self.watch = MotionWatch(settings.motions, settings.scalings, clock, self.period_s)
         self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
         self.stopping = False  # from the first step of a stop to its last: whoever handles signals must not break it off
@@ -98,6 +100,7 @@ class CanMachine:
             self.stop()
         with self._stopping_on_error():
             self._ours = False
+            self.watch.forget()
             self.network.stop_heartbeat()
             self.supervision.refuse_second_bench(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self._ours = True
@@ -173,6 +176,7 @@ class CanMachine:
             for axis in axes:
                 motion.reset_fault(self, axis)
                 motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+            self.watch.stand()
             motion.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self._zeros))
 
     def release_brakes(self, hold: motion.Hold) -> None:
@@ -190,12 +194,14 @@ class CanMachine:
         DeviceFault, HeartbeatLost, BusError
         """
         with self._stopping_on_error():
+            self.watch.stand()
             motion.open_brakes(self, range(len(self.axes)), hold)
 
     def close_brakes(self, hold: motion.Hold) -> None:
         """Close all brakes while the drives still hold, then disable the drives: the way back of `enable` and `release_brakes`."""
         with self._stopping_on_error():
             axes = range(len(self.axes))
+            self.watch.settle()
             motion.close_brakes(self, axes, hold)
             motion.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
 

@@ -72,6 +72,19 @@ class HomingSettings:
     direction_check_effort: float  # in the drive's unit, added to the holding effort
     direction_check_travel: float  # rad that must be seen, in the right direction, before more is allowed
     direction_check_timeout_s: float
+    travel_limit: float  # rad: how far a method that moves may lead the axis before its zero is found
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What an axis may do in the ticks the link makes by itself."""
+
+    axis: str
+    lower: float  # rad or m
+    upper: float
+    speed: float  # rad/s or m/s
+    tracking_error: float  # rad or m: |where it should be - position|
+    stale_ticks: int  # ticks in a row without a position that are bridged
 
 
 @dataclass(frozen=True)
@@ -113,5 +126,6 @@ class BusSettings:
     nodes: tuple[Node, ...]
     scalings: tuple[AxisScaling, ...]  # in axis order
     homings: tuple[HomingSettings, ...]  # in axis order
+    motions: tuple[MotionLimits, ...]  # in axis order
     imu: ImuPort | None
     io: IoMap | None

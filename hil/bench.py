@@ -136,6 +136,7 @@ class Bench:
         try:
             with self._session():
                 self._take_hold()
+                self.wiring.link.watch.lead()
                 for leg in (self._bridge_to(way[0] if way else stay), *way):
                     self.loop.run(leg)
                 self._settle(stay)
@@ -321,6 +322,7 @@ def open_bench(
             braked=[wiring.link.has_brake(axis) for axis in range(len(machine.axes))],
             timed=not lockstep,
             stop_request=stop_request,
+            watch=wiring.link.watch.check,
             observer=observer,
         )
         pose = _look(machine, model, wiring)

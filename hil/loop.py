@@ -131,6 +131,8 @@ class SampleLoop:
         Which axes have a brake that the I/O reports: open throughout a run.
     timed : bool
         False in lockstep: work and answer times are those of the host, and are left out of the rows so that runs repeat bit for bit.
+    watch : callable, optional
+        What the link's own watch over its encoders finds wrong with a sample, in words; '' when nothing is.
     observer : Observer, optional
         Steps once per recorded row, between the sample and the feedback; runs without a sink are not watched.
     """
@@ -147,6 +149,7 @@ class SampleLoop:
     braked: Sequence[bool] = ()
     timed: bool = True
     stop_request: StopRequest = field(default_factory=StopRequest)
+    watch: Callable[[Sample], str] | None = None
     observer: Observer | None = None
 
     def __post_init__(self) -> None:
@@ -246,6 +249,8 @@ class SampleLoop:
             error = abs(reference[axis] - position)
             if not error <= self._tracking[axis]:
                 return f"{limit.axis}: tracking error {error:.4f} {limit.unit} exceeds {limit.tracking_error:.4f} {limit.unit}"
+        if self.watch is not None and (reason := self.watch(sample)):
+            return reason
         if self.guard_io:
             if not sample.hold_to_run:
                 return "hold-to-run was released"

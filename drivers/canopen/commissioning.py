@@ -47,6 +47,7 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
     motion.reset_fault(machine, axis)
     if push:
         motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        machine.watch.stand()
         motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
         motion.open_brakes(machine, [axis], lambda _: holding)
         found.append(check_first_move(machine, axis, settings, holding))
@@ -132,20 +133,26 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     motion.set_mode(machine, axis, Mode.HOMING)
     _write_homing(machine, axis, settings, moves)
     machine.resume_ticks()
+    machine.watch.stand(sets_counter=None if moves else axis)
     motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
     if moves:
         motion.open_brakes(machine, [axis], lambda _: holding)
+        machine.watch.home(axis, settings)
     _run_homing(machine, axis, settings, holding)
     if moves:
+        machine.watch.stand()
         motion.close_brakes(machine, [axis], lambda _: holding)
     motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
     motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
     source = machine.inputs[axis]
     source.counter_was_set()
     source.offset = 0.0
+    machine.watch.stand()
     position, link = _mean_positions(machine, axis, holding)
     if not moves and np.isfinite(link):
         source.offset = link - windup - position
+    machine.watch.homed(axis)
+    machine.watch.stand()
 
 
 def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray, windup: float = 0.0) -> str:

@@ -18,6 +18,7 @@ from drivers.canopen.cyclic import AxisInput
 from drivers.canopen.emcy import describe_code
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import Supervision
+from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusTimeout, DeviceFault, MotionRefused
 from drivers.interface import Clock, Sample
 from drivers.settings import AxisScaling, Node
@@ -46,6 +47,7 @@ class Machine(Protocol):
     scalings: tuple[AxisScaling, ...]
     inputs: tuple[AxisInput, ...]
     sample: Sample
+    watch: MotionWatch
 
     def exchange(self, command: np.ndarray) -> Sample:
         """One tick; raises on faults of armed drives."""
@@ -199,19 +201,20 @@ def ticks_in(machine: Machine, seconds: float) -> int:
 
 
 def tick(machine: Machine, command: np.ndarray) -> Sample:
-    """One exchange in which no device may report a fault and nobody may take back the permission to move.
+    """One exchange in which no device may report a fault, nobody may take back the permission to move, and no axis leave its bounds.
 
     Raises
     ------
     DeviceFault
         Whatever any node reported, in words.
     MotionRefused
-        Hold-to-run was released, the door opened, or the I/O that would tell has gone silent.
+        Hold-to-run was released, the door opened, or the I/O that would tell has gone silent; an axis moves as it may not, or nobody
+        knows how it moves.
     """
     sample = machine.exchange(command)
     if sample.fault:
         raise DeviceFault(sample.fault)
-    refusal = machine.refusal()
+    refusal = machine.refusal() or machine.watch.check(sample)
     if refusal:
         raise MotionRefused(refusal)
     return sample

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION
 from drivers.canopen.objects import MAPPABLE
-from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, Node, Pdo
+from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
 from hil.machine.messages import Complaint
 from hil.machine.schema import MachineTable
@@ -64,6 +64,7 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
         nodes=tuple(_node(name, node, folder) for name, node in bus.nodes.items()),
         scalings=tuple(_scaling(axis, table, plant) for axis in table.drives),
         homings=tuple(_homing(axis, table, plant) for axis in table.drives),
+        motions=tuple(_motion(axis, table) for axis in table.drives),
         imu=_imu_port(bus, table),
         io=_io(bus, table),
     )
@@ -193,7 +194,7 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
     where: Where = ("bus", "homing", axis)
     if homing is None:
         raise Complaint(where, "is missing; every axis says how it finds its zero")
-    for field in ("speed", "acceleration", "agreement_tolerance", "direction_check_travel"):
+    for field in ("speed", "acceleration", "agreement_tolerance", "direction_check_travel", "travel_limit"):
         require_kind(homing, field, joint_of(axis, table, plant.tree).kind, where)
     require_effort_unit(homing, "direction_check_effort", table.drives[axis].effort_unit, where)
     if homing.direction_check_effort > table.drives[axis].limit:
@@ -211,7 +212,13 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
         direction_check_effort=homing.direction_check_effort,
         direction_check_travel=homing.direction_check_travel,
         direction_check_timeout_s=homing.direction_check_timeout,
+        travel_limit=table.limits[axis].range[1] - table.limits[axis].range[0] if homing.travel_limit is None else homing.travel_limit,
     )
+
+
+def _motion(axis: str, table: MachineTable) -> MotionLimits:
+    limits = table.limits[axis]
+    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks)
 
 
 def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:

@@ -63,6 +63,7 @@ class HomingTable(Table):
     direction_check_effort: Annotated[Positive, Quantity(*EFFORT_DIMENSIONS)]
     direction_check_travel: Annotated[Positive, Quantity("angle", "length")]
     direction_check_timeout: Seconds
+    travel_limit: Annotated[Positive | None, Quantity("angle", "length")] = None
 
 
 class ImuPortTable(Table):

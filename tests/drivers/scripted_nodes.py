@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 
-from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, IoMap, Node, Pdo
+from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, IoMap, MotionLimits, Node, Pdo
 
 PERIOD_S = 1 / 256
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen" / "eds_files"
@@ -392,7 +392,7 @@ class ScriptedIo:
 
 def machine_settings(axes: tuple[str, ...] = ("propeller", "roll"), *, sign: int = 1, method: int = 37, io: bool = True) -> BusSettings:
     """Settings of one drive and one encoder per axis, as the shipped C-arm has them."""
-    nodes, scalings, homings = [], [], []
+    nodes, scalings, homings, motions = [], [], [], []
     for k, axis in enumerate(axes):
         identity = {"vendor_id": 0, "revision_number": 0x10000, "serial_number": None}
         nodes.append(
@@ -412,7 +412,8 @@ def machine_settings(axes: tuple[str, ...] = ("propeller", "roll"), *, sign: int
         scalings.append(
             AxisScaling(axis, 2 * 3.141592653589793 / (4096 * 150), 2 * 3.141592653589793 / 2**23, 4194304, sign, 5.0, 8.0, 675, 5000)
         )
-        homings.append(HomingSettings(axis, method, 0.035, 0.17, 3.0, 1.7e-3, 0.3, 3.5e-4, 2.0))
+        homings.append(HomingSettings(axis, method, 0.035, 0.17, 3.0, 1.7e-3, 0.3, 3.5e-4, 2.0, 1.0))
+        motions.append(MotionLimits(axis, -2.2, 2.2, 1.05, 0.052, 3))
     for k, axis in enumerate(axes):
         nodes.append(
             Node(
@@ -430,4 +431,6 @@ def machine_settings(axes: tuple[str, ...] = ("propeller", "roll"), *, sign: int
         )
     coils = {axis: k for k, axis in enumerate(axes)}
     io_map = IoMap("", 1, 0.05, 0.5, coils, coils, 8, 9, coils) if io else None
-    return BusSettings(1_000_000, 0x80, PERIOD_S, 127, 0.1, 0.0025, tuple(nodes), tuple(scalings), tuple(homings), None, io_map)
+    return BusSettings(
+        1_000_000, 0x80, PERIOD_S, 127, 0.1, 0.0025, tuple(nodes), tuple(scalings), tuple(homings), tuple(motions), None, io_map
+    )

@@ -68,9 +68,9 @@ def test_homing_on_the_encoders_index_pulse_agrees_with_the_link_encoder():
     settings = WITHOUT_IO.bus
     turn = 4096 * settings.scalings[0].position_resolution  # of the motor, at the joint: the pulse below the start is the first above zero
     nodes = tuple(dataclasses.replace(node, writes=((0x607C, 0, 4096),)) if node.role == "drive" else node for node in settings.nodes)
-    homings = tuple(dataclasses.replace(homing, method=33) for homing in settings.homings)
+    homings = (dataclasses.replace(settings.homings[0], method=33), settings.homings[1])  # roll is not balanced: a homing drive lets it sag
     machine = dataclasses.replace(WITHOUT_IO, bus=dataclasses.replace(settings, nodes=nodes, homings=homings))
-    rig = Rig(machine, np.array([turn + 0.004, turn + 0.006]))
+    rig = Rig(machine, np.array([turn + 0.004, 0.006]))
     rig.link.start()
     lines = rig.link.home(rig.holding, check_first_move=False)
     assert all("differ by" in line for line in lines)

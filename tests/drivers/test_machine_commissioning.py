@@ -228,7 +228,7 @@ def test_an_axis_that_does_not_move_is_refused_and_never_pushed_harder_than_allo
 
 
 def test_an_axis_that_falls_under_its_holding_effort_is_told_so_and_not_pushed(rig):
-    rig.drives[0].gravity = 100
+    rig.drives[0].gravity = 1
     with pytest.raises(MotionRefused, match=r"propeller: moves by -.* under its holding effort of 0 alone"):
         rig.machine.home()
     assert rig.at_rest()
@@ -295,6 +295,23 @@ def test_homing_that_fails_says_how(rig, result, words):
     with pytest.raises(MotionRefused, match=f"roll: homing by method 37: {words}"):
         rig.machine.home(check_first_move=False)
     assert rig.at_rest()
+
+
+def test_a_motor_side_that_stands_while_its_drive_homes_is_not_waited_for():
+    rig = Rig(method=33)
+    rig.drives[0].homing_ticks = 400
+    rig.machine.start()
+    with pytest.raises(MotionRefused, match=r"propeller: its motor side shows no motion for 0\.5 s while it homed by method 33"):
+        rig.machine.home(check_first_move=False)
+    assert rig.at_rest()
+
+
+@pytest.mark.parametrize("method", ["home", "enable"])
+def test_an_axis_that_stands_outside_its_range_is_not_powered_for_long(rig, method):
+    rig.drives[1].link_counts = 4194304 + round(2.3 / (2 * np.pi / 2**23))
+    with pytest.raises(MotionRefused, match=r"roll: link position 2\.3000 rad is outside -2\.2000 to 2\.2000 rad"):
+        getattr(rig.machine, method)()
+    assert rig.at_rest() and not any(any(order.values()) for order in rig.io.history)
 
 
 def test_an_older_homing_is_not_taken_for_this_one(rig):

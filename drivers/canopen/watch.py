@@ -1,0 +1,215 @@
+"""What an axis may do while a brake is open or a drive powered: held, pushed, homed, led, each within stated bounds.
+
+Both encoders of an axis are watched, each from where it stood when the phase began: a motor-side encoder that is frozen, lost or counts the
+wrong way shows in the link's, and the other way round. An axis with one encoder that is frozen cannot be seen to fall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, isfinite, nan
+
+from drivers.interface import Clock, Sample
+from drivers.settings import AxisScaling, HomingSettings, MotionLimits
+
+STANDING_SHARE = 0.1
+"""Of the tracking error that stops a run: so far may an axis move that is held, not led, 5 mrad on the C-arm. The first move takes 0.5."""
+
+HOMING_SPEED_MARGIN = 2.0
+"""Times its homing speed the motor side may move: a drive's velocity loop overshoots, a wrong-signed one runs away through this. The link
+swings behind its gear when the drive starts, and is held to the axis' speed limit alone."""
+
+LED_SPEED_MARGIN = 1.5
+"""Times its speed limit an axis may move while the sample loop leads it: the reference keeps to the limit, the excitation comes on top."""
+
+STILL_S = 0.5
+"""So long may the motor side show no motion while its drive homes: turning round at a switch takes half of it, a frozen encoder all."""
+
+COUNTS = 1.5
+"""Encoder counts by which a position may flicker."""
+
+
+class _Track:
+    """One encoder's way since a phase began."""
+
+    def __init__(self, name: str, resolution: float) -> None:
+        self.name = name
+        self.flicker = COUNTS * resolution
+        self.begin()
+
+    def begin(self, *, may_jump: bool = False) -> None:
+        """From here on; `may_jump`: the drive will once set its counter to what homing found."""
+        self.moved = 0.0
+        self.stale = 0
+        self.step = 0.0
+        self.may_jump = may_jump
+        self._last = nan
+        self._ticks = 0
+
+    def update(self, position: float, ticks: int, speed_per_tick: float) -> bool:
+        """Take the newest position, `ticks` after the one before; whether it moved no faster than it may."""
+        self._ticks += ticks
+        self.stale += 1
+        if not isfinite(position):
+            return True
+        self.stale = 0
+        self.step = position - self._last if isfinite(self._last) else 0.0
+        allowed = speed_per_tick * self._ticks + self.flicker
+        self._last, self._ticks = position, 0
+        if abs(self.step) > allowed:
+            if not self.may_jump:
+                return False
+            self.may_jump, self.step = False, 0.0
+        self.moved += self.step
+        return True
+
+
+class _AxisWatch:
+    """The bounds of one axis and its two encoders' ways."""
+
+    def __init__(self, limits: MotionLimits, scaling: AxisScaling, period_s: float) -> None:
+        self.limits = limits
+        self.homed = False
+        self.unit = scaling.position_unit
+        self._period_s = period_s
+        self._motor = _Track("motor side", scaling.position_resolution)
+        self._link = _Track("link encoder", scaling.link_resolution) if scaling.link_resolution else None
+        self.stand()
+
+    def stand(self, share: float = STANDING_SHARE, *, sets_counter: bool = False) -> None:
+        """It is held where it is."""
+        self._begin(share * self.limits.tracking_error, self.limits.speed, sets_counter=sets_counter)
+        self._doing = "while it should stand"
+
+    def lead(self) -> None:
+        """The sample loop leads it, and holds it to range and tracking error; a gear of another ratio is no reason to stop."""
+        self._begin(inf, LED_SPEED_MARGIN * self.limits.speed, sets_counter=False)
+        self._apart = self.limits.tracking_error
+        self._link_may_be_silent = True
+        self._doing = "while it was led"
+
+    def home(self, settings: HomingSettings) -> None:
+        """Its drive moves it to find its zero."""
+        self._begin(settings.travel_limit, HOMING_SPEED_MARGIN * settings.speed, sets_counter=True)
+        self._still_ticks = STILL_S / self._period_s
+        self._in_range = False
+        self._doing = f"while it homed by method {settings.method}"
+
+    def _begin(self, travel: float, speed: float, *, sets_counter: bool) -> None:
+        self._travel, self._speed, self._in_range = travel, speed, True
+        self._apart, self._link_may_be_silent = STANDING_SHARE * self.limits.tracking_error, False
+        self._still_ticks, self._still = inf, 0
+        self._motor.begin(may_jump=sets_counter)
+        if self._link is not None:
+            self._link.begin()
+
+    def check(self, position: float, link: float, ticks: int) -> str:
+        """What is wrong with this tick, in words; '' when nothing is."""
+        return (
+            self._bounds(self._motor, position, ticks, self._speed)
+            or (self._bounds(self._link, link, ticks, max(self._speed, self.limits.speed)) if self._link is not None else "")
+            or self._stillness(ticks)
+            or self._disagreement()
+            or self._range(position, link)
+        )
+
+    def _bounds(self, track: _Track, position: float, ticks: int, speed: float) -> str:
+        slow = track.update(position, ticks, speed * self._period_s)
+        limits, who = self.limits, f"{self.limits.axis}: {track.name}"
+        if track.stale > limits.stale_ticks and not (self._link_may_be_silent and track is self._link):
+            return f"{who}: no position for {track.stale} ticks, timing.stale_ticks bridges {limits.stale_ticks}"
+        if not slow:
+            return f"{who}: moved by {track.step:+.2e} {self.unit} at once {self._doing}; {speed:.3g} {self.unit}/s is allowed"
+        if abs(track.moved) > self._travel:
+            return f"{who}: moved by {track.moved:+.2e} {self.unit} {self._doing}; {self._travel:.2e} {self.unit} is allowed"
+        return ""
+
+    def _stillness(self, ticks: int) -> str:
+        self._still = 0 if abs(self._motor.step) > self._motor.flicker else self._still + ticks
+        if self._still > self._still_ticks:
+            return f"{self.limits.axis}: its motor side shows no motion for {STILL_S:g} s {self._doing}; brake, motor or encoder"
+        return ""
+
+    def _disagreement(self) -> str:
+        if self._link is None:
+            return ""
+        motor, link = self._motor.moved, self._link.moved
+        if abs(motor - link) > self._apart:
+            return (
+                f"{self.limits.axis}: its motor side moved by {motor:+.2e} {self.unit}, its link encoder by {link:+.2e} {self._doing}; "
+                f"they may differ by {self._apart:.2e}: one of them is frozen, counts the wrong way, or the gear between them slips"
+            )
+        return ""
+
+    def _range(self, position: float, link: float) -> str:
+        if not self._in_range:
+            return ""
+        limits = self.limits
+        for value, name, known, slack in (
+            (position, "position", self.homed, 0.0),
+            (link, "link position", True, limits.tracking_error),  # wound up by what hangs on the gear
+        ):
+            if known and isfinite(value) and not limits.lower - slack <= value <= limits.upper + slack:
+                return f"{limits.axis}: {name} {value:.4f} {self.unit} is outside {limits.lower:.4f} to {limits.upper:.4f} {self.unit}"
+        return ""
+
+
+class MotionWatch:
+    """Watches every axis, tick by tick, from the phase that was begun last.
+
+    Parameters
+    ----------
+    limits : sequence of MotionLimits
+    scalings : sequence of AxisScaling
+        Both in axis order.
+    clock : Clock
+    period_s : float
+        Between ticks.
+    """
+
+    def __init__(self, limits: Sequence[MotionLimits], scalings: Sequence[AxisScaling], clock: Clock, period_s: float) -> None:
+        self._axes = [_AxisWatch(limit, scaling, period_s) for limit, scaling in zip(limits, scalings, strict=True)]
+        self._clock = clock
+        self._missed = 0
+
+    def forget(self) -> None:
+        """Counters start anew: no axis is homed."""
+        for axis in self._axes:
+            axis.homed = False
+
+    def homed(self, axis: int) -> None:
+        """This axis' motor-side position is the joint's from now on."""
+        self._axes[axis].homed = True
+
+    def stand(self, *, sets_counter: int | None = None) -> None:
+        """Every axis is held where it is; the drive of `sets_counter` takes this place for its zero, moving nothing."""
+        self._missed = self._clock.missed
+        for index, axis in enumerate(self._axes):
+            axis.stand(sets_counter=index == sets_counter)
+
+    def settle(self) -> None:
+        """Every axis comes to rest after a run: it may swing as far as the run let it."""
+        self._missed = self._clock.missed
+        for axis in self._axes:
+            axis.stand(1.0)
+
+    def lead(self) -> None:
+        """The sample loop leads every axis."""
+        self._missed = self._clock.missed
+        for axis in self._axes:
+            axis.lead()
+
+    def home(self, axis: int, settings: HomingSettings) -> None:
+        """The drive of one axis moves it to find its zero; all others stay."""
+        self.stand()
+        self._axes[axis].home(settings)
+
+    def check(self, sample: Sample) -> str:
+        """What is wrong with this tick, in words; '' when nothing is."""
+        missed = self._clock.missed
+        ticks = 1 + max(0, missed - self._missed)
+        self._missed = missed
+        for index, axis in enumerate(self._axes):
+            if reason := axis.check(float(sample.position[index]), float(sample.link_position[index]), ticks):
+                return reason
+        return ""
