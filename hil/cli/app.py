@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
         with _warnings_in_one_line():
             status = (
                 app(
-                    args=_json_to_standard_output(sys.argv[1:] if arguments is None else arguments),
+                    args=_held_out_each(_json_to_standard_output(sys.argv[1:] if arguments is None else arguments)),
                     prog_name=app.info.name,
                     standalone_mode=False,
                 )
@@ -72,6 +72,19 @@ def _json_to_standard_output(arguments: list[str]) -> list[str]:
         complete.append(argument)
         if argument == "--json" and (place + 1 == len(arguments) or arguments[place + 1].startswith("--")):
             complete.append("-")
+    return complete
+
+
+def _held_out_each(arguments: list[str]) -> list[str]:
+    """`--held-out A B` is `--held-out A --held-out B`."""
+    complete: list[str] = []
+    held_out = False
+    for argument in arguments:
+        if argument == "--held-out" or argument.startswith("-"):
+            held_out = argument == "--held-out"
+        elif held_out and complete[-1] != "--held-out":
+            complete.append("--held-out")
+        complete.append(argument)
     return complete
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from hil.cli import answers, bus, identify, machine, observe, physics, run, shape, story
+from hil.cli import answers, bus, calibrate, diagnose, identify, machine, observe, physics, run, shape, story
 
 
 def commands(app: typer.Typer) -> None:
@@ -20,3 +20,5 @@ def commands(app: typer.Typer) -> None:
     identify.register(app)
     shape.register(app)
     observe.register(app)
+    calibrate.register(app)
+    diagnose.register(app)

@@ -46,8 +46,8 @@ def smooth(machine: Machine) -> Machine:
             plant,
             drives=tuple(replace(drive, resolution=0.0) for drive in plant.drives),
             encoders=tuple(replace(encoder, resolution=0.0) for encoder in plant.encoders),
-            speeds=tuple(replace(sensor, resolution=0.0) for sensor in plant.speeds),
             currents=tuple(replace(current, resolution=0.0) for current in plant.currents),
+            speeds=tuple(replace(sensor, resolution=0.0) for sensor in plant.speeds),
             imus=tuple(replace(imu, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for imu in plant.imus),
         ),
     )
@@ -162,6 +162,10 @@ class FreeRuns:
 
     def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
         return self.run([trial], name)[0]
+
+    def joined(self, rows: Sequence[np.ndarray], name: str = TRAIN) -> np.ndarray:
+        """(M,) of rows (N, C) per group."""
+        return self._local.join(name, rows)
 
     def rows(self, trial: Trial, name: str = TRAIN) -> list[np.ndarray] | None:
         """(N, C) per group in the channels' units."""

@@ -103,6 +103,14 @@ class NoiseModel:
             parts.append(lines[last].real)
         return np.concatenate(parts)
 
+    def backwards(self, rows: int, channels: int) -> np.ndarray:
+        """(M,) +-1 by which `whiten`'s numbers of (rows, channels) become those of the conjugate lines: the record run backwards."""
+        filtered = rows - FILTER_ORDER
+        last = filtered // 2 if filtered % 2 == 0 else filtered // 2 + 1
+        inner = channels * (last - 1)
+        ends = channels if filtered % 2 == 0 else 0
+        return np.concatenate([np.ones(channels + inner), -np.ones(inner), np.ones(ends)])
+
 
 @lru_cache(maxsize=16)
 def _roots_of(noise: NoiseModel, rows: int) -> np.ndarray:

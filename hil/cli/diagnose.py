@@ -1,0 +1,90 @@
+"""isocenter diagnose: where simulation and recordings differ, and which physics was left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.options import MachineArgument, load
+from hil.cli.output import Answer, JsonOption, plain, progress
+from hil.errors import RecordingError, UnusableInput
+
+if TYPE_CHECKING:
+    from hil.diagnosis.diagnose import Outcome
+    from hil.machine import Machine
+    from hil.recording import Recording
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(
+        short_help="Which physics the simulation leaves out.",
+        help="Where the simulation of a machine and its recordings differ, which physics was left out, and how sure that is."
+        " Repeats of the same experiment give the noise: record at least three."
+        "\n\nExample:  isocenter diagnose carm rep1.mf4 rep2.mf4 rep3.mf4 --held-out other.mf4 -o diagnosis",
+    )(diagnose)
+
+
+def diagnose(
+    machine_name: MachineArgument,
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings (.mf4, .csv, .mat) to explain.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the answer; made if it is not there.")],
+    held_out: Annotated[
+        list[Path] | None, typer.Option("--held-out", metavar="REC...", help="Recordings to judge by; nothing is fitted to them.")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.")] = 1,
+    json_to: JsonOption = None,
+) -> None:
+    """Diagnose and write DIR."""
+    from hil.diagnosis.diagnose import diagnose as run_diagnosis
+    from hil.diagnosis.files import write_diagnosis
+
+    answer = Answer(json_to)
+    machine = load(machine_name)
+    if out.exists() and not out.is_dir():
+        raise UnusableInput(f"{out}: is a file; give a folder for the answer")
+    train, held = _read(recordings, machine), _read(held_out or [], machine)
+    for name in train:
+        if name in held:
+            raise UnusableInput(f"{name}: is given to fit to and as --held-out; hold out another recording")
+    with progress(Answer("-").console) as bars:
+        task = bars.add_task("reading", total=1.0)
+
+        def report(what: str, share: float) -> None:
+            bars.update(task, description=what, completed=share)
+
+        outcome = run_diagnosis(machine, train, held, jobs=jobs, report=report)
+    write_diagnosis(outcome, machine, out)
+    _say(answer, outcome, out)
+    answer.write(plain(outcome.diagnosis.document()))
+
+
+def _read(paths: list[Path], machine: Machine) -> dict[str, Recording]:
+    """Recordings by their file's name without its suffix; by their path where two have the same."""
+    from hil.recording import read_recording
+
+    found: dict[str, Recording] = {}
+    for path in paths:
+        name = path.stem if path.stem not in found else str(path)
+        if name in found:
+            raise RecordingError(f"{path}: is given twice; once is enough")
+        found[name] = read_recording(path, machine)
+    return found
+
+
+def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
+    diagnosis = outcome.diagnosis
+    answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
+    for finding in diagnosis.findings:
+        numbers = ", ".join(
+            f"{name} = {e.value:.4g}{' ' + e.unit if e.unit else ''} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+            for name, e in finding.parameters.items()
+        )
+        answer.say(f"  {finding.effect}: confidence {finding.confidence:.2f}; {numbers}")
+    judged = diagnosis.fit.held_out or diagnosis.fit.train
+    where = "held-out" if diagnosis.fit.held_out is not None else "training"
+    stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
+    answer.say(f"misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
+    answer.say(f"{out}: diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

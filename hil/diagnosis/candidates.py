@@ -1,0 +1,87 @@
+"""Which effects at which places may have been left out, and where a fit of each may start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.starts import starts_of
+from virtual_bus.effects.effect import CLOCK, DROPOUT, ELASTIC, SIGN, SPRING_CHANGE, TRANSMISSION
+from virtual_bus.effects.places import joint_at, places, spring_at
+from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting, PlantSettings
+
+ON_A_SPRING = ("joint_compliance", "nonlinear_stiffness", "backlash", "structural_mode", "base_motion", "bouc_wen_hysteresis")
+"""What may act at a joint without a drive: it moves as far as its spring gives way, so a law over its own range would show nothing."""
+
+WHOLE_IMU = "imu"
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One effect at one place, with the parameter values a fit may start from, in the catalogue's order."""
+
+    effect: EffectAt
+    starts: tuple[np.ndarray, ...]  # each (parameters,)
+
+    def setting(self, values: np.ndarray) -> EffectSetting:
+        """The effect with these parameters."""
+        return setting_of(self.effect, values)
+
+
+def setting_of(effect: EffectAt, values: np.ndarray) -> EffectSetting:
+    """An effect with these parameters, in the catalogue's order."""
+    names = [parameter.name for parameter in effects()[effect.effect].parameters]
+    return EffectSetting(effect.effect, effect.at, dict(zip(names, (float(value) for value in values), strict=True)))
+
+
+def candidates(motion: Motion, channels: Sequence[str]) -> list[Candidate]:
+    """All effects of the catalogue at the places of this machine where recordings could show them.
+
+    Parameters
+    ----------
+    motion : Motion
+        How the machine moved and what is missing at each place.
+    channels : sequence of str
+        Recorded and compared.
+    """
+    found = []
+    for place in places_to_try(motion.machine.plant, channels):
+        starts = starts_of(place.effect, place.at, motion)
+        if starts:
+            found.append(Candidate(place, tuple(starts)))
+    return found
+
+
+def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[EffectAt]:
+    """Every effect once at every place that is physically another one."""
+    driven = {drive.joint for drive in settings.drives}
+    chosen: list[EffectAt] = []
+    taken: set[tuple[str, str]] = set()
+    for name, effect in effects().items():
+        if effect.kind is DROPOUT:
+            continue
+        for at in places(effect.kind, settings):
+            key = at
+            if effect.kind in (ELASTIC, SPRING_CHANGE, TRANSMISSION):
+                key = spring_at(at, settings) or at
+            elif "axis" in effect.kind.allowed_at and "body" in effect.kind.allowed_at:
+                key = joint_at(at, settings)
+                if key not in driven and (name not in ON_A_SPRING or spring_at(at, settings) is None):
+                    continue
+            elif effect.kind in (CLOCK, SIGN) and at != WHOLE_IMU and at not in channels:
+                continue
+            elif effect.kind is CLOCK and at.startswith(("imu_", "gyro_")):
+                continue  # one clock stamps all of an IMU's channels
+            elif (effect.kind is SIGN and at == WHOLE_IMU) or ("encoder" in effect.kind.allowed_at and at not in channels):
+                continue
+            if "imu" in effect.kind.allowed_at and not any(channel.startswith(("imu_", "gyro_")) for channel in channels):
+                continue
+            if (name, key) not in taken:
+                taken.add((name, key))
+                chosen.append(EffectAt(name, at))
+    return chosen

@@ -1,0 +1,229 @@
+"""The whole diagnosis, from recordings to the answer: docs/diagnosis.md follows this file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.candidates import Candidate, candidates
+from hil.diagnosis.estimates import effect_estimates, retuned_values
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.misfit import channel_stages, total_stages
+from hil.diagnosis.mismatch import Mismatch, mismatch
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis, Location
+from hil.diagnosis.retune import Tuning, retune
+from hil.diagnosis.selection import Selection, select
+from hil.diagnosis.sufficiency import what_is_missing
+from hil.diagnosis.verdict import Standing, alternatives, verdict_of
+from hil.machine import Machine
+from hil.recording import Recording
+from virtual_bus.settings import EffectSetting
+
+Report = Callable[[str, float], None]
+LARGEST_TIE = 0.999
+"""No hypothesis is more certain than this: what is in no catalogue always has a share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The answer and what it was made from, for files and pages.
+
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+    effects : tuple of EffectSetting
+        Found, with their fitted parameters.
+    values : (parameters,) array
+        Plant parameters, re-tuned together with the effects.
+    tuning : Tuning
+        Without effects.
+    train, held_out : Mismatch
+        Beside the nominal simulation; held_out is None where none was given.
+    stages : mapping of str to mapping of str to list of (N, C) arrays
+        "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended".
+    selection : Selection
+    hypotheses : tuple of Weighed
+    """
+
+    diagnosis: Diagnosis
+    effects: tuple[EffectSetting, ...]
+    values: np.ndarray
+    tuning: Tuning
+    train: Mismatch
+    held_out: Mismatch | None
+    stages: Mapping[str, Mapping[str, list[np.ndarray]]]
+    selection: Selection
+    hypotheses: tuple[Weighed, ...]
+
+
+def diagnose(
+    machine: Machine,
+    recordings: Mapping[str, Recording],
+    held_out: Mapping[str, Recording] | None = None,
+    *,
+    jobs: int = 1,
+    report: Report = lambda what, share: None,
+) -> Outcome:
+    """Diagnose a machine from its recordings.
+
+    Parameters
+    ----------
+    machine : Machine
+        The simulation.
+    recordings, held_out : mapping of str to Recording
+        By name; held-out ones are fitted to by nothing.
+    jobs : int
+        Processes.
+    report : callable
+        Told what is being done, and the share of the whole that is done.
+
+    Raises
+    ------
+    RecordingError
+        Recordings that cannot be simulated or have no channel in common with the simulation.
+    BadAnswer
+        The nominal machine cannot be simulated.
+    """
+    began = time.monotonic()
+    report("simulating", 0.0)
+    train = mismatch(machine, recordings)
+    sets = {TRAIN: train}
+    if held_out:
+        sets[HELD_OUT] = mismatch(machine, held_out, channels=train.channels, noise=train.noise)
+    with FreeRuns(sets, train.noise, jobs) as runs:
+        report("re-tuning", 0.05)
+        tuning = retune(runs)
+        measured = runs.measured()
+        noise = float(len(measured))
+
+        def candidates_of(found: Fitted | None) -> Sequence[Candidate]:
+            values = tuning.values if found is None else tuning.at(found.offset)
+            rows = runs.rows(Trial(values, () if found is None else found.settings))
+            assert rows is not None
+            largest = max(range(len(rows)), key=lambda g: len(rows[g]))
+            group = replace(train.groups[largest], simulated=rows[largest])
+            return candidates(Motion(machine, values, group, train.channels), train.channels)
+
+        selection = select(runs, tuning, noise, candidates_of, report)
+        report("weighing", 0.95)
+        hypotheses = _weigh(runs, tuning, selection)
+        chosen = hypotheses[0].fitted if selection.chosen is not None else None
+        values = tuning.values if chosen is None else tuning.at(chosen.offset)
+        effects = () if chosen is None else chosen.settings
+        stages = _stages(runs, tuning, values, effects)
+        misfits = [_energy(runs, rows) for rows in (stages[TRAIN]["nominal"], stages[TRAIN]["retuned"], stages[TRAIN]["extended"])]
+        shown = int(np.sum(np.diag(tuning.covariance) < 0.5))
+        standing = Standing(
+            gates=selection.gates,
+            hypotheses=hypotheses,
+            nominal_misfit=misfits[0],
+            retuned_misfit=misfits[1],
+            best_misfit=misfits[2],
+            noise=noise,
+            shown=shown,
+            missing=what_is_missing(train, selection),
+        )
+        verdict, reason = verdict_of(standing)
+        findings = _findings(runs, tuning, selection, hypotheses) if verdict in ("ambiguous", "explained", "unknown_physics") else ()
+        if verdict == "unknown_physics":
+            findings = tuple(replace(finding, confidence=min(finding.confidence, 0.5)) for finding in findings)
+        retuned, frozen = retuned_values(tuning, chosen)
+        explainable = max(misfits[1] - noise, 0.0)
+        diagnosis = Diagnosis(
+            verdict=verdict,
+            reason=reason,
+            findings=findings,
+            hypotheses=tuple(Hypothesis(h.fitted.effects if h.fitted is not None else (), h.confidence) for h in hypotheses),
+            retuned=retuned,
+            frozen=frozen,
+            noise=train.noise.kind,
+            location=Location(),
+            fit=_fit(train, sets.get(HELD_OUT), stages),
+            unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
+            seconds=time.monotonic() - began,
+        )
+    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses)
+
+
+def _weigh(runs: FreeRuns, tuning: Tuning, selection: Selection) -> tuple[Weighed, ...]:
+    measured = runs.measured()
+    residual = measured - tuning.predicted
+    held_out_rows = sum(group.measured.shape[0] * len(group.time_s) for group in runs.sets[HELD_OUT].groups) if runs.has_held_out else 0
+    rows = sum(group.measured.shape[0] * len(group.time_s) for group in runs.sets[TRAIN].groups) + held_out_rows
+    trials = [Trial(tuning.values), *(Trial(tuning.at(fit.offset), fit.settings) for fit in selection.hypotheses)]
+    held_out = [0.0] * len(trials)
+    held_out_noise = 0.0
+    if runs.has_held_out:
+        wanted = runs.measured(HELD_OUT)
+        held_out_noise = float(len(wanted))
+        answers = runs.run(trials, HELD_OUT)
+        held_out = [1e300 if answer is None else float(np.sum((wanted - answer) ** 2)) for answer in answers]
+    base = Weighed(None, float(residual @ residual + tuning.offset @ tuning.offset), held_out[0], 0, 1.0)
+    if selection.chosen is None:
+        return (replace(base, confidence=LARGEST_TIE),)
+    sets = [Weighed(fit, fit.cost, misfit, fit.freedom) for fit, misfit in zip(selection.hypotheses, held_out[1:], strict=True)]
+    cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
+    return tuple(weighed(sets, base, rows, len(measured) + held_out_noise, cap))
+
+
+def _stages(
+    runs: FreeRuns, tuning: Tuning, values: np.ndarray, effects: tuple[EffectSetting, ...]
+) -> dict[str, dict[str, list[np.ndarray]]]:
+    """Simulated rows of every set at nominal, retuned and extended."""
+    trials = {"nominal": Trial(runs.nominal), "retuned": Trial(tuning.values), "extended": Trial(values, effects)}
+    found: dict[str, dict[str, list[np.ndarray]]] = {}
+    for name in runs.sets:
+        found[name] = {}
+        for stage, trial in trials.items():
+            rows = runs.rows(trial, name)
+            found[name][stage] = [np.full_like(group.simulated, np.nan) for group in runs.sets[name].groups] if rows is None else rows
+    return found
+
+
+def _energy(runs: FreeRuns, rows: list[np.ndarray]) -> float:
+    return float(np.sum((runs.measured() - runs.joined(rows)) ** 2))
+
+
+def _findings(runs: FreeRuns, tuning: Tuning, selection: Selection, hypotheses: tuple[Weighed, ...]) -> tuple[Finding, ...]:
+    best = hypotheses[0].fitted
+    if best is None:
+        return ()
+    estimates = effect_estimates(runs, tuning, best)
+    found = []
+    for number, effect in enumerate(best.effects):
+        gate = selection.gates[min(number, len(selection.gates) - 1)]
+        for_it, against = gate.evidence()
+        share = sum(h.confidence for h in hypotheses if h.fitted is not None and effect in h.fitted.effects)
+        others = alternatives(hypotheses, effect)
+        against += [f"{other} fits nearly as well" for other in others]
+        found.append(Finding(effect, min(share, LARGEST_TIE), estimates[number], others, None, tuple(for_it), tuple(against)))
+    return tuple(found)
+
+
+def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mapping[str, list[np.ndarray]]]) -> Fit:
+    def in_order(name: str) -> list[list[np.ndarray] | None]:
+        rows = stages[name]
+        return [rows["nominal"], rows["retuned"], rows["extended"], rows.get("placebo")]
+
+    on_train = total_stages(train, in_order(TRAIN))
+    on_held_out = None if held_out is None else total_stages(held_out, in_order(HELD_OUT))
+    judged = on_train if on_held_out is None else on_held_out
+    return Fit(
+        channels=channel_stages(train, in_order(TRAIN)) if held_out is None else channel_stages(held_out, in_order(HELD_OUT)),
+        train=on_train,
+        held_out=on_held_out,
+        removed_share=_removed(judged.retuned, judged.extended, judged.noise_floor),
+        removed_share_from_nominal=_removed(judged.nominal, judged.extended, judged.noise_floor),
+    )
+
+
+def _removed(before: float | None, after: float | None, floor: float | None) -> float | None:
+    if before is None or after is None or floor is None or before <= floor:
+        return None
+    return (before**2 - after**2) / (before**2 - floor**2)

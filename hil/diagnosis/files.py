@@ -1,0 +1,42 @@
+"""The folder a diagnosis is written to."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from hil.diagnosis.diagnose import Outcome
+from hil.diagnosis.machine_file import retuned_text
+from hil.errors import UnusableInput
+from hil.machine import Machine
+from hil.machine.effects_file import effects_text
+
+
+def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
+    """Write diagnosis.json, effects.toml and the re-tuned machine.toml.
+
+    Raises
+    ------
+    UnusableInput
+        The folder cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        document = json.dumps(_finite(outcome.diagnosis.document()), indent=2, ensure_ascii=False)
+        (folder / "diagnosis.json").write_text(document + "\n", encoding="utf-8")
+        (folder / "effects.toml").write_text(effects_text(outcome.effects, machine), encoding="utf-8")
+        text = retuned_text(machine, outcome.tuning.parameters, outcome.values)
+        (folder / "machine.toml").write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInput(f"{folder}: cannot be written to: {error.strerror}") from None
+
+
+def _finite(value: Any) -> Any:
+    """NaN and infinities as null: JSON has neither."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,151 @@
+"""Is an effect there at all? Four questions, all of which must be answered with yes.
+
+1. On the training repeats: is the fall of the misfit above what the best of all candidates gains where there is nothing? The noise model
+   sets the scale, and the scatter of the effect's strength from repeat to repeat widens it where the two disagree (a disturbance that
+   depends on reversals is larger along a friction's response than the spectrum says).
+2. On the held-out recordings, everything frozen: does the misfit fall along the predicted change?
+3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
+4. Does it explain a share of what there is to explain?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened
+
+TRAIN_LEVEL = 0.01
+"""Chance that the best of all candidates passes the first question where there is nothing."""
+
+SPECTRUM_WEIGHT = 2.0
+"""What the noise spectra count for against the repeats' scatter of an effect's strength, in repeats."""
+
+HELD_OUT_DEVIATIONS = 2.5
+"""Of the held-out response along the predicted one, in units of its noise."""
+
+PLACEBO_FACTOR = 1.5
+"""The effect must gain this many times what the best placebo gains."""
+
+SAME_BACKWARDS = 0.5
+"""A response whose cosine with itself backwards is larger has no placebo of this kind (a constant has no direction in time)."""
+
+LEAST_SHARE = 0.02
+"""Of the explainable mismatch."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """The four answers, with the numbers they rest on."""
+
+    gain: float  # fall of |residual|^2 on the training groups, nominal numbers refitted
+    needed: float
+    scatter: float  # variance of the strength over repeats, in units of the noise model's
+    held_out_deviations: float | None  # None without held-out recordings
+    placebo_gain: float
+    share: float
+
+    @property
+    def significant(self) -> bool:
+        return self.gain > self.needed * self.scatter
+
+    @property
+    def confirmed(self) -> bool:
+        return self.held_out_deviations is None or self.held_out_deviations > HELD_OUT_DEVIATIONS * np.sqrt(self.scatter)
+
+    @property
+    def beats_placebo(self) -> bool:
+        return self.gain > PLACEBO_FACTOR * self.placebo_gain
+
+    @property
+    def explains(self) -> bool:
+        return self.share > LEAST_SHARE
+
+    @property
+    def passed(self) -> bool:
+        return self.significant and self.confirmed and self.beats_placebo and self.explains
+
+    def evidence(self) -> tuple[list[str], list[str]]:
+        """Sentences for and against."""
+        lines = [
+            (self.significant, f"misfit falls by {self.gain:.4g} in units of noise; chance alone reaches {self.needed * self.scatter:.4g}"),
+            (self.beats_placebo, f"the best response run backwards in time gains {self.placebo_gain:.4g}"),
+            (self.explains, f"explains {self.share:.1%} of what is above noise"),
+        ]
+        if self.held_out_deviations is not None:
+            lines.insert(
+                1, (self.confirmed, f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations")
+            )
+        return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]
+
+
+def needed_gain(candidates: int, freedom: int) -> float:
+    """Fall of |residual|^2 that the best of this many candidates with this many parameters reaches by chance at TRAIN_LEVEL."""
+    return float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1)))
+
+
+def strength_scatter(runs: FreeRuns, projection: Projection, change: np.ndarray) -> float:
+    """Variance over repeats of the strength along a change of the simulation (M,), in units of what the noise model gives it; at least 1.
+
+    Each repeat's deviation from the mean along the response has unit variance where the model holds.
+    """
+    response = projection.left(change)[: len(change)]
+    length = float(np.sqrt(response @ response))
+    if length == 0.0:
+        return 1.0
+    total, free = 0.0, 0.0
+    start = 0
+    for group in runs.repeats(TRAIN):
+        repeats = np.stack(group)
+        own = response[start : start + repeats.shape[1]]
+        start += repeats.shape[1]
+        size = float(np.sqrt(own @ own))
+        if len(repeats) < 2 or size < 0.1 * length:
+            continue
+        along = (repeats - repeats.mean(axis=0)) @ own / size
+        total += float(along @ along)
+        free += len(repeats) - 1.0
+    return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
+
+
+def held_out_deviations(runs: FreeRuns, without: Trial, extended: Trial) -> float | None:
+    """How far the held-out residual goes along the change that the effect predicts, in units of its noise; None without held-out."""
+    if not runs.has_held_out:
+        return None
+    before, after = runs.run([without, extended], HELD_OUT)
+    if before is None or after is None:
+        return -np.inf
+    change = after - before
+    length = float(np.linalg.norm(change))
+    return float(change @ (runs.measured(HELD_OUT) - before)) / length if length > 0.0 else 0.0
+
+
+def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> float:
+    """Largest gain among the candidates' responses run backwards in time."""
+    projection = Projection.of(tuning)
+    left = projection.left_of_residual(residual)
+    count = len(residual)
+    best = 0.0
+    signs = backwards_signs(runs)
+    for candidate in screened:
+        response = candidate.response[:count].astype(float)
+        placebo = projection.left(signs * response)
+        energy = float(placebo @ placebo)
+        if energy < 1e-6 or abs(float(response @ (signs * response))) > SAME_BACKWARDS * float(response @ response):
+            continue
+        best = max(best, float(placebo @ left) ** 2 / energy)
+    return best
+
+
+def backwards_signs(runs: FreeRuns) -> np.ndarray:
+    """(M,) +-1 that turn a whitened record into one of the same spectrum run backwards: conjugate lines."""
+    parts = []
+    for group in runs.sets[TRAIN].groups:
+        parts.append(runs.noise.backwards(len(group.time_s), len(runs.sets[TRAIN].channels)))
+    return np.concatenate(parts)

@@ -1,0 +1,196 @@
+"""How a machine moved in a recording, and the effort it lacks in its simulation: what initial guesses look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.signal
+
+from hil.diagnosis.mismatch import RepeatGroup
+from hil.machine import Machine
+from virtual_bus.effects.places import joint_at, next_axis, spring_at
+from virtual_bus.effects.residual import Residual
+from virtual_bus.plant.compiled import CompiledPlant, compile_plant
+from virtual_bus.plant.linearise import linearised
+
+ACCELERATION_WINDOW_s = 0.08
+HIGHEST_EFFORT_Hz = 25.0
+"""Above it the missing effort is tapered off: the inverse of a plant from force to position grows with the square of frequency."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One group's mean motion beside its simulation at the present parameters.
+
+    Parameters
+    ----------
+    machine : Machine
+    values : (parameters,) array
+        Plant parameters the group was simulated with.
+    group : RepeatGroup
+    channels : tuple of str
+    """
+
+    machine: Machine
+    values: np.ndarray
+    group: RepeatGroup
+    channels: tuple[str, ...]
+
+    @cached_property
+    def plant(self) -> CompiledPlant:
+        return compile_plant(self.machine.plant)
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(N, n_axes)"""
+        rows = max(5, 2 * round(0.5 * ACCELERATION_WINDOW_s * self.machine.sample_rate_Hz) + 1)
+        step_s = 1.0 / self.machine.sample_rate_Hz
+        return scipy.signal.savgol_filter(self.group.position, rows, 3, deriv=2, delta=step_s, axis=0)
+
+    @cached_property
+    def gains(self) -> np.ndarray:
+        """(n_axes,) joint effort per unit of drive effort."""
+        model = self.plant.model(self.values)
+        joints = np.zeros(self.plant.joints)
+        joints[list(self.plant.joint_of_axis().values())] = self.group.position.mean(axis=0)
+        return self.plant.drive_gains(model, joints)
+
+    @cached_property
+    def missing_effort(self) -> np.ndarray:
+        """(N, n_axes) effort the simulation lacks at each driven joint [Nm or N].
+
+        With G the linear plant about the mean pose, position = G (drive effort + missing effort): the difference of recording and
+        simulation gives G^-1 (difference of positions) less the difference of drive efforts.
+        """
+        machine, group = self.machine, self.group
+        difference = group.mean - group.simulated
+        rows, axes = len(difference), len(machine.axes)
+        position, drive = np.zeros((rows, axes)), np.zeros((rows, axes))
+        outputs = []
+        for i, units in enumerate(machine.units):
+            sensors = (f"{quantity}_{units.axis}" for quantity in ("position", "link_position", "speed"))
+            name = next((n for n in sensors if n in self.channels), None)
+            outputs.append(name)
+            if name is not None:
+                position[:, i] = difference[:, self.channels.index(name)]
+            kinds = (f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}", f"command_{units.axis}")
+            effort = next((n for n in kinds if n in self.channels), None)
+            if effort is not None:
+                drive[:, i] = difference[:, self.channels.index(effort)]
+        seen = [i for i, name in enumerate(outputs) if name is not None]
+        missing = -drive
+        if seen:
+            system = linearised(self.plant, self.plant.model(self.values), group.position.mean(axis=0))
+            labels = list(system.output_labels)
+            pick = [labels.index(outputs[i]) for i in seen]
+            extended = _odd_extension(position[:, seen])
+            frequencies = np.fft.rfftfreq(len(extended), 1.0 / machine.sample_rate_Hz)
+            response = _response(system, frequencies)[:, pick][:, :, seen]
+            lines = np.fft.rfft(extended, axis=0)
+            inverse = np.linalg.solve(response, lines[:, :, None])[:, :, 0]
+            inverse *= _taper(frequencies, min(HIGHEST_EFFORT_Hz, 0.2 * machine.sample_rate_Hz))[:, None]
+            missing[:, seen] += np.fft.irfft(inverse, len(extended), axis=0)[:rows]
+        return missing * self.gains
+
+    @cached_property
+    def drive_effort(self) -> np.ndarray:
+        """(N, n_axes) of the drives on their joints [Nm or N]."""
+        return self.group.effort * self.gains
+
+    def axis_of(self, at: str) -> int:
+        """The axis a place belongs to: its own, that of its channel, or the one whose motion is largest."""
+        axes = self.machine.axes
+        for k, axis in enumerate(axes):
+            if at == axis or at.endswith(f"_{axis}"):
+                return k
+        settings = self.machine.plant
+        if any(body.name == at and body.joint is not None for body in settings.tree.bodies):
+            for k, drive in enumerate(settings.drives):
+                if drive.joint == joint_at(at, settings) or spring_at(drive.axis, settings) == spring_at(at, settings):
+                    return k
+        return int(np.argmax(np.abs(self.missing_effort).sum(axis=0)))
+
+    def stiffness(self, at: str) -> float:
+        """Of the sprung joint at a place; 0 where there is none."""
+        settings = self.machine.plant
+        is_place = any(d.axis == at for d in settings.drives) or any(b.name == at and b.joint for b in settings.tree.bodies)
+        spring = spring_at(at, settings) if is_place else None
+        if spring is None:
+            return 0.0
+        return next(joint.stiffness for joint in settings.tree.joints if joint.name == spring)
+
+    def residual(self, at: str, *, coupled: bool = False) -> Residual:
+        """What a guess may look at: of the place's axis, with the channel itself where the place is one.
+
+        `coupled`: the other joint is the next axis; otherwise the spring's deflection under the drive's effort.
+        """
+        k = self.axis_of(at)
+        group, stiffness = self.group, self.stiffness(at)
+        other = group.position[:, k], group.speed[:, k], self.acceleration[:, k]
+        if coupled:
+            n = self.machine.axis_index(next_axis(self.machine.axes[k], self.machine.plant))
+            other = group.position[:, n], group.speed[:, n], self.acceleration[:, n]
+        elif stiffness > 0.0:
+            deflection = -self.drive_effort[:, k] / stiffness
+            other = deflection, np.gradient(deflection, group.time_s), np.zeros_like(deflection)
+        measured, simulated = self._channel(at, k)
+        return Residual(
+            time_s=group.time_s - group.time_s[0] + self.start_s,
+            position=group.position[:, k],
+            speed=group.speed[:, k],
+            acceleration=self.acceleration[:, k],
+            effort=self.missing_effort[:, k],
+            current=group.effort[:, k],
+            measured=measured,
+            simulated=simulated,
+            drive_effort=self.drive_effort[:, k],
+            other_position=other[0],
+            other_speed=other[1],
+            other_acceleration=other[2],
+            ratio=self.machine.plant.drives[k].ratio,
+            stiffness=stiffness,
+        )
+
+    @property
+    def start_s(self) -> float:
+        """When the first row of the repeats is, since the machine was placed."""
+        return self.group.windows[0].start / self.machine.sample_rate_Hz
+
+    def _channel(self, at: str, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        mean, simulated = self.group.mean, self.group.simulated
+        imu = [self.channels.index(name) if name in self.channels else -1 for name in _IMU]
+        if at in {sensor.name for sensor in self.machine.plant.imus}:
+            absent = np.zeros(len(mean))
+            return tuple(  # type: ignore[return-value]
+                np.column_stack([values[:, c] if c >= 0 else absent for c in imu]) for values in (mean, simulated)
+            )
+        unit = self.machine.units[axis].effort
+        link = f"link_position_{self.machine.axes[axis]}"
+        own = f"{'current' if unit == 'A' else 'effort'}_{self.machine.axes[axis]}"
+        name = next((n for n in (at, own, link) if n in self.channels), self.channels[0])
+        column = self.channels.index(name)
+        return mean[:, column], simulated[:, column]
+
+
+_IMU = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
+
+
+def _odd_extension(values: np.ndarray) -> np.ndarray:
+    """(2 N, ...) the record and its point reflection about its end: periodic without a jump but for the trend."""
+    trend = np.linspace(0.0, 1.0, len(values))[:, None] * (values[-1] - values[0]) + values[0]
+    rest = values - trend
+    return np.concatenate([rest, -rest[::-1]]) + np.concatenate([trend, trend[::-1]])
+
+
+def _response(system: object, frequencies_Hz: np.ndarray) -> np.ndarray:
+    """(L, outputs, inputs) of a continuous state space."""
+    a, b, c, d = (np.asarray(getattr(system, letter)) for letter in "ABCD")
+    s = 2j * np.pi * np.maximum(frequencies_Hz, 1e-3)[:, None, None]
+    return c @ np.linalg.solve(s * np.eye(len(a)) - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape))) + d
+
+
+def _taper(frequencies_Hz: np.ndarray, highest_Hz: float) -> np.ndarray:
+    """1 up to `highest_Hz`, then down to 0 within half an octave."""
+    return 0.5 * (1.0 + np.cos(np.pi * np.clip(2.0 * (frequencies_Hz / highest_Hz - 1.0), 0.0, 1.0)))

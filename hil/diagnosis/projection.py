@@ -1,0 +1,42 @@
+"""What of a change of the simulation re-tuning cannot imitate: sensitivities with the tuned parameters projected out, prior included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+
+AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Inner products of whitened vectors (M,) after the best small re-tuning for each.
+
+    min over d of |r - J d|^2 + |offset + d|^2 is a least-squares problem in the vectors (r, -offset) with the columns (J, 1): every product
+    here is one of what is left of such augmented vectors. A tuned parameter at its bound is no longer free.
+    """
+
+    jacobian: np.ndarray  # (M, F) of the free ones
+    offset: np.ndarray  # (F,)
+    factor: tuple[np.ndarray, bool]  # of J'J + 1
+
+    @classmethod
+    def of(cls, tuning: Tuning) -> Projection:
+        free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - AT_BOUND
+        jacobian = np.ascontiguousarray(tuning.jacobian[:, free])
+        hessian = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
+        return cls(jacobian, tuning.offset[free], scipy.linalg.cho_factor(hessian))
+
+    def left(self, change: np.ndarray) -> np.ndarray:
+        """(M + F,) of a change of the simulation, the part that no re-tuning imitates."""
+        weights = scipy.linalg.cho_solve(self.factor, self.jacobian.T @ change)
+        return np.concatenate([change - self.jacobian @ weights, -weights])
+
+    def left_of_residual(self, residual: np.ndarray) -> np.ndarray:
+        """(M + F,) of a residual at the present tuning, its prior's pull included."""
+        weights = scipy.linalg.cho_solve(self.factor, self.jacobian.T @ residual - self.offset)
+        return np.concatenate([residual - self.jacobian @ weights, -self.offset - weights])

@@ -1,0 +1,281 @@
+"""Where a fit of an effect may start: the effect's own guess, and other values of what decides its shape.
+
+Strengths need no search, they are rescaled by the first free run; speeds, orders, stops and stiffnesses do: a fit started a factor of ten
+away from them ends elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from hil.diagnosis.motion import Motion
+from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.registry import effects, initial_guess
+from virtual_bus.effects.residual import Residual, harmonics
+
+FIRST_SHARE = 0.1
+"""Strength of a first try where a guess sees nothing, as a share of what the machine shows of its kind."""
+
+ORDERS_PER_TRAVEL = 4.0
+"""Orders over position are looked for in steps of this part of a cycle per travel."""
+
+HIGHEST_ORDER_Hz = 20.0
+"""Orders that pass faster than this at the top speed are not looked for: the loop and the drive do not let them through."""
+
+
+def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
+    """(parameters,) start values, the most plausible first; none where the place does not move."""
+    effect = effects()[name]
+    residual = motion.residual(at, coupled=effect.kind is COUPLING)
+    try:
+        guessed = initial_guess(name, residual)
+    except (np.linalg.LinAlgError, ValueError, IndexError, ZeroDivisionError):
+        guessed = {parameter.name: 0.0 for parameter in effect.parameters}
+    typical = _Typical(motion, at, residual)
+    first = {p.name: _strength(p, guessed[p.name], typical) if p.is_strength else guessed[p.name] for p in effect.parameters}
+    others = _OTHERS.get(name, _nothing)(first, residual, typical)
+    found: list[np.ndarray] = []
+    for start in (*others, first):
+        values = np.array([np.clip(start[p.name], p.low, p.high) for p in effect.parameters])
+        if np.isfinite(values).all() and not is_neutral(effect, values) and not any(np.array_equal(values, other) for other in found):
+            found.append(values)
+    return found
+
+
+def is_neutral(effect: Effect, values: np.ndarray) -> bool:
+    """Whether an effect of these values does nothing."""
+    return all(not p.is_strength or value == p.neutral for p, value in zip(effect.parameters, values, strict=True))
+
+
+Start = dict[str, float]
+
+
+class _Typical:
+    """What size things have at a place."""
+
+    def __init__(self, motion: Motion, at: str, residual: Residual) -> None:
+        self.motion, self.at = motion, at
+        self.sample_s = 1.0 / motion.machine.sample_rate_Hz
+        self.duration_s = float(residual.time_s[-1] - residual.time_s[0])
+        self.travel = max(float(np.ptp(residual.position)), 1e-6)
+        self.speed = max(float(np.abs(residual.speed).max()), 1e-6)
+        self.acceleration = max(float(np.sqrt(np.mean(residual.acceleration**2))), 1e-6)
+        drive = FIRST_SHARE * float(np.sqrt(np.mean(residual.drive_effort**2)))
+        self.effort = max(2.0 * float(np.sqrt(np.mean(residual.effort**2))), drive, 1e-9)
+        self.stiffness = residual.stiffness
+        self.deflection = max(float(np.abs(residual.other_position).max()), 1e-12) if residual.stiffness > 0.0 else self.travel
+        self.current = max(float(np.abs(residual.current).max()), 1e-6)
+        settings = motion.machine.plant
+        self.mass = next((body.mass_kg for body in settings.tree.bodies if body.name == at), 1.0)
+        self.inertia = self._inertia()
+
+    def _inertia(self) -> float:
+        """Of the joint a place belongs to, about the mean pose."""
+        plant = self.motion.plant
+        model = plant.model(self.motion.values)
+        q = np.zeros(plant.joints)
+        q[list(plant.joint_of_axis().values())] = self.motion.group.position.mean(axis=0)
+        mass, _ = plant.inertia_and_bias(model, q, np.zeros(plant.joints))
+        try:
+            joint = plant.settings.tree.joint_index(joint_at(self.at, plant.settings))
+        except (StopIteration, AssertionError):
+            joint = list(plant.joint_of_axis().values())[self.motion.axis_of(self.at)]
+        return float(mass[joint, joint])
+
+    def of(self, parameter: Parameter) -> float:
+        """A first strength of this unit."""
+        return {
+            "Nm": self.effort,
+            "Nm/rad": self.effort / self.travel,
+            "Nm s/rad": self.effort / self.speed,
+            "Nm s2/rad2": self.effort / self.speed**2,
+            "Nm/rad3": self.effort / self.deflection**3,
+            "kg m2": FIRST_SHARE * self.inertia,
+            "kg": FIRST_SHARE * self.mass,
+            "rad": FIRST_SHARE * self.deflection if self.stiffness > 0.0 else 1e-3 * self.travel,
+            "rad/Nm": FIRST_SHARE / self.stiffness if self.stiffness > 0.0 else 0.0,
+            "rad/s": 1e-2,
+            "m/s2": 2e-2,
+            "s": self.sample_s,
+            "Hz": 0.1 / self.sample_s,
+            "A": 0.9 * self.current,
+            "phase": 0.01,
+        }.get(parameter.unit, 0.02)
+
+
+def _strength(parameter: Parameter, guessed: float, typical: _Typical) -> float:
+    """The guess, unless it sees nothing."""
+    if parameter.name in ("kc3", "Fs_minus_Fc", "A2", "e2", "sigma1", "d", "D", "droop", "delta", "b", "Fc_minus") and guessed == 0.0:
+        return guessed  # a refinement of the effect's first strength
+    at_bound = guessed <= parameter.low if parameter.low >= 0.0 else False
+    unseen = guessed == parameter.neutral or at_bound or guessed >= parameter.high
+    return typical.of(parameter) if unseen else guessed
+
+
+def _nothing(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    return []
+
+
+def _several(
+    name: str, values: Callable[[Start, Residual, _Typical], Iterable[float]]
+) -> Callable[[Start, Residual, _Typical], list[Start]]:
+    """Other values of one parameter."""
+    return lambda first, residual, typical: [{**first, name: float(value)} for value in values(first, residual, typical)]
+
+
+def _orders(
+    order: str,
+    amplitudes: tuple[str, str],
+    phases: tuple[str, str],
+    per: Callable[[Residual], np.ndarray],
+    scale: Callable[[Residual], float],
+) -> Callable[[Start, Residual, _Typical], list[Start]]:
+    """The strongest orders over position of what is missing, whole or not."""
+
+    def find(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+        found = []
+        ratio = scale(residual)
+        for value in _strongest_orders(residual, per(residual), typical, 2):
+            (a1, p1), (a2, p2) = harmonics(value * residual.position, per(residual))
+            found.append({**first, order: value / ratio, amplitudes[0]: a1, phases[0]: p1, amplitudes[1]: a2, phases[1]: p2})
+        return found
+
+    return find
+
+
+def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
+    """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort."""
+    lowest = 2.0 * np.pi / typical.travel * 0.75
+    highest = 2.0 * np.pi * HIGHEST_ORDER_Hz / typical.speed
+    step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
+    orders = np.arange(lowest, max(highest, lowest + step), step)[:800]
+    every = max(1, len(values) // 3000)
+    q, v = residual.position[::every], values[::every]
+    smooth = [np.ones_like(q), q, q**2, residual.speed[::every], np.sign(residual.speed[::every]), residual.acceleration[::every]]
+    basis, _ = np.linalg.qr(np.column_stack(smooth))
+    v = v - basis @ (basis.T @ v)
+    power = np.array([abs(np.exp(-1j * order * q) @ v) for order in orders])
+    found: list[float] = []
+    for k in np.argsort(-power):
+        if all(abs(orders[k] - other) > 3.0 * step for other in found):
+            found.append(float(orders[k]))
+        if len(found) == count:
+            break
+    return found
+
+
+def _position_friction(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    moving = residual.moves
+    against = -np.sign(residual.speed) * residual.effort * moving
+    found = []
+    for value in _strongest_orders(residual, against, typical, 2):
+        (amplitude, phase), _ = harmonics(value * residual.position[moving], against[moving])
+        found.append({**first, "Fc": 2.0 * amplitude, "k": value, "phi": phase})
+    return found
+
+
+def _encoder_orders(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    found = []
+    for value in _strongest_orders(residual, residual.difference, typical, 1):
+        (b, _), _ = harmonics(value * residual.position, residual.difference)
+        found.append({**first, "b": b, "Nl": value})
+    return [*found, {**first, "a": max(first["a"], 1e-4 * typical.travel), "b": 0.0}]
+
+
+def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    q = residual.position
+    found = []
+    for side, end in ((1.0, q.max()), (-1.0, q.min())):
+        for depth in (0.03, 0.12):
+            position = end - side * depth * typical.travel
+            pushed = side * (q - position) > 0.0
+            push = max(-side * float(residual.effort[pushed].mean()), 0.2 * typical.effort) if pushed.any() else typical.effort
+            stiffness = 2.0 * push / (depth * typical.travel)
+            found.append({**first, "K": stiffness, "at_position": float(position), "side": side})
+    return found
+
+
+def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    """The three strongest lines of the missing effort."""
+    frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
+    window = np.hanning(len(residual.time_s))
+    found: list[Start] = []
+    spectrum = np.abs(np.fft.rfft((residual.effort - residual.effort.mean()) * window))
+    spectrum[:2] = 0.0
+    for _ in range(2):
+        k = int(np.argmax(spectrum))
+        f = float(frequencies[k])
+        ((amplitude, phase),) = harmonics(2.0 * np.pi * f * residual.time_s, residual.effort, (1,))
+        found.append({**first, "A": max(amplitude, 0.05 * typical.effort), "f": f, "phi": _wrapped(phase + 0.5 * np.pi)})
+        spectrum[max(0, k - 4) : k + 5] = 0.0
+    return found
+
+
+def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    """Where the missing effort is large against the motion, and a grid over the band."""
+    frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
+    window = np.hanning(len(residual.time_s))
+    effort = np.abs(np.fft.rfft(residual.effort * window)) ** 2
+    motion = np.abs(np.fft.rfft(residual.acceleration * window)) ** 2
+    kernel = np.ones(9) / 9.0
+    effort, motion = np.convolve(effort, kernel, "same"), np.convolve(motion, kernel, "same")
+    band = (frequencies > 2.0) & (frequencies < min(30.0, 0.3 / typical.sample_s))
+    ratio = np.where(band, effort / (motion + 1e-3 * motion.max()), 0.0)
+    peak = float(frequencies[int(np.argmax(ratio))])
+    inertia = FIRST_SHARE * typical.inertia
+    return [{"J": inertia, "f": f, "zeta": 0.03} for f in dict.fromkeys([round(peak, 2), 5.0, 9.0, 15.0, 24.0])]
+
+
+def _wrapped(phase: float) -> float:
+    return float((phase + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _one(residual: Residual) -> float:
+    return 1.0
+
+
+def _ratio(residual: Residual) -> float:
+    return residual.ratio
+
+
+def _effort(residual: Residual) -> np.ndarray:
+    return residual.effort
+
+
+def _effort_per_drive(residual: Residual) -> np.ndarray:
+    level = 0.1 * float(np.abs(residual.drive_effort).max(initial=1e-9))
+    drive = residual.drive_effort
+    return residual.effort * drive / (drive**2 + level**2)
+
+
+def _deflection(residual: Residual) -> np.ndarray:
+    return residual.difference
+
+
+_OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
+    "stribeck_friction": _several("vs", lambda f, r, t: [0.02 * t.speed, 0.1 * t.speed, 0.3 * t.speed]),
+    "presliding_hysteresis": _several("sigma0", lambda f, r, t: [f["Fc"] / t.travel * k for k in (10.0, 100.0, 1000.0)]),
+    "bouc_wen_hysteresis": lambda f, r, t: [
+        {**f, "k": t.effort / (share * t.travel), "z_max": share * t.travel} for share in (0.02, 0.1, 0.5)
+    ],
+    "cogging": _orders("Np", ("A1", "A2"), ("phi1", "phi2"), _effort, _ratio),
+    "torque_ripple": _orders("Np", ("A1", "A2"), ("phi1", "phi2"), _effort_per_drive, _ratio),
+    "transmission_error": _orders("k", ("e1", "e2"), ("phi1", "phi2"), _deflection, _ratio),
+    "position_dependent_friction": _position_friction,
+    "encoder_eccentricity": _encoder_orders,
+    "end_stop": _stops,
+    "base_motion": _lines,
+    "structural_mode": _modes,
+    "backlash": _several("b", lambda f, r, t: [0.05 * t.deflection, 0.3 * t.deflection, t.deflection]),
+    "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.1, -0.05)]),
+    "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
+    "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s]),
+    "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
+    "clock_offset": _several("t0", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
+    "imu_bandwidth": _several("fc", lambda f, r, t: [0.05 / t.sample_s, 0.2 / t.sample_s]),
+    "rectified_sensor": lambda f, r, t: [{"share": 1.0, "sign": 1.0}, {"share": 1.0, "sign": -1.0}, {"share": 0.0, "sign": -1.0}],
+    "temperature_dependent_friction": _several("tau", lambda f, r, t: [0.1 * t.duration_s, t.duration_s]),
+}

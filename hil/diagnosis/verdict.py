@@ -1,0 +1,70 @@
+"""From fitted and weighed sets of effects to the verdict, and the sentence that says it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hil.diagnosis.gate import Gate
+from hil.diagnosis.naming import CONFIDENT, PLAUSIBLE, Weighed
+from hil.diagnosis.result import EffectAt, Verdict
+
+RETUNED_GAIN = 20.0
+"""Fall of |residual|^2 by re-tuning, per tuned number that the recordings show, from which the file's numbers are wrong; chance gives 1."""
+
+UNKNOWN_LEFT = 0.4
+"""Share of the explainable mismatch which the best set of known effects leaves, from which it has no name: development cases with a right
+name leave less."""
+
+STILL_SIGNIFICANT = 1.5
+"""|residual|^2 over its noise, from which what is left is above the noise for certain."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the verdict rests on."""
+
+    gates: tuple[Gate, ...]
+    hypotheses: tuple[Weighed, ...]  # the likeliest first
+    nominal_misfit: float  # |residual|^2 of the training groups
+    retuned_misfit: float
+    best_misfit: float
+    noise: float  # expected |residual|^2 of a perfect simulation
+    shown: int  # tuned numbers that the recordings show
+    missing: str  # what too little data lack; "" where they suffice
+
+
+def verdict_of(standing: Standing) -> tuple[Verdict, str]:
+    """The first verdict that applies, and why."""
+    if standing.missing:
+        return "inconclusive", standing.missing
+    found = any(gate.passed for gate in standing.gates)
+    left = max(standing.best_misfit - standing.noise, 0.0)
+    explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
+    structured = standing.best_misfit > STILL_SIGNIFICANT * standing.noise
+    if structured and left > UNKNOWN_LEFT * explainable and (found or any(gate.significant for gate in standing.gates)):
+        return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
+    if found:
+        best = standing.hypotheses[0]
+        assert best.fitted is not None
+        names = " and ".join(str(effect) for effect in best.fitted.effects)
+        if best.confidence >= CONFIDENT:
+            return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
+        others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
+        also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)
+        return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"
+    if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
+        return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
+    return "consistent", "nothing differs by more than the noise of repeats"
+
+
+def alternatives(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[EffectAt, ...]:
+    """Effects that stand in another plausible set where this one does not."""
+    found: list[EffectAt] = []
+    for other in hypotheses:
+        if other.fitted is None or other.confidence < PLAUSIBLE or effect in other.fitted.effects:
+            continue
+        best = hypotheses[0].fitted
+        known = set(best.effects) if best is not None else set()
+        found += [name for name in other.fitted.effects if name not in known and name not in found]
+    return tuple(found)
