@@ -1,0 +1,1 @@
+"""The concealed benchmark: recordings whose hidden physics is known to the scorer alone."""

@@ -1,0 +1,90 @@
+"""The command line of the benchmark."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from concealed import making, running, scoring
+
+RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
+
+
+def main(arguments: list[str]) -> int:
+    """Run one step or all of them."""
+    parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
+    parser.add_argument("step", choices=("make", "run", "score", "all"))
+    parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
+    parser.add_argument("--cases", default="", help="numbers, as in 0-39 or 3,5,8; all of the set by default")
+    parser.add_argument("--strata", default="", help="null, single, pair, off; comma between them; all by default")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at once")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "isocenter-concealed", help="folder of the cases")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
+    parser.add_argument("--keep", action="store_true", help="keep recordings and reports of the cases that were run")
+    options = parser.parse_args(arguments)
+    places = making.Places(options.work, options.seeds)
+    options.results.mkdir(parents=True, exist_ok=True)
+    if options.step != "score":
+        making.export_models(places)
+    numbers = _numbers(options, places)
+    if options.step == "make":
+        _each(partial(making.make, places), numbers, options.jobs, "make", lambda _number, _row: None)
+    if options.step in ("run", "all"):
+        _run(options, places, numbers)
+    if options.step in ("score", "all"):
+        print(scoring.score(places, options.results))
+    return 0
+
+
+def _numbers(options: argparse.Namespace, places: making.Places) -> list[int]:
+    numbers: list[int] = []
+    for part in options.cases.split(",") if options.cases else [f"0-{making.seeds(options.seeds)[1] - 1}"]:
+        first, _, last = part.partition("-")
+        numbers += range(int(first), int(last or first) + 1)
+    wanted = set(options.strata.split(",")) if options.strata else None
+    return [number for number in numbers if wanted is None or making.stratum_of(number) in wanted]
+
+
+def answers_path(results: Path, seeds: str) -> Path:
+    """One line of JSON a case."""
+    return results / f"answers_{seeds}.jsonl"
+
+
+def _run(options: argparse.Namespace, places: making.Places, numbers: list[int]) -> None:
+    path = answers_path(options.results, options.seeds)
+    done = {json.loads(line)["number"] for line in path.read_text().splitlines()} if path.exists() else set()
+    with path.open("a", encoding="utf-8") as stream:
+
+        def keep(_number: int, row: dict[str, Any]) -> None:
+            stream.write(json.dumps(row) + "\n")
+            stream.flush()
+
+        left = [number for number in numbers if number not in done]
+        _each(partial(running.run_case, places, keep=options.keep), left, options.jobs, "run", keep)
+
+
+def _each(task: Callable[[int], Any], numbers: Iterable[int], jobs: int, what: str, then: Callable[[int, Any], None]) -> None:
+    """Do a task for every number, in their order, some at once; a case that fails is said and the others go on."""
+    numbers = list(numbers)
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    context = multiprocessing.get_context("spawn")
+    with Progress(*columns) as progress, ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        bar = progress.add_task(what, total=len(numbers))
+        waiting = {pool.submit(task, number): number for number in numbers}
+        for future in as_completed(waiting):
+            number = waiting[future]
+            problem = future.exception()
+            if problem is None:
+                then(number, future.result())
+            else:
+                progress.console.print(f"case {number}: {type(problem).__name__}: {problem}")
+            progress.advance(bar)

@@ -1,0 +1,71 @@
+"""Running the tool as an outside user would: the command, on a folder of recordings and a machine file."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+from concealed.making import COMMAND, Places, make, seal
+
+TIME_LIMIT_S = 900.0
+JSON_KEPT = ("verdict", "findings", "hypotheses", "retuned", "noise", "location", "fit", "unexplained_share", "seconds")
+
+
+def commit() -> str:
+    """The tool's commit, marked where its files differ from it."""
+    here = Path(__file__).parent
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False).stdout.strip()
+    packages = [str(here.parents[1] / name) for name in ("hil", "virtual_bus", "controllers", "drivers")]
+    changed = subprocess.run(["git", "status", "--porcelain", "--", *packages], cwd=here, capture_output=True, text=True, check=False).stdout
+    return head + ("+changes" if changed.strip() else "")
+
+
+def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
+    """Make the case where it is not there, diagnose it, and return what is kept of the answer, with the truth's seal."""
+    make(places, number)
+    case, out = places.case(number), places.answer(number)
+    out.mkdir(parents=True, exist_ok=True)
+    runs = sorted(str(path) for path in case.glob("run_*.csv"))
+    command = [COMMAND, "diagnose", str(case / "machine.toml"), *runs, "--held-out", str(case / "held_out.csv"), "-o", str(out), "--jobs", "1"]
+    start = time.monotonic()
+    row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": commit()}
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S, check=False)
+        row |= {"exit_status": done.returncode, "error": done.stderr.strip()[-500:]}
+    except subprocess.TimeoutExpired:
+        row |= {"exit_status": None, "error": f"no answer within {TIME_LIMIT_S:g} s"}
+    row["wall_s"] = round(time.monotonic() - start, 1)
+    answer = out / "diagnosis.json"
+    if answer.exists():
+        found = json.loads(answer.read_text(encoding="utf-8"))
+        row["diagnosis"] = {key: found[key] for key in JSON_KEPT if key in found}
+        if not keep:
+            row |= _held_out_errors(places, number, found.get("verdict", ""))
+    if not keep:
+        shutil.rmtree(case, ignore_errors=True)
+        shutil.rmtree(out, ignore_errors=True)
+    return row
+
+
+def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any]:
+    """Held-out rms per channel of the tool's re-tuned machine with and without its effects, by `isocenter simulate` and `compare`."""
+    if verdict not in ("explained", "ambiguous"):
+        return {}
+    case, out = places.case(number), places.answer(number)
+    errors = {}
+    for name, extra in (("retuned", []), ("extended", ["--effects", str(out / "effects.toml")])):
+        simulated, compared = out / f"{name}.csv", out / f"{name}.json"
+        steps = (
+            [COMMAND, "simulate", str(out / "machine.toml"), str(case / "held_out.csv"), "-o", str(simulated), *extra],
+            [COMMAND, "compare", str(case / "held_out.csv"), str(simulated), "--json", str(compared)],
+        )
+        for step in steps:
+            subprocess.run(step, capture_output=True, check=False)
+        if compared.exists():
+            table = json.loads(compared.read_text(encoding="utf-8"))
+            errors[name] = {channel["name"]: channel["rms"] for channel in table["channels"]}
+    return {"held_out_rms": errors}

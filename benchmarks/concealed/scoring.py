@@ -1,0 +1,3 @@
+"""Scoring."""
+def score(places, results):
+    return ""

@@ -1,0 +1,281 @@
+"""One case: its strengths set by the detection limit, its recordings written, its truth worked out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from concealed.truth.catalogue import INSIDE, KINDS
+from concealed.truth.disturbances import disturbance, with_noise
+from concealed.truth.draw import Case, Hidden
+from concealed.truth.experiments import plan
+from concealed.truth.oracle import NoiseUnits, coefficients, left_over, location
+from concealed.truth.plant import Answer, Drive, Machine, Plant, Setup
+from concealed.truth.sensor_kinds import read
+from concealed.truth.writing import write_recording
+
+DETECTION_LIMIT = 5.0
+"""Standard deviations: found among some forty candidates with nine chances in ten while one null in twenty alarms (3.3 + 1.3, rounded up)."""
+
+SEPARABLE = 5.0
+"""Standard deviations between the truth and the nearest other name from which on a name is asked for."""
+
+SEARCH_STEPS = 4
+DERIVATIVE_STEP = 0.01
+NEIGHBOUR_VARIANTS = 3
+SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
+"""Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Hidden physics with its strength."""
+
+    hidden: Hidden
+    strength: float
+
+
+class Workshop:
+    """Runs of one case's plant."""
+
+    def __init__(self, case: Case, machine: Machine) -> None:
+        self.case, self.machine = case, machine
+        self.training, self.held_out = plan(machine, case.training), plan(machine, case.held_out)
+
+    def setup(self, chosen: tuple[Chosen, ...], factors: Mapping[str, float] | None = None) -> Setup:
+        """The case's plant with this physics."""
+        setup = Setup(dict(self.case.factors if factors is None else factors))
+        for each in chosen:
+            each.hidden.kind.add(setup, self.machine, each.hidden.place, each.hidden.shape, each.strength)
+        return setup
+
+    def answer(self, setup: Setup, drive: Drive, lattices: bool = False) -> Answer:
+        """One run."""
+        return Plant(self.machine, setup).run(drive, lattices)
+
+    def matrix(self, setup: Setup, drive: Drive) -> np.ndarray | None:
+        """Noise-free readings (N, C) of the case's channels; None where the machine ran away."""
+        answer = self.answer(setup, drive)
+        return None if answer.failed else self.readings(setup, answer)
+
+    def readings(self, setup: Setup, answer: Answer) -> np.ndarray:
+        """The case's channels as the sensors read them, without noise."""
+        read_out = read(setup, answer.channels, self.machine.rate_Hz, np.random.default_rng(self.case.seed))
+        return np.column_stack([read_out[name] for name in self.case.channels])
+
+    def recorded(self, setup: Setup, drive: Drive, repeat: int) -> tuple[Answer, dict[str, np.ndarray]]:
+        """A run with its own disturbances and noise, every channel of the machine; draws do not depend on the hidden physics."""
+        case = self.case
+        rng = np.random.default_rng([case.seed, repeat])
+        efforts, calm = disturbance(rng, self.machine, len(drive.reference), case.colour, case.disturbance)
+        answer = self.answer(setup, replace(drive, disturbance=efforts, calm_speed=calm), lattices=True)
+        channels = read(setup, answer.channels, self.machine.rate_Hz, rng)
+        return answer, with_noise(rng, self.machine, channels, case.noise)
+
+    def noise(self, setup: Setup, drive: Drive, clean: np.ndarray, repeats: range) -> np.ndarray:
+        """What repeats differ by (R, N, C): recordings minus the noise-free answer, each channel's mean taken off."""
+        names = self.case.channels
+        rows = [np.column_stack([self.recorded(setup, drive, repeat)[1][name] for name in names]) - clean for repeat in repeats]
+        return np.array(rows)
+
+
+def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> None:
+    """Write the case's recordings and machine file to `folder` and its truth to `truth_path`.
+
+    Strengths come from the detection limit under the case's own experiment; a case with too little excitation takes it from a rich one.
+    """
+    shop = Workshop(case, machine)
+    rich = shop.training
+    if case.condition == "little":
+        rich = plan(machine, replace(case.training, kind="mixed"))
+    if case.condition == "uncovered":
+        rich = shop.held_out
+    chosen = _strengths(shop, rich)
+    setup = shop.setup(chosen)
+    truth = _describe(case, chosen) | _oracle(shop, chosen, setup)
+    _write(shop, setup, folder)
+    truth_path.parent.mkdir(parents=True, exist_ok=True)
+    truth_path.write_text(json.dumps(truth, indent=1), encoding="utf-8")
+
+
+# ---- strengths --------------------------------------------------------------------------------------
+
+
+def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
+    """Each effect's strength, found alone: as many detection limits as the case says."""
+    if not shop.case.hidden:
+        return ()
+    nothing = shop.setup(())
+    base = shop.matrix(nothing, drive)
+    assert base is not None, f"case {shop.case.number}: the plant without effects runs away"
+    units = NoiseUnits(shop.noise(nothing, drive, base, range(100, 103)))
+    nominal = _nominal_columns(shop, (), drive, base, units)
+    return tuple(Chosen(hidden, _strength(shop, hidden, drive, base, units, nominal)) for hidden in shop.case.hidden)
+
+
+def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, units: NoiseUnits, nominal: list[np.ndarray]) -> float:
+    kind = hidden.kind
+    largest = kind.largest(shop.machine, hidden.place)
+    strength = min(kind.typical(shop.machine, hidden.place), largest)
+    if kind.tuned:  # a refit of the machine file's numbers takes it up by definition: there is no limit to count in
+        return min(0.5 * hidden.times_limit * strength, largest)
+    wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(shop.case.repeats / 3.0)
+    safe = largest
+    for _ in range(SEARCH_STEPS):
+        answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive)
+        if answer is None:
+            safe = 0.5 * strength
+            strength = safe
+            continue
+        found = left_over(units(answer - base), nominal)
+        if found < 1e-9:  # nothing yet: a gap, a stop or a limit that is not reached
+            strength = min(4.0 * strength, safe)
+            continue
+        strength = min(strength * float(np.clip(wanted / found, 0.02, 30.0)), safe)
+    while shop.matrix(shop.setup((Chosen(hidden, strength),)), drive) is None:
+        strength *= 0.5
+    return strength
+
+
+def _nominal_columns(shop: Workshop, chosen: tuple[Chosen, ...], drive: Drive, base: np.ndarray, units: NoiseUnits) -> list[np.ndarray]:
+    """What changing each of the machine file's numbers does, in noise units."""
+    return [units(signal) for signal in _nominal_signals(shop, chosen, drive, base)]
+
+
+def _nominal_signals(shop: Workshop, chosen: tuple[Chosen, ...], drive: Drive, base: np.ndarray) -> list[np.ndarray]:
+    signals = []
+    for key in shop.case.factors:
+        factors = shop.case.factors | {key: shop.case.factors[key] * (1.0 + DERIVATIVE_STEP)}
+        answer = shop.matrix(shop.setup(chosen, factors), drive)
+        if answer is not None:
+            signals.append((answer - base) / DERIVATIVE_STEP)
+    return signals
+
+
+# ---- the oracle -------------------------------------------------------------------------------------
+
+
+def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup) -> dict[str, object]:
+    """Detectability, separability, what could be removed, where it shows."""
+    case, machine = shop.case, shop.machine
+    clean = {"train": shop.matrix(setup, shop.training), "held_out": shop.matrix(setup, shop.held_out)}
+    assert clean["train"] is not None and clean["held_out"] is not None, f"case {case.number}: the plant runs away"
+    units = NoiseUnits(shop.noise(setup, shop.training, clean["train"], range(case.repeats)))
+    held_noise = shop.noise(setup, shop.held_out, clean["held_out"], range(case.repeats, case.repeats + 1))[0]
+    answer: dict[str, object] = {
+        "noise_rms": dict(zip(case.channels, units.std.tolist(), strict=True)),
+        "held_out_noise_rms": dict(zip(case.channels, held_noise.std(axis=0).tolist(), strict=True)),
+    }
+    if not chosen:
+        return answer
+    without = shop.setup(())
+    base = {name: shop.matrix(without, drive) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
+    assert base["train"] is not None and base["held_out"] is not None
+    signals = {name: _nominal_signals(shop, (), drive, base[name]) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
+    columns = [units(signal) for signal in signals["train"]]
+    effect = {name: clean[name] - base[name] for name in clean}
+    weights = coefficients(units(effect["train"]), columns)
+    seen = {
+        name: effect[name] - sum((weight * signal for weight, signal in zip(weights, signals[name], strict=True)), np.zeros_like(effect[name]))
+        for name in effect
+    }
+    answer["detectability"] = left_over(units(effect["train"]), columns)
+    answer["raw_detectability"] = float(np.linalg.norm(units(effect["train"])))
+    held_units = NoiseUnits(held_noise[None])
+    answer["held_out_detectability"] = float(np.linalg.norm(held_units(seen["held_out"])))
+    answer["removable_rms"] = dict(zip(case.channels, np.sqrt(np.mean(seen["held_out"] ** 2, axis=0)).tolist(), strict=True))
+    positions = shop.answer(setup, shop.training).q[:, [Plant(machine, setup).dof(machine.joint_of[axis]) for axis in machine.axes]]
+    answer["location"] = location(seen["train"], units, machine.rate_Hz, positions, list(case.channels), machine.axes)
+    answer["each"] = [_apart(shop, chosen, index, base["train"], units, columns) for index in range(len(chosen))]
+    return answer
+
+
+def _apart(
+    shop: Workshop, chosen: tuple[Chosen, ...], index: int, base: np.ndarray, units: NoiseUnits, columns: list[np.ndarray]
+) -> dict[str, object]:
+    """How far one of the effects stands from nothing, and from each neighbour, with everything else refitted."""
+    one = chosen[index]
+    alone = shop.matrix(shop.setup((one,)), shop.training)
+    effect = units((base if alone is None else alone) - base)
+    others = [units(each - base) for other in chosen if other is not one and (each := shop.matrix(shop.setup((other,)), shop.training)) is not None]
+    columns = columns + others
+    kind, distances = one.hidden.kind, {}
+    names = kind.neighbours if kind.accepted else tuple(INSIDE)
+    for name in names:
+        neighbour = KINDS[name.split(":")[0]]
+        places = neighbour.places(shop.machine)
+        place = one.hidden.place if one.hidden.place in places else next(iter(places), None)
+        if ":" in name:
+            place = name.split(":")[1]
+        if place is None or set(neighbour.accepted) & set(kind.accepted):
+            continue
+        alike = [units(signal) for signal in _variants(shop, one, Hidden(neighbour, place, {}, 1.0), base)]
+        distances[name] = left_over(effect, columns + alike)
+    return {
+        "detectability": left_over(effect, columns),
+        "distances": distances,
+        "separable": bool(left_over(effect, columns) >= SEPARABLE and min(distances.values(), default=np.inf) >= SEPARABLE),
+    }
+
+
+def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> list[np.ndarray]:
+    """Signals of a neighbour in a few shapes, at a strength that makes it about as large as the truth."""
+    rng = np.random.default_rng([shop.case.seed, 7])
+    signals = []
+    variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and like.kind.draw(rng, shop.machine, like.place) else 1
+    for variant in range(variants):
+        shape = like.kind.draw(rng, shop.machine, like.place)
+        shape |= {key: one.hidden.shape[key] for key in SHARED_SHAPE if key in shape and key in one.hidden.shape}
+        if "k" in one.hidden.shape and "Np" in shape:
+            shape["Np"] = one.hidden.shape["k"]
+        if "Np" in one.hidden.shape and "k" in shape:
+            shape["k"] = one.hidden.shape["Np"]
+        shape |= {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape}
+        hidden = Hidden(like.kind, like.place, shape, 1.0)
+        answer = shop.matrix(shop.setup((Chosen(hidden, like.kind.typical(shop.machine, like.place)),)), shop.training)
+        if answer is not None:
+            signals.append(answer - base)
+    return signals
+
+
+# ---- what is written --------------------------------------------------------------------------------
+
+
+def _describe(case: Case, chosen: tuple[Chosen, ...]) -> dict[str, object]:
+    """The truth in words and numbers."""
+    effects = []
+    for each in chosen:
+        kind = each.hidden.kind
+        effects.append({
+            "kind": kind.name, "at": each.hidden.place, "accepted": list(kind.accepted), "tuned": kind.tuned, "sensor": kind.sensor,
+            "strength": each.strength, "shape": each.hidden.shape, "times_limit": each.hidden.times_limit,
+            "compare": kind.compare(each.hidden.shape, each.strength),
+        })  # fmt: skip
+    return {
+        "number": case.number, "stratum": case.stratum, "condition": case.condition, "machine": case.machine, "colour": case.colour,
+        "disturbance": case.disturbance, "noise": case.noise, "repeats": case.repeats, "training": case.training.kind,
+        "factors": case.factors, "effects": effects,
+    }  # fmt: skip
+
+
+def _write(shop: Workshop, setup: Setup, folder: Path) -> None:
+    """Recordings and the nominal machine file: all that the tool sees."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(shop.machine.path, folder / "machine.toml")
+    runs = [(f"run_{repeat + 1}.csv", shop.training, repeat) for repeat in range(shop.case.repeats)]
+    runs.append(("held_out.csv", shop.held_out, shop.case.repeats))
+    for name, drive, repeat in runs:
+        answer, channels = shop.recorded(setup, drive, repeat)
+        columns = {"time": np.arange(len(drive.reference)) / shop.machine.rate_Hz}
+        for i, axis in enumerate(shop.machine.axes):
+            if shop.machine.closed:
+                columns[f"reference_{axis}"], columns[f"excitation_{axis}"] = drive.reference[:, i], drive.excitation[:, i]
+            columns[f"command_{axis}"] = answer.command[:, i]
+        columns |= {channel: channels[channel] for channel in shop.case.channels}
+        experiment = {"kind": "static" if name == "held_out.csv" else "run", "start_pose": drive.start.tolist()}
+        write_recording(folder / name, shop.machine, columns, experiment, answer.controller_states)

@@ -1,0 +1,149 @@
+"""The sampled loop around a MuJoCo model, compiled: drives, effects, sensors and the controller's sections, written from docs/notation.md."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from concealed.truth.joint_physics import add_efforts, tabulated
+from concealed.truth.memory import forward
+
+DRIVE = ("delay", "pole1_Hz", "pole2_Hz", "limit", "knee", "Np", "A1", "phi1", "A2", "phi2", "gain")
+"""Columns of the drives' table: delay [samples], two real poles, soft limit, ripple per joint turn, gain on the effort but not on the current."""
+
+ENCODER = ("a", "phi", "b", "psi", "lattice", "beta", "lost", "mark")
+"""Columns of the encoders' table: once and twice per turn error, own lattice, ratio error, counts lost at every upward pass of a mark."""
+
+HISTORY = 64
+
+
+@njit(cache=True)
+def filtered(sections, states, first, end, x):
+    """Second-order sections first to end, direct form II transposed."""
+    for s in range(first, end):
+        b0, b1, b2, a1, a2 = sections[s, 0], sections[s, 1], sections[s, 2], sections[s, 4], sections[s, 5]
+        y = b0 * x + states[s, 0]
+        states[s, 0] = b1 * x - a1 * y + states[s, 1]
+        states[s, 1] = b2 * x - a2 * y
+        x = y
+    return x
+
+
+@njit(cache=True)
+def on_lattice(x, q):
+    return q * math.floor(x / q + 0.5) if q > 0.0 else x
+
+
+@njit(cache=True)
+def run(
+    address, model, data, memory, sensor, kinds, dofs, others, parameters, states, drives, encoders, sections, rows, controller,
+    axes, see, link, gear, limits, steps_of_target, counts, reference, excitation, disturbance, calm_speed, standing, substeps, period, imu_poles, closed,
+    command0, out_command, out_effort, out_position, out_link, out_imu, out_q, out_v,
+):  # fmt: skip
+    """Fill the outputs; row k is latched before command k acts. Returns the row where the machine left all bounds, else -1."""
+    qpos, qvel, qacc, ctrl, applied, bias, armature = memory
+    samples, n = reference.shape
+    joints = qpos.shape[0]
+    h = period / substeps
+    q, v, a = qpos.copy(), np.zeros(joints), np.zeros(joints)
+    drive, flowing = np.zeros(joints), np.zeros(n)
+    poles = np.zeros((n, 2))
+    history = np.zeros((HISTORY, n))
+    history[:] = command0
+    poles[:, 0], poles[:, 1] = command0, command0
+    lost, before = np.zeros(n), q.copy()
+    command = command0.copy()
+    start = qpos.copy()
+    with_imu = sensor.shape[0] > 0
+    ctrl[:] = command0
+    applied[:] = standing
+    qvel[:] = 0.0
+    forward(address, model, data, 0)
+    passed = np.zeros((2, 6))
+    if with_imu:
+        passed[0, :], passed[1, :] = sensor, sensor
+    a[:] = 0.0
+    for k in range(samples):
+        for i in range(n):
+            history[k % HISTORY, i] = on_lattice(command[i], steps_of_target[i])
+            whole = int(drives[i, 0])
+            part = drives[i, 0] - whole
+            target = (1.0 - part) * history[(k - whole) % HISTORY, i] + part * history[(k - whole - 1) % HISTORY, i]
+            if drives[i, 3] > 0.0:
+                knee = drives[i, 4]
+                target = target / (1.0 + abs(target / drives[i, 3]) ** knee) ** (1.0 / knee)
+            flowing[i] = target
+            if drives[i, 1] > 0.0:
+                out_effort[k, i] = poles[i, 1]
+            else:
+                out_effort[k, i] = target
+            j = axes[i]
+            error = encoders[i, 0] * math.cos(q[j] + encoders[i, 1]) + encoders[i, 2] * math.cos(2.0 * q[j] + encoders[i, 3])
+            error -= encoders[i, 0] * math.cos(start[j] + encoders[i, 1]) + encoders[i, 2] * math.cos(2.0 * start[j] + encoders[i, 3])
+            if before[j] < encoders[i, 7] <= q[j]:
+                lost[i] += encoders[i, 6]
+            seen = 0.0
+            for joint in range(joints):
+                seen += see[i, joint] * q[joint]
+                out_link[k, i] += link[i, joint] * q[joint]
+            seen += encoders[i, 5] * (q[j] - start[j]) + error - lost[i]
+            seen = on_lattice(on_lattice(seen, encoders[i, 4]), counts[i])
+            out_position[k, i] = seen
+            if closed:
+                first, middle, end = rows[i]
+                if first == middle:
+                    wanted = filtered(sections, controller, middle, end, reference[k, i] - seen)
+                else:
+                    wanted = filtered(sections, controller, first, middle, reference[k, i])
+                    wanted -= filtered(sections, controller, middle, end, seen)
+                wanted += excitation[k, i]
+            else:
+                wanted = excitation[k, i]
+            command[i] = min(max(wanted, -limits[i]), limits[i])
+            out_command[k, i] = command[i]
+        for joint in range(joints):
+            out_q[k, joint], out_v[k, joint] = q[joint], v[joint]
+            before[joint] = q[joint]
+            if not abs(q[joint]) < 100.0:
+                return k
+        if with_imu:
+            out_imu[k, :] = passed[1] if imu_poles[2] > 0.0 else passed[0]
+        for step in range(substeps):
+            t = k * period + (step + 0.5) * h
+            for joint in range(joints):
+                qpos[joint] = q[joint] + 0.5 * h * v[joint]
+                qvel[joint] = v[joint] + 0.5 * h * a[joint]
+                applied[joint] = 0.0
+            for i in range(n):
+                j = axes[i]
+                if drives[i, 1] > 0.0:  # two real poles, each exact for a held input, read in the step's middle
+                    old = poles[i, 1]
+                    poles[i, 0] += (1.0 - math.exp(-2.0 * math.pi * drives[i, 1] * h)) * (flowing[i] - poles[i, 0])
+                    poles[i, 1] += (1.0 - math.exp(-2.0 * math.pi * drives[i, 2] * h)) * (poles[i, 0] - poles[i, 1])
+                    current = 0.5 * (old + poles[i, 1])
+                else:
+                    current = flowing[i]
+                ripple = tabulated(drives[i, 5] * qpos[j] / (2.0 * math.pi), drives[i, 6], drives[i, 7], drives[i, 8], drives[i, 9], 0.0)
+                ctrl[i] = current
+                drive[j] = gear[i] * current
+                applied[j] += drive[j] * ((1.0 + ripple) * drives[i, 10] - 1.0)
+                calm = math.exp(-((qvel[j] / calm_speed) ** 2)) if calm_speed > 0.0 else 1.0
+                applied[j] += disturbance[k, i] * calm
+            add_efforts(kinds, dofs, others, parameters, states, qpos, qvel, a, t, h, bias, drive, applied, armature)
+            forward(address, model, data, 0 if with_imu else 1)
+            for joint in range(joints):
+                a[joint] = qacc[joint]
+                v[joint] += h * a[joint]
+                q[joint] = qpos[joint] + 0.5 * h * v[joint]
+            if with_imu:
+                for c in range(6):
+                    pole = imu_poles[0] if c < 3 else imu_poles[1]
+                    if pole > 0.0:
+                        passed[0, c] += (1.0 - math.exp(-2.0 * math.pi * pole * h)) * (sensor[c] - passed[0, c])
+                    else:
+                        passed[0, c] = sensor[c]
+                    if imu_poles[2] > 0.0:
+                        passed[1, c] += (1.0 - math.exp(-2.0 * math.pi * imu_poles[2] * h)) * (passed[0, c] - passed[1, c])
+    return -1
