@@ -14,6 +14,7 @@ import sys
 import time
 
 import can
+import msgpack
 from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
@@ -49,6 +50,7 @@ class UdpBus(UdpMulticastBus):
             self.shutdown()
             raise
         self._own = sender.getsockname()[:2]
+        self._fields = msgpack.unpackb(pack_message(can.Message(is_extended_id=False)))  # of a data frame, as python-can names them
         if sys.platform.startswith("linux"):
             # Linux hands a port's datagrams of every group that anybody on the host has joined to every socket of that port; python-can
             # leaves that on, and two benches on two groups would share one bus.
@@ -58,8 +60,17 @@ class UdpBus(UdpMulticastBus):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """See `can.BusABC`; never waits."""
+        self._send(pack_message(msg))
+
+    def send_frame(self, can_id: int, data: bytes) -> None:
+        """A data frame with an 11-bit identifier, without a message object around it."""
+        fields = self._fields
+        fields["arbitration_id"], fields["dlc"], fields["data"] = can_id, len(data), data
+        self._send(msgpack.packb(fields))
+
+    def _send(self, datagram: bytes) -> None:
         try:
-            self._sender.send(pack_message(msg))
+            self._sender.send(datagram)
         except OSError as error:
             raise can.CanOperationError(f"failed to send: {error.strerror or error}", error.errno) from error
 

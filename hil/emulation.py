@@ -158,7 +158,7 @@ def emulate_machine(
             _say({"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url})
 
         with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
-            run_emulator(bus, emulated, ready)
+            run_emulator(bus, emulated, ready, punctual=punctual)
 
 
 def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:

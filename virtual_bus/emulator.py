@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -15,9 +16,15 @@ import can
 
 from virtual_bus.canopen.node import Emit
 from virtual_bus.machine import EmulatedMachine
-from virtual_bus.modbus.servers import ModbusTcpServer
+from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
+from virtual_bus.serial.xsens_imu import EmulatedImu
 
+AWAKE_S = 400e-6
+"""So long before a SYNC is expected the emulator measures what it will be asked for, which takes a fourth of that, and stays awake."""
+SPIN_S = 150e-6
+"""So long after a SYNC was expected it goes to sleep again: a sleeper is woken tens of microseconds late, and a virtual processor that has
+gone idle later still."""
 POLL_S = 0.001  # how long one look at the bus takes at most: the grain of time while nothing comes
 SEND_ATTEMPTS = 20  # a full transmit queue empties within a few frame times; after that the frame is lost, as on a real controller
 SEND_PAUSE_S = 0.0005
@@ -39,9 +46,26 @@ class Ports:
 
     imu_device: str = ""
     io_url: str = ""
+    io_line: str = ""
 
 
-def run_emulator(bus: can.BusABC, machine: EmulatedMachine, on_ready: Callable[[Ports], None], io_port: int = 0) -> None:
+class SerialLine(Protocol):
+    """The I/O device's end of a serial line; `path` is the port."""
+
+    path: str
+
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+
+
+def run_emulator(
+    bus: can.BusABC,
+    machine: EmulatedMachine,
+    on_ready: Callable[[Ports], None],
+    *,
+    io_line: SerialLine | None = None,
+    punctual: bool = True,
+) -> None:
     """Emulate a machine until one of `STOP_SIGNALS` asks to end.
 
     Parameters
@@ -52,59 +76,108 @@ def run_emulator(bus: can.BusABC, machine: EmulatedMachine, on_ready: Callable[[
         Placed, not yet powered on.
     on_ready : callable
         Told once where IMU and I/O are reachable, when everything listens.
-    io_port : int
-        TCP port of the I/O device; 0 takes any.
+    io_line : SerialLine, optional
+        A serial line on which the I/O device answers Modbus RTU beside its TCP port; it stays open.
+    punctual : bool
+        Await each SYNC awake; not where bench and emulator have to share one processor.
     """
     with contextlib.ExitStack() as open_ports:
         line = None
         io_url = ""
+        polls: list[Callable[[], None]] = []
         if machine.imu is not None:
             line = open_ports.enter_context(contextlib.closing(Pty()))
             machine.imu_out = line.write
+            polls.append(_imu_listener(machine.imu, line))
         if machine.io is not None:
-            server = open_ports.enter_context(contextlib.closing(ModbusTcpServer(machine.io, port=io_port)))
+            server = open_ports.enter_context(contextlib.closing(ModbusTcpServer(machine.io)))
             io_url = server.url
-        ports = Ports(imu_device=line.path if line is not None else "", io_url=io_url)
-        _serve(bus, machine, lambda: on_ready(ports), _imu_listener(machine, line))
+            polls.append(server.poll)
+            if io_line is not None:
+                polls.append(ModbusRtuServer(machine.io, io_line).poll)
+        ports = Ports(imu_device=line.path if line is not None else "", io_url=io_url, io_line=io_line.path if io_line is not None else "")
+        tick = Tick(machine.bus.sync_cob_id, machine.period_s, machine.prepare) if punctual else None
+        _serve(bus, machine, lambda: on_ready(ports), polls, tick)
 
 
 def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) -> None:
     """Emulate one device until one of `STOP_SIGNALS` asks to end."""
-    _serve(bus, device, on_ready, lambda: None)
+    _serve(bus, device, on_ready, [], None)
 
 
-def _imu_listener(machine: EmulatedMachine, line: Pty | None) -> Callable[[], None]:
+def _imu_listener(imu: EmulatedImu, line: Pty) -> Callable[[], None]:
     def listen() -> None:
-        if line is not None and machine.imu is not None and (heard := line.read()):
-            line.write(machine.imu.receive(heard))
+        if heard := line.read():
+            line.write(imu.receive(heard))
 
     return listen
 
 
-def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], listen: Callable[[], None]) -> None:
-    device.connect(lambda can_id, data: _send(bus, can_id, data))
+@dataclass
+class Tick:
+    """When the next SYNC is expected: a period after the last; and what is done shortly before."""
+
+    sync_cob_id: int
+    period_s: float
+    prepare: Callable[[], None]
+    _due_s: float = -math.inf
+    _prepared: bool = True
+
+    def heard(self, can_id: int, now_s: float) -> None:
+        """A frame has come and been answered."""
+        if can_id == self.sync_cob_id:
+            self._due_s = now_s + self.period_s
+            self._prepared = False
+
+    def patience(self, now_s: float) -> float:
+        """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning."""
+        ahead_s = self._due_s - AWAKE_S - now_s
+        if ahead_s > 0.0:
+            return min(ahead_s, POLL_S)
+        if not self._prepared:
+            self._prepared = True
+            self.prepare()
+        return 0.0 if now_s < self._due_s + SPIN_S else POLL_S
+
+
+def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], polls: list[Callable[[], None]], tick: Tick | None) -> None:
+    device.connect(_sender(bus))
     with _stop_on_signals() as stopped, _long_lived_objects_frozen():
         device.power_on()
         on_ready()
         last_s = time.perf_counter()
         while not stopped():
-            message = bus.recv(POLL_S)
+            patience_s = tick.patience(last_s) if tick is not None else POLL_S
+            message = bus.recv(patience_s)
             now_s = time.perf_counter()
             device.idle(now_s - last_s)
             last_s = now_s
             if message is not None and not (message.is_remote_frame or message.is_error_frame or message.is_extended_id):
                 device.receive(message.arbitration_id, bytes(message.data))
-            listen()
+                if tick is not None:
+                    tick.heard(message.arbitration_id, now_s)
+            elif patience_s > 0.0:  # nothing on the bus, and no SYNC is near: time for the other wires
+                for poll in polls:
+                    poll()
 
 
-def _send(bus: can.BusABC, can_id: int, data: bytes) -> None:
-    message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-    for _ in range(SEND_ATTEMPTS):
-        try:
-            bus.send(message)
-            return
-        except can.CanOperationError:  # the transmit queue is full
-            time.sleep(SEND_PAUSE_S)
+def _sender(bus: can.BusABC) -> Emit:
+    """What puts a frame on this bus, bridging a transmit queue that is full for a moment."""
+
+    def send_message(can_id: int, data: bytes) -> None:
+        bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    send_frame = getattr(bus, "send_frame", send_message)  # some buses do without the message object
+
+    def send(can_id: int, data: bytes) -> None:
+        for _ in range(SEND_ATTEMPTS):
+            try:
+                send_frame(can_id, data)
+                return
+            except can.CanOperationError:  # the transmit queue is full
+                time.sleep(SEND_PAUSE_S)
+
+    return send
 
 
 @contextlib.contextmanager

@@ -7,7 +7,6 @@ virtual_bus/idle_time.py), so heartbeats run, time-outs expire and the arm falls
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,8 +42,6 @@ class EmulatedMachine:
     imu, io : optional
         Devices on the serial line and behind Modbus. With `io`, build it with ``on_brakes=physics.set_brakes``; without, each drive works
         its own axis's brake.
-    memory : path, optional
-        Folder in which each device keeps its stored parameters, a file per device.
     witness : callable, optional
         Called with the machine's time [s] when the sensors have been latched at a SYNC: for a truth recording.
     """
@@ -57,7 +54,6 @@ class EmulatedMachine:
         *,
         imu: EmulatedImu | None = None,
         io: EmulatedIo | None = None,
-        memory: Path | None = None,
         witness: Callable[[float], None] | None = None,
     ) -> None:
         self.physics, self.bus, self.period_s, self.imu, self.io = physics, bus, period_s, imu, io
@@ -65,15 +61,12 @@ class EmulatedMachine:
         self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU says
         self._witness = witness
 
-        def kept(name: str) -> Path | None:
-            return None if memory is None else memory / f"{name}.json"
-
         def nowhere(can_id: int, data: bytes) -> None:
             """Until `connect`."""
 
         axis = physics.axes.index
-        self.drives = {d.name: Cia402Drive(d, period_s, nowhere, kept(d.name)) for d in bus.drives}
-        self.encoders = {e.name: Cia406Encoder(e, nowhere, kept(e.name)) for e in bus.encoders}
+        self.drives = {d.name: Cia402Drive(d, period_s, nowhere) for d in bus.drives}
+        self.encoders = {e.name: Cia406Encoder(e, nowhere) for e in bus.encoders}
         self._drives = [(axis(drive.settings.axis), drive) for drive in self.drives.values()]
         self._encoders = [(axis(encoder.settings.axis), encoder) for encoder in self.encoders.values()]
         self._nodes: list[Node] = sorted([*self.drives.values(), *self.encoders.values()], key=lambda node: node.node_id)
@@ -138,6 +131,10 @@ class EmulatedMachine:
             if self.imu is not None and (said := self.imu.advance(self.time_s)):
                 self.imu_out(said)
             self._advance()
+
+    def prepare(self) -> None:
+        """A SYNC is near: measure what it will most likely ask for. What the devices then say does not depend on it."""
+        self.physics.prepare(np.array([drive.foreseen() for _, drive in self._drives]))
 
     def _sync(self, data: bytes) -> None:
         """SYNC k: what is due first, then targets, sensors, TPDOs in node-id order, then physics to k+1.

@@ -60,6 +60,8 @@ class Physics:
         self._imu = np.zeros(6 * len(settings.imus))
         self._noise = _Noise(settings, seed) if noise else None
         self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
+        self._drawn: np.ndarray | None = None  # the noise of this sample, once something has been measured with it
+        self._prepared: tuple[bytes, bytes] | None = None  # effort and brakes under which `_latched` holds this sample already
         self._latched = _new_latched(settings)
         self._effort = np.zeros(len(self.axes))
         self._currents = np.zeros(len(self.axes))
@@ -115,11 +117,31 @@ class Physics:
 
     def latch(self) -> Latched:
         """Sensor readings of this instant. Every call draws new noise."""
-        return self._measure(self._no_noise if self._noise is None else self._noise.draw())
+        if self._prepared != (self._effort.tobytes(), self._brakes.tobytes()):
+            self._measure(self._noise_of_sample())
+        self._drawn = self._prepared = None
+        return self._latched
+
+    def prepare(self, effort: np.ndarray) -> None:
+        """Measure what `latch` will be asked for if this effort (axes,) will act by then; if another does, `latch` measures anew.
+
+        The readings are the same either way, noise included; only the time when they are computed is not.
+        """
+        acting = self._effort.copy()
+        self._effort[:] = effort
+        self._measure(self._noise_of_sample())
+        self._prepared = self._effort.tobytes(), self._brakes.tobytes()
+        self._effort[:] = acting
 
     def latch_exactly(self) -> Latched:
         """The same without noise; draws nothing. Bias, low passes and lattices are in it."""
+        self._prepared = None
         return self._measure(self._no_noise)
+
+    def _noise_of_sample(self) -> np.ndarray:
+        if self._drawn is None:
+            self._drawn = self._no_noise if self._noise is None else self._noise.draw()
+        return self._drawn
 
     def _measure(self, noise: np.ndarray) -> Latched:
         self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
@@ -139,6 +161,7 @@ class Physics:
 
     def advance(self) -> None:
         """Let one sample period pass."""
+        self._prepared = None
         self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         self.plant.advance(self._state, self._effort, self._brakes, self.model, self._work)
         self._sensors.warm_up(self._temperature_rise, self._currents, self._sensor_model)

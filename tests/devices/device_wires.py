@@ -170,6 +170,9 @@ class SpinningMasses:
     def apply(self, effort: np.ndarray) -> None:
         self.effort[:] = effort
 
+    def prepare(self, effort: np.ndarray) -> None:
+        """Nothing takes long here."""
+
     def latch(self) -> Latched:
         self.rows += 1
         return self.latch_exactly()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from modbus_wiring import AXES, WIRING, emulated_io
+from modbus_wiring import AXES, WIRING, ServedRtu, ServedTcp, emulated_io
 from pyModbusTCP.client import ModbusClient
 
 from drivers.errors import ProtocolError
@@ -17,7 +17,6 @@ from drivers.modbus.registers import NO_TEMPERATURE, register_to_temperature, te
 from virtual_bus.errors import EmulatorError
 from virtual_bus.modbus.framing import TcpFraming, crc16, rtu_frame, rtu_request, tcp_frame
 from virtual_bus.modbus.io_device import BRAKE_DELAY_S
-from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 
 UNIT = WIRING["unit_id"]
 
@@ -26,7 +25,7 @@ UNIT = WIRING["unit_id"]
 def tcp():
     """A device on TCP and pyModbusTCP's client to it."""
     device = emulated_io()
-    server = ModbusTcpServer(device)
+    server = ServedTcp(device)
     client = ModbusClient(host=server.host, port=server.port, unit_id=UNIT, timeout=5.0)
     yield device, client
     client.close()
@@ -37,7 +36,7 @@ def tcp():
 def rtu():
     """A device on a pseudo terminal and minimalmodbus's instrument on it."""
     device = emulated_io()
-    server = ModbusRtuServer(device)
+    server = ServedRtu(device)
     instrument = minimalmodbus.Instrument(server.device, UNIT)
     instrument.serial.baudrate = 115200
     instrument.serial.timeout = 5.0
@@ -169,9 +168,9 @@ def test_a_client_that_speaks_something_else_is_hung_up_on_and_others_are_not(tc
 
 
 def test_a_port_in_use_is_one_clear_line():
-    server = ModbusTcpServer(emulated_io())
+    server = ServedTcp(emulated_io())
     with pytest.raises(EmulatorError, match=rf"127.0.0.1:{server.port}: Address already in use; give another port"):
-        ModbusTcpServer(emulated_io(), port=server.port)
+        ServedTcp(emulated_io(), port=server.port)
     server.close()
 
 

@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from modbus_wiring import AXES, WIRING, emulated_io, io_map
+from modbus_wiring import AXES, WIRING, ServedRtu, ServedTcp, emulated_io, io_map
 from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest
 from pyModbusTCP.server import ModbusServer
 
@@ -14,7 +14,6 @@ from drivers.interface import Sample
 from drivers.modbus.io import IoDriver
 from drivers.modbus.transport import ClientTransport, InProcessTransport, parse_io_url
 from virtual_bus.modbus.framing import rtu_frame
-from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
 
 UNIT = WIRING["unit_id"]
@@ -158,14 +157,14 @@ def test_over_tcp_against_a_server_that_is_not_ours():
 
 
 def test_nobody_listening_is_one_clear_line():
-    server = ModbusTcpServer(emulated_io())
+    server = ServedTcp(emulated_io())
     server.close()
     with pytest.raises(BusUnavailable, match=rf"io on tcp:127.0.0.1:{server.port}: cannot connect: Connection refused; check address"):
         IoDriver(io_map(), ClientTransport(server.url), AXES).poll_due(0.0)
 
 
 def test_a_wrong_unit_id_on_tcp_is_the_gateways_refusal():
-    server = ModbusTcpServer(emulated_io())
+    server = ServedTcp(emulated_io())
     driver = IoDriver(io_map(unit_id=3), transport := ClientTransport(server.url, 5.0), AXES)
     with pytest.raises(ConfigurationRefused, match=r"unit 3 refuses .* gateway target failed to respond \(11\); compare unit_id"):
         driver.poll_due(0.0)
@@ -175,14 +174,14 @@ def test_a_wrong_unit_id_on_tcp_is_the_gateways_refusal():
 
 def test_a_server_that_comes_back_is_found_again():
     device = emulated_io()
-    server = ModbusTcpServer(device)
+    server = ServedTcp(device)
     driver = IoDriver(io_map(), transport := ClientTransport(server.url, 5.0), AXES)
     driver.poll_once(0.0)
     transport.close()
     server.close()
     with pytest.raises(BusUnavailable):
         driver.poll_once(1.0)
-    server = ModbusTcpServer(device, port=server.port)
+    server = ServedTcp(device, port=server.port)
     driver.poll_once(2.0)
     assert driver.state.time_s == 2.0
     transport.close()
@@ -225,7 +224,7 @@ GOOD = rtu_frame(UNIT, b"\x02\x01\x03")
 def test_over_a_serial_line_the_driver_reads_and_writes():
     device = emulated_io()
     device.set_temperature("roll", 21.5)
-    server = ModbusRtuServer(device)
+    server = ServedRtu(device)
     driver = IoDriver(io_map(), transport := ClientTransport(f"rtu:{server.device}@115200", 5.0), AXES)
     driver.command_brakes({"roll": True})
     driver.poll_due(0.0)

@@ -14,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from modbus_wiring import AXES, emulated_io, eventually, io_map
+from modbus_wiring import AXES, ServedTcp, emulated_io, eventually, io_map
 
 from drivers.errors import BusUnavailable, ConfigurationRefused
 from drivers.interface import Sample
 from drivers.modbus.io_process import CLOSE_ATTEMPTS, CLOSE_PAUSE_S, LOOP_STILL_S, IoProcess
-from virtual_bus.modbus.servers import ModbusTcpServer
 
 ROOT = Path(__file__).parents[2]
 WRITE_COILS = 0x0F
@@ -45,7 +44,7 @@ def ticking(process, condition, sample=None):
 def served():
     """A device on TCP."""
     device = emulated_io()
-    server = ModbusTcpServer(device)
+    server = ServedTcp(device)
     yield device, server
     server.close()
 
@@ -79,7 +78,7 @@ def test_state_and_brake_commands_pass_and_closing_closes_the_brakes(served):
 
 
 def test_a_device_that_cannot_be_reached_fails_the_start_with_its_reason():
-    server = ModbusTcpServer(emulated_io())
+    server = ServedTcp(emulated_io())
     server.close()
     process = IoProcess(io_map(server.url), AXES)
     with pytest.raises(BusUnavailable, match=rf"^io on tcp:127.0.0.1:{server.port}: cannot connect: Connection refused"):

@@ -281,6 +281,13 @@ class Cia402Drive(Node):
         self._demand.value = self._permille
         return self._permille * self._effort_per_permille
 
+    def foreseen(self) -> float:
+        """What `command` will return at the next SYNC unless something happens until then: a guess, it changes nothing."""
+        if self.power_state is not PowerState.OPERATION_ENABLED or self._mode_display.value != TORQUE_MODE:
+            return self._permille * self._effort_per_permille
+        limit = min(int(self._max_torque.value), int(self._max_current.value))
+        return min(max(int(self.after_sync(self._target)), -limit), limit) * self._effort_per_permille
+
     def _home(self) -> int:
         speed = 0.0
         if self._homing.running:

@@ -18,7 +18,7 @@ from virtual_bus.canopen.cob_id import CAN_ID
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from virtual_bus.canopen.nmt import STATE_AFTER, NmtCommand, NmtState
-from virtual_bus.canopen.objects import Objects, Value, key_of
+from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.canopen.pdo import Rpdo, Tpdo
 from virtual_bus.canopen.sdo_server import SdoServer
 from virtual_bus.canopen.storage import COMMUNICATION, Storage
@@ -173,6 +173,13 @@ class Node:
             self.deadline_s = min(part.deadline_s for part in timed)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
+
+    def after_sync(self, entry: Entry) -> Value:
+        """What this entry will hold once the next SYNC has applied what came since the last."""
+        for rpdo in self._sync_rpdos:
+            if (value := rpdo.pending(entry)) is not None:
+                return value
+        return entry.value
 
     # ---- frames ---------------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:

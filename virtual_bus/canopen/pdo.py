@@ -137,6 +137,12 @@ class Rpdo:
             self._apply(self._pending)
             self._pending = None
 
+    def pending(self, entry: Entry) -> Value | None:
+        """What the next SYNC will put into this entry; None: nothing."""
+        if self._pending is None or entry not in self._layout.entries:
+            return None
+        return self._layout.unpack(self._pending)[self._layout.entries.index(entry)]
+
     def _apply(self, data: bytes) -> None:
         layout = self._layout
         for entry, effect, value in zip(layout.entries, self._effects, layout.unpack(data), strict=True):

@@ -6,7 +6,6 @@ It answers every request, wrong ones included, as the Modbus Application Protoco
 from __future__ import annotations
 
 import struct
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -48,7 +47,7 @@ class _Refusal(Exception):
 
 
 class EmulatedIo:
-    """The device's memory, wiring and manners. Requests may come from a server's thread; everything else from the emulator's.
+    """The device's memory, wiring and manners.
 
     Parameters
     ----------
@@ -79,7 +78,6 @@ class EmulatedIo:
         self._open = np.zeros(len(axes), dtype=bool)
         self._moving: list[tuple[float, bool] | None] = [None] * len(axes)  # (when it arrives, open or closed)
         self._tcp = TcpFraming()
-        self._lock = threading.Lock()
         self.set_hold_to_run(True)
         self.set_door(True)
 
@@ -155,8 +153,7 @@ class EmulatedIo:
         """Carry out one request; the answer, or an exception answer."""
         function = pdu[0]
         try:
-            with self._lock:
-                return bytes((function,)) + self._carry_out(function, pdu[1:])
+            return bytes((function,)) + self._carry_out(function, pdu[1:])
         except _Refusal as refusal:
             return bytes((function | 0x80, refusal.code))
 

@@ -1,44 +1,39 @@
-"""The emulated I/O device on a TCP port or a pseudo terminal, each served by a thread of its own beside the emulator."""
+"""The emulated I/O device on a TCP port or a serial line. A server has no thread: it serves when it is polled, so that the emulator says
+when, and no request delays an answer to a SYNC.
+"""
 
 from __future__ import annotations
 
-import socketserver
-import threading
+import contextlib
+import os
+import selectors
+import socket
+import time
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from virtual_bus.errors import EmulatorError
 from virtual_bus.modbus.framing import TcpFraming
 from virtual_bus.modbus.io_device import EmulatedIo
-from virtual_bus.serial.pty import Pty
 
 READ_BYTES = 4096
+BACKLOG = 16
 RTU_SILENCE_S = 0.00175  # ends a frame; the fixed value above 19200 baud (Modbus over Serial Line V1.02, sec. 2.5.1.1)
-STOP_CHECK_S = 0.1  # how often a server looks whether it should end
 
 
-class _Connection(socketserver.BaseRequestHandler):
-    """One client: requests in, answers out, until it hangs up or speaks something else."""
+class Line(Protocol):
+    """The device's end of a serial line. Neither method waits."""
 
-    server: _TcpServer
-
-    def handle(self) -> None:
-        framing = TcpFraming()
-        while not framing.broken:
-            try:
-                data = self.request.recv(READ_BYTES)
-                if not data:
-                    return
-                self.request.sendall(self.server.device.serve_tcp(framing, data))
-            except OSError:
-                return
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
 
 
-class _TcpServer(socketserver.ThreadingTCPServer):
-    allow_reuse_address = True
-    daemon_threads = True
+@dataclass
+class _Client:
+    """One connection."""
 
-    def __init__(self, address: tuple[str, int], device: EmulatedIo) -> None:
-        self.device = device
-        super().__init__(address, _Connection)
+    line: socket.socket
+    framing: TcpFraming = field(default_factory=TcpFraming)
 
 
 class ModbusTcpServer:
@@ -51,53 +46,72 @@ class ModbusTcpServer:
     """
 
     def __init__(self, device: EmulatedIo, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._device = device
         try:
-            self._server = _TcpServer((host, port), device)
+            self._listener = socket.create_server((host, port), backlog=BACKLOG)
         except OSError as error:
-            raise EmulatorError(f"Modbus TCP on {host}:{port}: {error.strerror}; give another port, or 0 for any that is free") from error
+            reason = os.strerror(error.errno) if error.errno else str(error)
+            raise EmulatorError(f"Modbus TCP on {host}:{port}: {reason}; give another port, or 0 for any that is free") from error
+        self._listener.setblocking(False)
         self.host = host
-        self.port = int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(STOP_CHECK_S,), name="modbus-tcp", daemon=True)
-        self._thread.start()
+        self.port = int(self._listener.getsockname()[1])
+        self._ready = selectors.DefaultSelector()
+        self._ready.register(self._listener, selectors.EVENT_READ)
 
     @property
     def url(self) -> str:
         """As the bench names it."""
         return f"tcp:{self.host}:{self.port}"
 
+    def poll(self, timeout_s: float = 0.0) -> None:
+        """Answer what has come; wait so long for something to come."""
+        for key, _ in self._ready.select(timeout_s):
+            if key.data is None:
+                self._accept()
+            else:
+                self._answer(key.data)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # the client has gone again
+            line, _ = self._listener.accept()
+            line.setblocking(False)
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._ready.register(line, selectors.EVENT_READ, _Client(line))
+
+    def _answer(self, client: _Client) -> None:
+        """Requests in, answers out; a client that hangs up, speaks something else or does not take its answers is hung up on."""
+        try:
+            data = client.line.recv(READ_BYTES)
+            if data:
+                client.line.sendall(self._device.serve_tcp(client.framing, data))
+        except OSError:
+            data = b""
+        if not data or client.framing.broken:
+            self._ready.unregister(client.line)
+            client.line.close()
+
     def close(self) -> None:
-        """Stop serving and give the port back."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        """Hang up on everybody and give the port back."""
+        for key in list(self._ready.get_map().values()):
+            key.fileobj.close()  # type: ignore[union-attr]  # only sockets were registered
+        self._ready.close()
 
 
 class ModbusRtuServer:
-    """The device on a pseudo terminal; what arrives between two silences is one frame."""
+    """The device on a serial line; what arrives between two silences is one frame. The line stays the caller's."""
 
-    def __init__(self, device: EmulatedIo) -> None:
-        self._device = device
-        self._pty = Pty()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="modbus-rtu", daemon=True)
-        self._thread.start()
+    def __init__(self, device: EmulatedIo, line: Line) -> None:
+        self._device, self._line = device, line
+        self._frame = b""
+        self._heard_s = 0.0
 
-    @property
-    def device(self) -> str:
-        """The port the bench opens."""
-        return self._pty.path
-
-    def _serve(self) -> None:
-        while not self._stop.is_set():
-            if not self._pty.wait(STOP_CHECK_S):
-                continue
-            frame = self._pty.read()
-            while self._pty.wait(RTU_SILENCE_S):
-                frame += self._pty.read()
-            self._pty.write(self._device.serve_rtu(frame))
-
-    def close(self) -> None:
-        """Stop serving and hang up."""
-        self._stop.set()
-        self._thread.join()
-        self._pty.close()
+    def poll(self) -> None:
+        """Take what has come; answer when it has been silent for long enough since."""
+        now_s = time.perf_counter()
+        if data := self._line.read():
+            self._frame += data
+            self._heard_s = now_s
+        elif self._frame and now_s - self._heard_s >= RTU_SILENCE_S:
+            frame, self._frame = self._frame, b""
+            if answer := self._device.serve_rtu(frame):
+                self._line.write(answer)
