@@ -24,7 +24,7 @@ from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
-from drivers.canopen.supervision import Supervision
+from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError, MotionRefused
 from drivers.interface import Clock, Sample
@@ -102,7 +102,7 @@ class CanMachine:
             self._ours = False
             self.watch.forget()
             self.network.stop_heartbeat()
-            self.supervision.refuse_second_bench(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            refuse_second_bench(self.network, self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)

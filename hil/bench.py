@@ -7,6 +7,7 @@ with open_bench(machine, BenchOptions("lockstep:"), start_pose) as bench:
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -139,8 +140,8 @@ class Bench:
                 self.wiring.link.watch.lead()
                 for leg in (self._bridge_to(way[0] if way else stay), *way):
                     self.loop.run(leg)
-                self._settle(stay)
-                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states}
+                standing, notes = self._settle(stay)
+                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": standing}
                 self.wiring.start_truth()
                 timing = self.loop.run(plan, sink, progress)
                 self.wiring.pause_truth()
@@ -159,7 +160,7 @@ class Bench:
                 error.add_note(str(problem))
             raise
         sink.close(tables)
-        return timing
+        return dataclasses.replace(timing, notes=notes + timing.notes)
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:
@@ -238,13 +239,32 @@ class Bench:
         brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
         return np.zeros(len(self.pose)) if brought is None else brought[0]
 
-    def _settle(self, stay: Plan) -> None:
-        """Hold still until every axis stands where it should, or it takes too long."""
-        standing = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
+    def _settle(self, stay: Plan) -> tuple[dict[str, list[float]], tuple[str, ...]]:
+        """Hold still until every axis stands where it should, or it takes too long.
+
+        Returns
+        -------
+        dict
+            In axis order, `deviation` from the pose at the end [rad or m] and mean `speed` over the last second [rad/s or m/s].
+        tuple of str
+            A line for every axis that does not stand.
+        """
+        link = self.wiring.link
+        near = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in link.scalings])
+        deviation = speed = link.sample.position - stay.start_pose
         for second in range(SETTLE_AT_MOST_S):
-            if second >= SETTLE_S and (np.abs(self.wiring.link.sample.position - stay.start_pose) <= standing).all():
-                return
+            if second >= SETTLE_S and (np.abs(deviation) <= near).all():
+                break
             self.loop.run(stay)
+            before, deviation = deviation, link.sample.position - stay.start_pose
+            speed = deviation - before  # over one second
+        notes = tuple(
+            f"{limit.axis}: does not stand: {off:+.1e} {limit.unit} from its pose and moving by {drift:+.1e} {limit.unit}/s after "
+            f"{SETTLE_AT_MOST_S} s of standstill, {most:.1e} is standing; recorded all the same (initial.standing)"
+            for limit, off, drift, most in zip(self.machine.limits, deviation, speed, near, strict=True)
+            if not abs(off) <= most
+        )
+        return {"deviation": deviation.tolist(), "speed": speed.tolist()}, notes
 
     def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
         """From where the machine stands to `pose`, within the limits, and a second of standstill there."""

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import can
 import numpy as np
 
+from drivers.canopen.network import PolledNetwork
+from drivers.canopen.supervision import refuse_second_bench
 from drivers.errors import BusError, BusUnavailable
 from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
@@ -117,6 +119,8 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     ------
     BusUnavailable
         No such bus, serial port or I/O.
+    DuplicateNode
+        Another bench runs on that bus; neither its IMU nor its I/O was touched.
     UnusableInput
         The machine has an IMU or I/O and nobody says where.
     """
@@ -134,11 +138,12 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
         settings = _with_ports(machine, settings, options)
+        clock = WallClock()
+        refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
         imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
         io = None
         if settings.io is not None:
             io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
-        clock = WallClock()
         yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, False)
 
 

@@ -106,10 +106,6 @@ class Supervision:
         """NMT state as last heard, in words."""
         return NMT_STATES.get(self._nodes[node_id].state, "never heard")
 
-    def heartbeat_age_s(self, node_id: int) -> float:
-        """Seconds since the node was last heard; NaN when it never was."""
-        return self._network.clock.now() - self._nodes[node_id].heard_s
-
     def check_one(self, now_s: float) -> None:
         """Check the next node's heartbeat, one per call: the sample loop asks every tick and comes round in a few of them.
 
@@ -126,29 +122,6 @@ class Supervision:
             state = NMT_STATES.get(watched.state, "unknown")
             raise HeartbeatLost(
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
-            )
-
-    def refuse_second_bench(self, own_node_id: int, heartbeat_period_s: float) -> None:
-        """Listen for somebody who already sends the bench's heartbeat: two masters on one bus would move the same motors.
-
-        Raises
-        ------
-        DuplicateNode
-        """
-        heard: list[int] = []
-
-        def listen(can_id: int, data: bytearray, stamp: float) -> None:
-            heard.append(can_id)
-
-        while self._network.pump(0.0):  # what is older than this start
-            pass
-        self._network.subscribe(HEARTBEAT + own_node_id, listen)
-        self._network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
-        self._network.unsubscribe(HEARTBEAT + own_node_id, listen)
-        if heard:
-            raise DuplicateNode(
-                f"node id {own_node_id}, the bench's own, is already on {self._network.can_bus.channel_info}: "
-                "another bench is running there; stop it, or give this one another master_node_id"
             )
 
     def boot(self, nodes: Sequence[Node]) -> None:
@@ -233,3 +206,27 @@ class Supervision:
     def stand_down(self) -> None:
         """Nodes are being stopped on purpose: leaving operational is no fault any more."""
         self._running = False
+
+
+def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_period_s: float) -> None:
+    """Listen for somebody who already sends the bench's heartbeat: two masters on one bus would move the same motors.
+
+    Raises
+    ------
+    DuplicateNode
+    """
+    heard: list[int] = []
+
+    def listen(can_id: int, data: bytearray, stamp: float) -> None:
+        heard.append(can_id)
+
+    while network.pump(0.0):  # what is older than this start
+        pass
+    network.subscribe(HEARTBEAT + own_node_id, listen)
+    network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
+    network.unsubscribe(HEARTBEAT + own_node_id, listen)
+    if heard:
+        raise DuplicateNode(
+            f"node id {own_node_id}, the bench's own, is already on {network.can_bus.channel_info}: "
+            "another bench is running there; stop it, or give this one another master_node_id"
+        )

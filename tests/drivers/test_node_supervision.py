@@ -64,13 +64,11 @@ def test_a_started_node_without_heartbeat_is_reported_with_its_last_state():
         supervision.await_operational(NODE)
 
 
-def test_heartbeats_have_ages_and_a_silent_node_is_lost_after_two_and_a_half_periods():
+def test_a_silent_node_is_lost_after_two_and_a_half_periods():
     drive = ScriptedDrive(1)
     bus, network, supervision = operational(drive)
     drive.silent = True
-    start = bus.time_s
     network.pump_for(0.2)
-    assert supervision.heartbeat_age_s(1) == pytest.approx(bus.time_s - start, abs=0.11)
     supervision.check_one(bus.time_s)
     network.pump_for(0.15)
     with pytest.raises(

@@ -1,0 +1,39 @@
+"""Two benches on one bus would move the same motors: the second is refused before it touches anything of the machine's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import can
+import pytest
+from bench_machines import CARM
+
+import hil.wiring
+from drivers.errors import DuplicateNode
+from hil.bench import BenchOptions, open_bench
+
+CHANNEL = "second bench"
+
+
+@pytest.fixture
+def running_bench() -> Iterator[can.BusABC]:
+    """Somebody whose heartbeat is a bench's, and who hears what the other sends."""
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
+        beat = can.Message(arbitration_id=0x700 + CARM.bus.master_node_id, is_extended_id=False, data=[5])
+        task = bus.send_periodic(beat, CARM.bus.master_heartbeat_period_s / 2)
+        yield bus
+        task.stop()
+
+
+def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame(running_bench, monkeypatch):
+    touched = []
+    for device in ("IoProcess", "SerialStream"):
+        monkeypatch.setattr(hil.wiring, device, lambda *arguments, device=device: touched.append(device))
+    options = BenchOptions(f"virtual:{CHANNEL}", imu_device="/dev/ttyS0", io_url="tcp:127.0.0.1:1", real_time=False)
+    with (
+        pytest.raises(DuplicateNode, match=r"node id 127, the bench's own, is already on .*another bench is running there"),
+        open_bench(CARM, options),
+    ):
+        pass
+    assert touched == []
+    assert running_bench.recv(0.0) is None

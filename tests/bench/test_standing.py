@@ -1,0 +1,44 @@
+"""What the machine does in the second before row 0 is in the recording, and said where it is not standstill."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_machines import CARM
+
+import hil.bench
+from hil.bench import BenchOptions, open_bench
+from hil.experiments import Static
+from hil.loop import LoopTiming
+from hil.recording import Recording, read_recording
+
+POSE = np.array([0.1, -0.2])
+COUNTS = np.array([scaling.position_resolution for scaling in CARM.bus.scalings])
+
+
+def run(folder: Path) -> tuple[LoopTiming, Recording]:
+    with open_bench(CARM, BenchOptions("lockstep:", noise=False), POSE + np.array([0.0, 0.05])) as bench:
+        timing = bench.run(Static(0.5, dict(zip(CARM.axes, map(float, POSE), strict=True))).plans(CARM)[0], folder / "run.mf4")
+    return timing, read_recording(folder / "run.mf4")
+
+
+def test_a_machine_that_stands_says_how_well(tmp_path):
+    timing, recording = run(tmp_path)
+    standing = recording.metadata["initial"]["standing"]
+    first = np.array([recording[f"position_{axis}"][0] for axis in CARM.axes])
+    assert timing.notes == ()
+    assert np.array(standing["deviation"]) == pytest.approx(first - POSE, abs=1.5 * COUNTS.max())
+    assert (np.abs(standing["deviation"]) <= 2.0 * COUNTS).all() and (np.abs(standing["speed"]) < 2.0 * COUNTS).all()
+
+
+def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path, monkeypatch):
+    """No axis stands to a hundredth of a count, however long one waits."""
+    monkeypatch.setattr(hil.bench, "STANDING_COUNTS", 0.01)
+    timing, recording = run(tmp_path)
+    assert [note.split(" rad/s after")[1] for note in timing.notes] == [
+        " 16 s of standstill, 1.0e-07 is standing; recorded all the same (initial.standing)"
+    ] * 2
+    assert [note.split(":")[0] for note in timing.notes] == list(CARM.axes)
+    assert f"{recording.metadata['initial']['standing']['deviation'][1]:+.1e} rad from its pose" in timing.notes[1]
