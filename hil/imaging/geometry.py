@@ -24,6 +24,9 @@ from hil.imaging.detector import Detector
 NAMES = ("source_u", "source_v", "source_w", "phantom_u", "phantom_v", "phantom_w", "theta_x", "theta_y", "theta_z")
 """The nine parameters (2.2), in order: metres, metres, radians."""
 
+DEVIATIONS = (*NAMES[:6], "rotation_u", "rotation_v", "rotation_w")
+"""Deviations of the nine, as `ConeBeam.moved` takes them."""
+
 
 @dataclass(frozen=True)
 class ConeBeam:

@@ -1,0 +1,132 @@
+"""Look-up tables: deviations from the nominal geometry over the axis positions at which they were measured (thesis Fig. 2.4)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+
+from hil.calibration.phantom_pose import PoseFit
+from hil.errors import UnusableInput
+from hil.imaging.geometry import ConeBeam
+
+FORMAT = 1
+
+STANDS = 1e-3
+"""An axis whose positions spread by less [rad or m] did not move in the calibration."""
+
+NEAR = 0.02
+"""A pose farther than this from every calibrated one in an axis that did not move [rad or m] is another scan type."""
+
+
+@dataclass(frozen=True)
+class LookUp:
+    """Calibrated deviations of one scan type, or of a grid of poses.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    positions : (N, axes) array
+        Where each exposure was taken [rad or m].
+    deviation : (N, 9) array
+        From the nominal geometry there, as `ConeBeam.moved` takes it.
+    covariance : (N, 9, 9) array
+    notes : mapping
+        Machine, its hash, scan type.
+    """
+
+    axes: tuple[str, ...]
+    positions: np.ndarray
+    deviation: np.ndarray
+    covariance: np.ndarray
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def at(self, positions: np.ndarray) -> np.ndarray:
+        """(M, 9) deviations at positions (M, axes), linear between calibrated exposures.
+
+        Raises
+        ------
+        UnusableInput
+            A position is outside of what was calibrated.
+        """
+        positions = np.atleast_2d(positions)
+        moved = np.flatnonzero(np.ptp(self.positions, axis=0) > STANDS)
+        for k in range(len(self.axes)):
+            off = np.abs(positions[:, k] - np.median(self.positions[:, k])).max()
+            if k not in moved and off > NEAR:
+                raise UnusableInput(
+                    f"{self.axes[k]} stood at {np.median(self.positions[:, k]):.3f} in the calibration; the scan is {off:.3f} away."
+                    " Calibrate this scan type"
+                )
+        if len(moved) == 0:
+            return np.repeat(self.deviation.mean(axis=0)[None], len(positions), axis=0)
+        if len(moved) == 1:
+            return self._along(int(moved[0]), positions)
+        found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
+        if np.isnan(found).any():
+            worst = positions[np.flatnonzero(np.isnan(found).any(axis=1))[0]]
+            raise UnusableInput(f"pose {np.round(worst, 3)} is outside of the calibrated grid; calibrate farther out")
+        return found
+
+    def _along(self, axis: int, positions: np.ndarray) -> np.ndarray:
+        order = np.argsort(self.positions[:, axis])
+        known, wanted = self.positions[order, axis], positions[:, axis]
+        step = np.max(np.diff(known), initial=0.0)
+        if wanted.min() < known[0] - step or wanted.max() > known[-1] + step:
+            raise UnusableInput(
+                f"{self.axes[axis]} goes from {wanted.min():.3f} to {wanted.max():.3f}; calibrated from {known[0]:.3f} to {known[-1]:.3f}"
+            )
+        return np.column_stack([np.interp(wanted, known, self.deviation[order, k]) for k in range(9)])
+
+
+def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions: np.ndarray, notes: Mapping[str, Any]) -> LookUp:
+    """The table that a phantom calibration makes; exposures that could not be used are left out.
+
+    Raises
+    ------
+    UnusableInput
+        The scan's axis positions are not known.
+    """
+    if np.isnan(positions).any():
+        raise UnusableInput("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
+    good = fit.good
+    return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
+
+
+def write_look_up(table: LookUp, path: Path) -> None:
+    """As a .npz that NumPy alone can read."""
+    with path.open("wb") as file:
+        np.savez(
+            file,
+            format=FORMAT,
+            axes=np.array(table.axes),
+            positions=table.positions,
+            deviation=table.deviation,
+            covariance=table.covariance,
+            notes=json.dumps(dict(table.notes)),
+        )
+
+
+def read_look_up(path: Path) -> LookUp:
+    """A look-up table from its file.
+
+    Raises
+    ------
+    UnusableInput
+        Missing, or no look-up table.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if int(file["format"]) != FORMAT:
+                raise UnusableInput(f"{path}: format {int(file['format'])}; this version reads {FORMAT}")
+            axes = tuple(str(axis) for axis in file["axes"])
+            return LookUp(axes, file["positions"], file["deviation"], file["covariance"], json.loads(str(file["notes"])))
+    except OSError as error:
+        raise UnusableInput(f"{path}: {error.strerror or error}") from None
+    except (ValueError, KeyError, EOFError) as error:
+        raise UnusableInput(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None

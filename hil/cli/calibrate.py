@@ -1,0 +1,159 @@
+"""isocenter calibrate phantom, and expose: geometric calibration from images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from hil.cli.options import MachineArgument, load
+from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from hil.calibration.lookup import LookUp
+    from hil.calibration.phantom_pose import PoseFit
+
+app = typer.Typer(no_args_is_help=True, help="Geometric calibration from recordings and images.", short_help="Geometric calibration.")
+
+ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
+FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
+JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")]
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the commands."""
+    parent.command(
+        short_help="Images of a scan on the emulated machine.",
+        help="Images of a scan as the emulated machine's panel takes them, from the truth its emulator wrote."
+        "\n\nExample:  isocenter run scan -m carm --axis roll --from -80 --to 80 -o scan.mf4 --truth truth.csv"
+        "\n\nisocenter expose carm scan.mf4 --truth truth.csv --scene dodecahedron -o phantom_scan",
+    )(expose)
+    app.command(
+        short_help="The geometry of every exposure, from images of the bullet phantom.",
+        help="The geometry of every exposure, from images of the bullet phantom, as a look-up table over axis positions."
+        "\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz --figure roll.png",
+    )(phantom)
+    parent.add_typer(app, name="calibrate")
+
+
+def expose(
+    machine_name: MachineArgument,
+    recording_file: Annotated[Path, typer.Argument(metavar="REC", help="Recording of the scan, for its axis positions.")],
+    truth: Annotated[Path, typer.Option("--truth", metavar="FILE", help="Truth file of the same run.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.")],
+    scene_name: Annotated[
+        str, typer.Option("--scene", help="What stands in the beam: dodecahedron, wires-1mm, wires-0.2mm, vessel.")
+    ] = "dodecahedron",
+    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Exposures a second, by the panel's own clock.")] = 7.0,
+    width: Annotated[float, typer.Option("--width", metavar="MS", help="Length of an exposure, milliseconds.")] = 8.0,
+    binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, in each direction.")] = 4,
+    photons: Annotated[float, typer.Option("--photons", help="Mean count of a pixel in the open beam.")] = 2000.0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the photons.")] = 0,
+    json_to: JsonOption = None,
+) -> None:
+    """Render, one image after the other."""
+    from hil.imaging.emulated import Exposures, Setting, xray_side
+    from hil.imaging.emulated import expose as render
+    from hil.imaging.nominal import nominal_detector
+    from hil.imaging.scenes import scene
+    from hil.recording import read_recording
+    from virtual_bus.xray.imaging import Optics
+    from virtual_bus.xray.motion import FocalSpot
+
+    if rate <= 0.0 or width <= 0.0 or photons <= 0.0:
+        raise UnusableInput("--rate, --width and --photons: must be positive")
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    recording = read_recording(recording_file, machine)
+    exposures = Exposures(rate_Hz=rate, width_s=1e-3 * width)
+    spot = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
+    side = xray_side(machine, truth, spot, exposures.first_s)
+    detector = nominal_detector(machine, binning)
+    with progress(answer.console) as bars:
+        task = bars.add_task("exposing", total=None)
+        count = render(
+            machine,
+            side,
+            exposures,
+            scene(scene_name),
+            detector,
+            Setting(optics=Optics(photons=photons), spot=spot),
+            out,
+            recording,
+            seed,
+            lambda done, total: bars.update(task, completed=done, total=total),
+            {"scene": scene_name, "recording": recording_file.name},
+        )
+    answer.say(f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {scene_name}")
+    answer.write({"folder": out, "exposures": count})
+
+
+def phantom(
+    machine_name: MachineArgument,
+    scan_folder: ScanArgument,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="LOOKUP", help="Look-up table to write (.npz).")],
+    six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal: six parameters, as today's procedure does.")] = False,
+    figure: FigureOption = None,
+    jobs: JobsOption = 1,
+    json_to: JsonOption = None,
+) -> None:
+    """Find the bullets, fit the poses, write the table."""
+    from hil.calibration.lookup import look_up_of, write_look_up
+    from hil.calibration.phantom import calibrate_phantom
+    from hil.imaging.nominal import nominal_beam
+    from hil.imaging.phantoms import dodecahedron
+    from hil.imaging.scan_folder import read_scan
+
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    scan = read_scan(scan_folder)
+    if np.isnan(scan.positions).any():
+        raise UnusableInput(f"{scan_folder}: exposures.csv has no axis positions; a look-up table goes by position")
+    nominal = nominal_beam(machine, scan.positions)
+    with progress(answer.console) as bars:
+        task = bars.add_task("bullets", total=len(scan))
+        follow = follower(bars, task)
+        fit = calibrate_phantom(scan, dodecahedron(), nominal, not six, jobs, lambda done, total: follow(done))
+    table = look_up_of(fit, nominal, scan.axes, scan.positions, {"machine": machine.name, "hash": machine.hash, "six": six})
+    _report(answer, fit, table, six)
+    if figure is not None:
+        from hil.figures.geometry import deviations_figure
+
+        axis = int(np.argmax(np.ptp(table.positions, axis=0)))
+        label = f"{table.axes[axis]} [deg]"
+        picture = deviations_figure(np.degrees(table.positions[:, axis]), label, {"phantom": (table.deviation, table.covariance)})
+        picture.savefig(figure, dpi=130)
+        answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
+    write_look_up(table, out)
+    answer.say(f"{out}: look-up table of {len(table.positions)} exposures")
+    answer.write(_document(fit, table))
+
+
+def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
+    from hil.imaging.geometry import DEVIATIONS
+
+    held = "; the source held at nominal" if six else ""
+    answer.say(
+        f"{int(fit.good.sum())} of {len(fit.good)} exposures, a median of {np.median(fit.used[fit.good]):.0f} bullets,"
+        f" residual {1e6 * float(np.nanmedian(fit.residual_m)):.1f} um on the panel{held}"
+    )
+    for k, name in enumerate(DEVIATIONS):
+        values, sigma = table.deviation[:, k], np.sqrt(table.covariance[:, k, k])
+        unit = "mm" if k < 6 else "mrad"
+        answer.say(f"  {name:10s} {1e3 * values.min():8.3f} to {1e3 * values.max():8.3f} {unit}, sigma {1e3 * float(np.median(sigma)):.3f}")
+
+
+def _document(fit: PoseFit, table: LookUp) -> dict[str, Any]:
+    return {
+        "exposures": len(fit.good),
+        "used": int(fit.good.sum()),
+        "residual_um": 1e6 * fit.residual_m,
+        "bullets": fit.used,
+        "axes": table.axes,
+        "positions": table.positions,
+        "deviation": table.deviation,
+        "sigma": np.sqrt(np.einsum("nii->ni", table.covariance)),
+    }

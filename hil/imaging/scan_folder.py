@@ -1,0 +1,177 @@
+"""A scan on disk: images, when they were exposed, and what panel took them (docs/formats.md)."""
+
+from __future__ import annotations
+
+import csv
+import struct
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.recording.toml_text import toml_text
+
+FORMAT = 1
+FRAMES, EXPOSURES, DESCRIPTION = "frames.tif", "exposures.csv", "scan.toml"
+
+
+@dataclass(frozen=True)
+class ImageScan:
+    """Exposures of one scan.
+
+    Attributes
+    ----------
+    folder : Path
+    detector : Detector
+        As the images were read out.
+    exposure_id : (N,) int array
+    start_s, width_s : (N,) arrays
+        In the loop's time.
+    axes : tuple of str
+    positions : (N, axes) array
+        Measured axis positions in the middle of each exposure [rad or m]; NaN where nobody wrote them.
+    notes : mapping
+        The rest of scan.toml: machine, phantom, recording.
+    """
+
+    folder: Path
+    detector: Detector
+    exposure_id: np.ndarray
+    start_s: np.ndarray
+    width_s: np.ndarray
+    axes: tuple[str, ...]
+    positions: np.ndarray
+    notes: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.exposure_id)
+
+    @property
+    def middle_s(self) -> np.ndarray:
+        """(N,) the middle of each exposure in the loop's time."""
+        return self.start_s + 0.5 * self.width_s
+
+    def frame(self, k: int) -> np.ndarray:
+        """(rows, columns) image k.
+
+        Raises
+        ------
+        UnusableInput
+            The file does not hold it, or not in this panel's size.
+        """
+        import tifffile
+
+        path = self.folder / FRAMES
+        try:
+            image = tifffile.imread(path, key=k)
+        except (OSError, LookupError, ValueError, struct.error, tifffile.TiffFileError) as error:
+            raise UnusableInput(f"{path}: image {k} of {len(self)} cannot be read: {error}") from None
+        if image.shape != (self.detector.rows, self.detector.columns):
+            right = f"{self.detector.columns} x {self.detector.rows}"
+            raise UnusableInput(f"{path}: image {k} is {image.shape[1]} x {image.shape[0]}; {DESCRIPTION} says {right}")
+        return image
+
+
+def write_description(folder: Path, detector: Detector, axes: Sequence[str], notes: Mapping[str, Any]) -> None:
+    """scan.toml of a new scan."""
+    panel = {
+        "columns": detector.columns,
+        "rows": detector.rows,
+        "pitch_mm": 1e3 * detector.pitch_m,
+        "aspect": detector.aspect,
+        "skew": detector.skew,
+    }
+    (folder / DESCRIPTION).write_text(toml_text({"format": FORMAT, "axes": list(axes), "detector": panel, **notes}), encoding="utf-8")
+
+
+def write_exposures(
+    folder: Path, exposure_id: np.ndarray, start_s: np.ndarray, width_s: np.ndarray, axes: Sequence[str], positions: np.ndarray
+) -> None:
+    """exposures.csv of a new scan; a position that is not known is an empty cell."""
+    with (folder / EXPOSURES).open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [rad]" for axis in axes)])
+        for k, number in enumerate(exposure_id):
+            places = ["" if np.isnan(value) else repr(float(value)) for value in positions[k]]
+            rows.writerow([int(number), repr(float(start_s[k])), repr(float(width_s[k])), *places])
+
+
+def read_scan(folder: Path) -> ImageScan:
+    """A scan's description and exposures; images are read one by one.
+
+    Raises
+    ------
+    UnusableInput
+        Something is missing, unreadable, or does not belong together.
+    """
+    description = folder / DESCRIPTION
+    try:
+        document = tomllib.loads(description.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UnusableInput(f"{description}: {error.strerror}; a scan's folder holds {DESCRIPTION}, {EXPOSURES} and {FRAMES}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UnusableInput(f"{description}: {error}") from None
+    if document.get("format") != FORMAT:
+        raise UnusableInput(f"{description}: format = {document.get('format')!r}; this version reads {FORMAT}")
+    axes = tuple(str(axis) for axis in document.get("axes", ()))
+    table = _table(folder / EXPOSURES, axes)
+    if not (folder / FRAMES).exists():
+        raise UnusableInput(f"{folder / FRAMES}: missing; a scan's images are one TIFF of as many pages as {EXPOSURES} has rows")
+    notes = {key: value for key, value in document.items() if key not in ("format", "axes", "detector")}
+    return ImageScan(
+        folder, _detector(description, document), table[:, 0].astype(int), table[:, 1], table[:, 2], axes, table[:, 3:], notes
+    )
+
+
+def _detector(path: Path, document: Mapping[str, Any]) -> Detector:
+    panel = document.get("detector")
+    if not isinstance(panel, Mapping):
+        raise UnusableInput(f"{path}: no [detector] with columns, rows and pitch_mm")
+    try:
+        detector = Detector(
+            int(panel["columns"]),
+            int(panel["rows"]),
+            1e-3 * float(panel["pitch_mm"]),
+            float(panel.get("aspect", 1.0)),
+            float(panel.get("skew", 0.0)),
+        )
+    except KeyError as error:
+        raise UnusableInput(f"{path}: detector.{error.args[0]} is missing") from None
+    except (TypeError, ValueError) as error:
+        raise UnusableInput(f"{path}: detector: {error}") from None
+    if detector.columns < 1 or detector.rows < 1 or not detector.pitch_m > 0.0 or not detector.aspect > 0.0:
+        raise UnusableInput(f"{path}: detector: columns, rows, pitch_mm and aspect must be positive")
+    return detector
+
+
+def _table(path: Path, axes: Sequence[str]) -> np.ndarray:
+    """(N, 3 + axes) numbers."""
+    wanted = ["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [rad]" for axis in axes)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UnusableInput(f"{path}: {error}") from None
+    if not lines or lines[0] != wanted:
+        raise UnusableInput(f"{path}: the first line must be {','.join(wanted)}")
+    numbers = np.full((len(lines) - 1, len(wanted)), np.nan)
+    for k, line in enumerate(lines[1:]):
+        if len(line) != len(wanted):
+            raise UnusableInput(f"{path}: line {k + 2} has {len(line)} cells; {len(wanted)} belong there")
+        for column, cell in enumerate(line):
+            if not cell and column >= 3:
+                continue
+            try:
+                numbers[k, column] = float(cell)
+            except ValueError:
+                raise UnusableInput(f"{path}: line {k + 2}, {wanted[column]}: {cell!r} is no number") from None
+    if not len(numbers):
+        raise UnusableInput(f"{path}: no exposure")
+    if not np.isfinite(numbers[:, :3]).all() or (np.diff(numbers[:, 1]) <= 0.0).any() or (numbers[:, 2] < 0.0).any():
+        raise UnusableInput(f"{path}: starts must rise and widths be 0 or more; is the panel's clock the loop's?")
+    return numbers

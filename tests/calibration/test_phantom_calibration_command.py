@@ -1,0 +1,94 @@
+"""A scan of the phantom on the emulated C-arm, from the command line to a look-up table that holds the true geometry."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hil.calibration.lookup import LookUp, read_look_up
+from hil.cli import main
+from hil.errors import UnusableInput
+from hil.imaging.emulated import true_beam, xray_side
+from hil.imaging.nominal import nominal_beam
+from hil.imaging.scan_folder import read_scan
+from hil.machine import load_machine
+from virtual_bus.xray.motion import STILL
+
+
+def isocenter(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scan")
+    sweep = ["--axis", "roll", "--from", "-15", "--to", "15", "--speed", "30", "--dwell", "0.2", "--truth", folder / "truth.csv"]
+    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *sweep, "-o", folder / "scan.mf4") == 0
+    exposed = ["--truth", folder / "truth.csv", "--scene", "dodecahedron", "--rate", "7", "-o", folder / "images"]
+    assert isocenter("expose", "carm", folder / "scan.mf4", *exposed) == 0
+    return folder
+
+
+def test_the_table_holds_the_true_geometry_within_its_covariance(scanned):
+    out = scanned / "roll.npz"
+    answers = ["-o", out, "--figure", scanned / "f.png", "--json", scanned / "a.json"]
+    assert isocenter("calibrate", "phantom", "carm", scanned / "images", *answers) == 0
+    table, scan, machine = read_look_up(out), read_scan(scanned / "images"), load_machine("carm")
+    truth = true_beam(xray_side(machine, scanned / "truth.csv", STILL, 0.0), scan.start_s, scan.width_s)
+    nominal = nominal_beam(machine, scan.positions)
+    error = nominal.moved(table.deviation).deviation_from(truth)
+    chi2 = np.einsum("na,nab,nb->n", error, np.linalg.inv(table.covariance), error) / 9.0
+    assert 0.5 < np.mean(chi2) < 2.0, np.mean(chi2)  # the focal spot's 8 um and what pixels cost beyond photons are in here
+    sagged = truth.deviation_from(nominal)
+    assert np.abs(sagged[:, 3:6]).max() > 20.0 * np.sqrt(np.mean(np.diagonal(table.covariance, axis1=1, axis2=2)[:, 3:6]) / 20)
+    answer = json.loads((scanned / "a.json").read_text())
+    assert answer["used"] == len(scan) and (scanned / "f.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (lambda f: (f / "exposures.csv").write_text("exposure_id,start [s]\n0,1\n"), "the first line must be exposure_id,start [s],w"),
+        (lambda f: (f / "frames.tif").unlink(), "frames.tif: missing"),
+        (lambda f: (f / "frames.tif").write_bytes(b"II*\0"), "image 0 of"),
+        (lambda f: (f / "scan.toml").write_text("format = 7\n"), "format = 7; this version reads 1"),
+    ],
+)
+def test_a_spoilt_folder_is_one_line(scanned, tmp_path, capsys, spoil, line):
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for file in (scanned / "images").iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    spoil(folder)
+    assert isocenter("calibrate", "phantom", "carm", folder, "-o", tmp_path / "x.npz") == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+    assert not (tmp_path / "x.npz").exists()
+
+
+def test_a_recording_of_another_run_is_named(scanned, capsys):
+    short = ["--axis", "roll", "--from", "0", "--to", "2", "--dwell", "0.1"]
+    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *short, "--speed", "5", "-o", scanned / "other.mf4") == 0
+    capsys.readouterr()
+    exposed = ["--truth", scanned / "truth.csv", "-o", scanned / "images2", "--rate", "1"]
+    assert isocenter("expose", "carm", scanned / "other.mf4", *exposed) == 2
+    assert "the panel's clock is not the loop's, or the recording is another run's" in capsys.readouterr().err
+
+
+def test_a_table_interpolates_between_exposures_and_refuses_what_it_does_not_cover():
+    rng = np.random.default_rng(1)
+    roll = np.linspace(-1.0, 1.0, 21)
+    table = LookUp(("propeller", "roll"), np.column_stack([np.zeros(21), roll]), rng.normal(size=(21, 9)), np.zeros((21, 9, 9)))
+    np.testing.assert_allclose(table.at([[0.0, roll[3]], [0.0, 0.5 * (roll[3] + roll[4])]])[1], table.deviation[3:5].mean(axis=0))
+    with pytest.raises(UnusableInput, match=r"roll goes from 1\.300"):
+        table.at([[0.0, 1.3]])
+    with pytest.raises(UnusableInput, match=r"propeller stood at 0.000 in the calibration; the scan is 0.300 away"):
+        table.at([[0.3, 0.0]])
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)
+    plane = LookUp(("propeller", "roll"), grid, grid @ rng.normal(size=(2, 9)), np.zeros((25, 9, 9)))
+    slopes = np.linalg.lstsq(grid, plane.deviation)[0]
+    np.testing.assert_allclose(plane.at([[0.3, -0.2]])[0], [0.3, -0.2] @ slopes, atol=1e-12)
+    with pytest.raises(UnusableInput, match="outside of the calibrated grid"):
+        plane.at([[1.4, 0.0]])
