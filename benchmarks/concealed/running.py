@@ -20,7 +20,9 @@ def commit() -> str:
     here = Path(__file__).parent
     head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False).stdout.strip()
     packages = [str(here.parents[1] / name) for name in ("hil", "virtual_bus", "controllers", "drivers")]
-    changed = subprocess.run(["git", "status", "--porcelain", "--", *packages], cwd=here, capture_output=True, text=True, check=False).stdout
+    changed = subprocess.run(
+        ["git", "status", "--porcelain", "--", *packages], cwd=here, capture_output=True, text=True, check=False
+    ).stdout
     return head + ("+changes" if changed.strip() else "")
 
 
@@ -30,7 +32,18 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
     case, out = places.case(number), places.answer(number)
     out.mkdir(parents=True, exist_ok=True)
     runs = sorted(str(path) for path in case.glob("run_*.csv"))
-    command = [COMMAND, "diagnose", str(case / "machine.toml"), *runs, "--held-out", str(case / "held_out.csv"), "-o", str(out), "--jobs", "1"]
+    command = [
+        COMMAND,
+        "diagnose",
+        str(case / "machine.toml"),
+        *runs,
+        "--held-out",
+        str(case / "held_out.csv"),
+        "-o",
+        str(out),
+        "--jobs",
+        "1",
+    ]
     start = time.monotonic()
     row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": commit()}
     try:

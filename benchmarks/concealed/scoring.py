@@ -1,3 +1,5 @@
 """Scoring."""
+
+
 def score(places, results):
     return ""

@@ -15,12 +15,12 @@ from concealed.truth.disturbances import disturbance, with_noise
 from concealed.truth.draw import Case, Hidden
 from concealed.truth.experiments import plan
 from concealed.truth.oracle import NoiseUnits, coefficients, left_over, location
-from concealed.truth.plant import Answer, Drive, Machine, Plant, Setup
+from concealed.truth.plant import IMU_CHANNELS, Answer, Drive, Machine, Plant, Setup
 from concealed.truth.sensor_kinds import read
 from concealed.truth.writing import write_recording
 
 DETECTION_LIMIT = 5.0
-"""Standard deviations: found among some forty candidates with nine chances in ten while one null in twenty alarms (3.3 + 1.3, rounded up)."""
+"""Standard deviations: found among forty candidates with nine chances in ten while one null in twenty alarms (3.3 + 1.3, rounded up)."""
 
 SEPARABLE = 5.0
 """Standard deviations between the truth and the nearest other name from which on a name is asked for."""
@@ -97,7 +97,7 @@ def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> N
         rich = shop.held_out
     chosen = _strengths(shop, rich)
     setup = shop.setup(chosen)
-    truth = _describe(case, chosen) | _oracle(shop, chosen, setup)
+    truth = _describe(case, machine, chosen) | _oracle(shop, chosen, setup)
     _write(shop, setup, folder)
     truth_path.parent.mkdir(parents=True, exist_ok=True)
     truth_path.write_text(json.dumps(truth, indent=1), encoding="utf-8")
@@ -122,6 +122,8 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
     kind = hidden.kind
     largest = kind.largest(shop.machine, hidden.place)
     strength = min(kind.typical(shop.machine, hidden.place), largest)
+    if kind.fixed:
+        return largest
     if kind.tuned:  # a refit of the machine file's numbers takes it up by definition: there is no limit to count in
         return min(0.5 * hidden.times_limit * strength, largest)
     wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(shop.case.repeats / 3.0)
@@ -176,12 +178,15 @@ def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup) -> dict[st
     without = shop.setup(())
     base = {name: shop.matrix(without, drive) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
     assert base["train"] is not None and base["held_out"] is not None
-    signals = {name: _nominal_signals(shop, (), drive, base[name]) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
+    signals = {
+        name: _nominal_signals(shop, (), drive, base[name]) for name, drive in (("train", shop.training), ("held_out", shop.held_out))
+    }
     columns = [units(signal) for signal in signals["train"]]
     effect = {name: clean[name] - base[name] for name in clean}
     weights = coefficients(units(effect["train"]), columns)
     seen = {
-        name: effect[name] - sum((weight * signal for weight, signal in zip(weights, signals[name], strict=True)), np.zeros_like(effect[name]))
+        name: effect[name]
+        - sum((weight * signal for weight, signal in zip(weights, signals[name], strict=True)), np.zeros_like(effect[name]))
         for name in effect
     }
     answer["detectability"] = left_over(units(effect["train"]), columns)
@@ -202,7 +207,11 @@ def _apart(
     one = chosen[index]
     alone = shop.matrix(shop.setup((one,)), shop.training)
     effect = units((base if alone is None else alone) - base)
-    others = [units(each - base) for other in chosen if other is not one and (each := shop.matrix(shop.setup((other,)), shop.training)) is not None]
+    others = [
+        units(each - base)
+        for other in chosen
+        if other is not one and (each := shop.matrix(shop.setup((other,)), shop.training)) is not None
+    ]
     columns = columns + others
     kind, distances = one.hidden.kind, {}
     names = kind.neighbours if kind.accepted else tuple(INSIDE)
@@ -246,13 +255,23 @@ def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> li
 # ---- what is written --------------------------------------------------------------------------------
 
 
-def _describe(case: Case, chosen: tuple[Chosen, ...]) -> dict[str, object]:
+def _names_of(machine: Machine, place: str) -> list[str]:
+    """How a finding may say where this is: an axis is also its joint's body, its encoder, and the body on the spring behind it."""
+    if place not in machine.axes:
+        return [place, *(IMU_CHANNELS if place == "imu" else ())]
+    spring = machine.spring_behind(place)
+    names = [place, machine.joint_of[place], machine.body_of[machine.joint_of[place]], f"position_{place}"]
+    return names + ([spring, machine.body_of[spring]] if spring else [])
+
+
+def _describe(case: Case, machine: Machine, chosen: tuple[Chosen, ...]) -> dict[str, object]:
     """The truth in words and numbers."""
     effects = []
     for each in chosen:
         kind = each.hidden.kind
         effects.append({
-            "kind": kind.name, "at": each.hidden.place, "accepted": list(kind.accepted), "tuned": kind.tuned, "sensor": kind.sensor,
+            "kind": kind.name, "at": each.hidden.place, "accepted_at": _names_of(machine, each.hidden.place),
+            "accepted": list(kind.accepted), "tuned": kind.tuned, "sensor": kind.sensor,
             "strength": each.strength, "shape": each.hidden.shape, "times_limit": each.hidden.times_limit,
             "compare": kind.compare(each.hidden.shape, each.strength),
         })  # fmt: skip

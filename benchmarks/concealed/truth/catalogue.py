@@ -10,7 +10,9 @@ INSIDE: dict[str, Kind] = {
 }
 """Physics that the catalogue names, in other equations."""
 
-OUTSIDE: dict[str, Kind] = {kind.name: kind for kinds in (friction_kinds.OUTSIDE, effort_kinds.OUTSIDE, drive_kinds.OUTSIDE) for kind in kinds}
+OUTSIDE: dict[str, Kind] = {
+    kind.name: kind for kinds in (friction_kinds.OUTSIDE, effort_kinds.OUTSIDE, drive_kinds.OUTSIDE) for kind in kinds
+}
 """Physics that no catalogue effect spans."""
 
 KINDS = INSIDE | OUTSIDE

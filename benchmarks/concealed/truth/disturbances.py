@@ -11,7 +11,7 @@ COLOURS = ("white", "slow", "narrow", "reversal")
 
 
 def disturbance(rng: np.random.Generator, machine: Machine, samples: int, colour: str, level: float) -> tuple[np.ndarray, float]:
-    """Efforts on the axes (N, n_axes) of rms `level` times a tenth of the drive's effort; and the speed under which they act (0: always)."""
+    """Efforts on the axes (N, n_axes), rms `level` times a tenth of the drive's effort; the speed under which they act (0: always)."""
     rate = machine.rate_Hz
     efforts = np.zeros((samples, len(machine.axes)))
     calm = 0.0

@@ -60,16 +60,26 @@ KINDS = (
         "torque_constant", ("torque_constant",), axes, no_shape, _gain, number(0.1), number(0.4), ("payload", "viscous_friction"),
         tuned=True,
     ),
-    Kind("current_saturation", ("current_saturation",), axes, no_shape, _limit, number(3.0), number(12.0), ("torque_constant", "drive_bandwidth")),
     Kind(
-        "drive_bandwidth", ("drive_bandwidth",), axes, _poles_shape, _poles, number(0.004), number(0.03), ("delay", "structural_mode"), ("ratio",),
+        "current_saturation", ("current_saturation",), axes, no_shape, _limit, number(3.0), number(12.0),
+        ("torque_constant", "drive_bandwidth"),
     ),
-    Kind("delay", ("delay",), axes, no_shape, _delay, number(0.003), number(0.02), ("drive_bandwidth",), compare=lambda _shape, s: {"Td": s}),
+    Kind(
+        "drive_bandwidth", ("drive_bandwidth",), axes, _poles_shape, _poles, number(0.004), number(0.03),
+        ("delay", "structural_mode"), ("ratio",),
+    ),
+    Kind(
+        "delay", ("delay",), axes, no_shape, _delay, number(0.003), number(0.02), ("drive_bandwidth",),
+        compare=lambda _shape, s: {"Td": s},
+    ),
     Kind(
         "torque_ripple", ("torque_ripple",), axes, _ripple_shape, _ripple, number(0.05), number(0.35), ("cogging",),
         ("phi1", "second", "phi2"), compare=lambda _shape, s: {"A1": s},
     ),
-    Kind("gear_ratio", ("gear_ratio",), _geared, no_shape, _ratio, number(0.005), number(0.08), ("encoder_eccentricity", "torque_constant"), compare=lambda _shape, s: {"beta": s}),
+    Kind(
+        "gear_ratio", ("gear_ratio",), _geared, no_shape, _ratio, number(0.005), number(0.08),
+        ("encoder_eccentricity", "torque_constant"), compare=lambda _shape, s: {"beta": s},
+    ),
 )  # fmt: skip
 
 

@@ -154,7 +154,11 @@ def _transmission(setup: Setup, machine: Machine, axis: str, shape: Shape, s: fl
 
 
 def _heavy_bodies(machine: Machine) -> list[str]:
-    return [body["name"] for body in machine.table["body"] if body.get("mass_kg", 0.0) >= 2.0 and body["name"] not in ("ceiling_mount", "support_arm")]
+    return [
+        body["name"]
+        for body in machine.table["body"]
+        if body.get("mass_kg", 0.0) >= 2.0 and body["name"] not in ("ceiling_mount", "support_arm")
+    ]
 
 
 def _payload_shape(rng: np.random.Generator, _machine: Machine, _body: str) -> Shape:

@@ -60,7 +60,11 @@ def _by_load(setup: Setup, machine: Machine, axis: str, _shape: Shape, s: float)
 
 def _position_shape(rng: np.random.Generator, machine: Machine, axis: str) -> Shape:
     periods = rng.uniform(0.8, 2.5)  # over the whole range
-    return {"cycles": float(periods * np.pi / machine.reach(axis)), "phi": float(rng.uniform(-np.pi, np.pi)), "third": float(rng.uniform(-0.05, 0.05))}
+    return {
+        "cycles": float(periods * np.pi / machine.reach(axis)),
+        "phi": float(rng.uniform(-np.pi, np.pi)),
+        "third": float(rng.uniform(-0.05, 0.05)),
+    }
 
 
 def _by_position(setup: Setup, machine: Machine, axis: str, shape: Shape, s: float) -> None:
@@ -90,7 +94,12 @@ def _drag(setup: Setup, machine: Machine, axis: str, shape: Shape, s: float) -> 
 
 
 def _warming_shape(rng: np.random.Generator, _machine: Machine, _axis: str) -> Shape:
-    return {"fluidity": float(rng.uniform(0.03, 0.06)), "film_s": float(rng.uniform(4.0, 8.0)), "housing_s": 60.0, "rise": float(rng.uniform(20.0, 40.0))}
+    return {
+        "fluidity": float(rng.uniform(0.03, 0.06)),
+        "film_s": float(rng.uniform(4.0, 8.0)),
+        "housing_s": 60.0,
+        "rise": float(rng.uniform(20.0, 40.0)),
+    }
 
 
 def _warming(setup: Setup, machine: Machine, axis: str, shape: Shape, s: float) -> None:

@@ -1,7 +1,8 @@
 """Physics at a joint, in equations of the benchmark's own. One row of the effects table is one effect.
 
-A row has a kind, the joint it acts on (`dof`), another joint where the kind needs one, parameters `p` and states `z`. `add_efforts` is called once
-a step at the step's middle: positions and speeds there, accelerations of the step before. With h = 0 it gives the static efforts.
+A row has a kind, the joint it acts on (`dof`), another joint where the kind needs one, parameters `p` and states `z`. `add_efforts` is
+called once a step at the step's middle: positions and speeds there, accelerations of the step before. With h = 0 it gives the static
+efforts.
 """
 
 from __future__ import annotations

@@ -40,6 +40,8 @@ class Kind:
         (shape, strength) -> catalogue parameters that mean the same in both equations, for interval coverage.
     tuned : bool
         A parameter of the machine file is what changed: the verdict `retuned` is right, too.
+    fixed : bool
+        Is there or not: always at its largest strength.
     local : bool
         Acts at some positions only.
     sensor : bool
@@ -57,6 +59,7 @@ class Kind:
     refit: tuple[str, ...] = ()
     compare: Callable[[Shape, float], dict[str, float]] = lambda _shape, _strength: {}
     tuned: bool = False
+    fixed: bool = False
     local: bool = False
     sensor: bool = False
 

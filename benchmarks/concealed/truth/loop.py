@@ -1,4 +1,4 @@
-"""The sampled loop around a MuJoCo model, compiled: drives, effects, sensors and the controller's sections, written from docs/notation.md."""
+"""The sampled loop around a MuJoCo model, compiled: drives, effects, sensors, controller, written from docs/notation.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from concealed.truth.joint_physics import add_efforts, tabulated
 from concealed.truth.memory import forward
 
 DRIVE = ("delay", "pole1_Hz", "pole2_Hz", "limit", "knee", "Np", "A1", "phi1", "A2", "phi2", "gain")
-"""Columns of the drives' table: delay [samples], two real poles, soft limit, ripple per joint turn, gain on the effort but not on the current."""
+"""Columns of the drives' table: delay [samples], two real poles, soft limit, ripple per joint turn, gain on the effort, not the current."""
 
 ENCODER = ("a", "phi", "b", "psi", "lattice", "beta", "lost", "mark")
 """Columns of the encoders' table: once and twice per turn error, own lattice, ratio error, counts lost at every upward pass of a mark."""
@@ -39,7 +39,8 @@ def on_lattice(x, q):
 @njit(cache=True)
 def run(
     address, model, data, memory, sensor, kinds, dofs, others, parameters, states, drives, encoders, sections, rows, controller,
-    axes, see, link, gear, limits, steps_of_target, counts, reference, excitation, disturbance, calm_speed, standing, substeps, period, imu_poles, closed,
+    axes, see, link, gear, limits, steps_of_target, counts, reference, excitation, disturbance, calm_speed, standing, substeps, period,
+    imu_poles, closed,
     command0, out_command, out_effort, out_position, out_link, out_imu, out_q, out_v,
 ):  # fmt: skip
     """Fill the outputs; row k is latched before command k acts. Returns the row where the machine left all bounds, else -1."""

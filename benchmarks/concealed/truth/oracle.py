@@ -1,8 +1,8 @@
-"""What somebody could tell who knows the true structure: how far an effect stands above noise once the machine file's numbers are refitted,
-which other names could be told from it, what could be removed, and where it shows.
+"""What somebody could tell who knows the true structure: how far an effect stands above noise once the machine file's numbers are
+refitted, which other names could be told from it, what could be removed, and where it shows.
 
-Everything is in units of the noise's standard deviation: signals are tapered, transformed, and whitened by the cross-spectral density of what
-differs between repeats. A norm d is then the distance of two hypotheses in standard deviations of the best linear test.
+Everything is in units of the noise's standard deviation: signals are tapered, transformed, and whitened by the cross-spectral density of
+what differs between repeats. A norm d is then the distance of two hypotheses in standard deviations of the best linear test.
 """
 
 from __future__ import annotations
@@ -74,7 +74,9 @@ def left_over(target: np.ndarray, columns: Sequence[np.ndarray]) -> float:
     return float(np.linalg.norm(target - np.column_stack(columns) @ coefficients(target, columns)))
 
 
-def location(effect: np.ndarray, units: NoiseUnits, rate_Hz: float, positions: np.ndarray, channels: list[str], axes: list[str]) -> dict[str, object]:
+def location(
+    effect: np.ndarray, units: NoiseUnits, rate_Hz: float, positions: np.ndarray, channels: list[str], axes: list[str]
+) -> dict[str, object]:
     """Where an effect (N, C) exceeds the noise of the mean of the repeats: channels' shares, times, frequencies, positions."""
     spectrum = np.abs(np.fft.rfft(effect / units.std * units.taper[:, None], axis=0)) ** 2 / units.samples
     power = (spectrum[1:] / units.density[1:]).sum(axis=0)

@@ -25,7 +25,9 @@ IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 class Setup:
     """What differs from the machine file: factors on its numbers, and physics it does not have."""
 
-    factors: dict[str, float] = field(default_factory=dict)  # "mass:BODY", "inertia:BODY", "stiffness:JOINT", "damping:JOINT", "constant:AXIS"
+    factors: dict[str, float] = field(
+        default_factory=dict
+    )  # "mass:BODY", "inertia:BODY", "stiffness:JOINT", "damping:JOINT", "constant:AXIS"
     joints: list[tuple[int, str, str, list[float]]] = field(default_factory=list)  # kind, joint, other joint, parameters
     drives: dict[tuple[str, str], float] = field(default_factory=dict)  # (axis, column) -> value
     encoders: dict[tuple[str, str], float] = field(default_factory=dict)

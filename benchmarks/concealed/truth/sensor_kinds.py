@@ -83,19 +83,33 @@ KINDS = (
         "encoder_eccentricity", ("encoder_eccentricity",), turning_axes, _eccentric_shape, _eccentric, number(0.002), number(0.05),
         ("gravity_imbalance", "gear_ratio", "cable_spring"), ("phi", "second"), compare=lambda _shape, s: {"a": s}, sensor=True,
     ),
-    Kind("encoder_quantization", ("encoder_quantization",), axes, no_shape, _coarse, _count(10.0), _count(400.0), sensor=True, compare=lambda _shape, s: {"q": s}),
-    Kind("imu_misalignment", ("imu_misalignment",), _with_imu, _direction, _reading("turned", IMU_CHANNELS), number(0.01), number(0.3), ("imu_scale_bias",), sensor=True),
     Kind(
-        "imu_scale_bias", ("imu_scale_bias",), _with_imu, _scale_shape, _reading("scaled", IMU_CHANNELS[:3]), number(0.01), number(0.15), ("imu_misalignment",),
-        compare=_scale_values, sensor=True,
+        "encoder_quantization", ("encoder_quantization",), axes, no_shape, _coarse, _count(10.0), _count(400.0),
+        compare=lambda _shape, s: {"q": s}, sensor=True,
     ),
-    Kind("imu_bandwidth", ("imu_bandwidth",), _with_imu, no_shape, _low_pass, number(0.003), number(0.03), ("clock_offset:imu_x",), sensor=True),
     Kind(
-        "clock_offset", ("clock_offset",), _quiet_channels, _late_shape, _reading("late"), number(0.003), number(0.05), ("delay",), sensor=True,
-        compare=lambda _shape, s: {"t0": s},
+        "imu_misalignment", ("imu_misalignment",), _with_imu, _direction, _reading("turned", IMU_CHANNELS), number(0.01), number(0.3),
+        ("imu_scale_bias",), sensor=True,
     ),
-    Kind("sample_dropout", ("sample_dropout",), _quiet_channels, no_shape, _reading("held"), number(0.03), number(0.4), sensor=True),
-    Kind("rectified_sensor", ("rectified_sensor",), _signed_channels, no_shape, _reading("rectified"), number(0.2), number(1.0), sensor=True),
+    Kind(
+        "imu_scale_bias", ("imu_scale_bias",), _with_imu, _scale_shape, _reading("scaled", IMU_CHANNELS[:3]), number(0.01), number(0.15),
+        ("imu_misalignment",), compare=_scale_values, sensor=True,
+    ),
+    Kind(
+        "imu_bandwidth", ("imu_bandwidth",), _with_imu, no_shape, _low_pass, number(0.003), number(0.03), ("clock_offset:imu_x",),
+        sensor=True,
+    ),
+    Kind(
+        "clock_offset", ("clock_offset",), _quiet_channels, _late_shape, _reading("late"), number(0.003), number(0.05), ("delay",),
+        compare=lambda _shape, s: {"t0": s}, sensor=True,
+    ),
+    Kind(
+        "sample_dropout", ("sample_dropout",), _quiet_channels, no_shape, _reading("held"), number(0.03), number(0.4), sensor=True,
+    ),
+    Kind(
+        "rectified_sensor", ("rectified_sensor",), _signed_channels, no_shape, _reading("rectified"), number(1.0), number(1.0),
+        fixed=True, sensor=True,
+    ),
 )  # fmt: skip
 
 

@@ -38,8 +38,21 @@ def _unit(machine: Machine, name: str) -> str:
 
 def _metadata(machine: Machine, rows: int, experiment: dict[str, object], initial: dict[str, object] | None) -> str:
     digest = hashlib.sha256(machine.text.encode("utf-8")).hexdigest()
-    parts = ["recording_format = 1", 'software = "concealed benchmark"', f"rows = {rows}", "", "[machine]", f"name = {json.dumps(machine.name)}"]
-    parts += [f"hash = {json.dumps(digest)}", f"axes = {json.dumps(machine.axes)}", f"text = {json.dumps(machine.text)}", "", "[experiment]"]
+    parts = [
+        "recording_format = 1",
+        'software = "concealed benchmark"',
+        f"rows = {rows}",
+        "",
+        "[machine]",
+        f"name = {json.dumps(machine.name)}",
+    ]
+    parts += [
+        f"hash = {json.dumps(digest)}",
+        f"axes = {json.dumps(machine.axes)}",
+        f"text = {json.dumps(machine.text)}",
+        "",
+        "[experiment]",
+    ]
     parts += [f"{key} = {json.dumps(value)}" for key, value in experiment.items()]
     for axis, states in (initial or {}).items():
         parts += ["", f"[initial.controller_states.{axis}]", *(f"{name} = {json.dumps(rows)}" for name, rows in dict(states).items())]  # type: ignore[call-overload]
