@@ -4,7 +4,7 @@ With the modal model (controllers/models/modal.py) η'' + 2 ζ ω η' + ω² η 
 
     u = -b / (bᵀ b) · 2 (ζ_wanted - ζ) ω · η'
 
-A command given in row k acts from row k+1 to k+2, so η' is what the model says it will be in the middle of that, 1.5 samples on.
+A command given in row k acts from row k+1 to k+2, so η' is the mean of what the observer's model says it will be in these two rows.
 Every parameter is taken at the estimated pose.
 """
 
@@ -16,15 +16,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+import controllers.models.chain
 import controllers.models.modal
+import controllers.models.vectors
 import controllers.observers.modal_equations
 from controllers.compiled import sources_digest
 from controllers.errors import DesignError
-from controllers.models.modal import ModalModel, schedule
-from controllers.observers.modal_equations import mode_step
-
-AHEAD_SAMPLES = 1.5
-"""From a row to the middle of the time in which its command acts."""
+from controllers.observers.modal_equations import transition
+from controllers.observers.modal_observer import ModalObserver
 
 RAMP_s = 0.5
 """From nothing to all of it and back: four periods of an 8 Hz mode, so that the ramp itself excites nothing."""
@@ -57,27 +56,27 @@ class DampingSettings:
 
 def _compile(version: int) -> Any:
     @njit(cache=True, fastmath=False, error_model="numpy")
-    def against_speed(harmonics, coefficients, places, ahead_s, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
-        """Effort (axes,); `places`: of deflection, speed, disturbance and log frequency ratio (-1: none) in the observer's state x."""
-        n = len(effort)
-        values = np.zeros(len(coefficients))
-        schedule(harmonics, coefficients, x[:n], values)  # ω², 2ζω, b, gravity's push
-        stretch = np.exp(x[places[3]]) if places[3] >= 0 else 1.0
-        stiffness, damping = values[0] * stretch * stretch, values[1] * stretch
-        force, given = values[2 + n] + x[places[2]], 0.0
+    def against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
+        n, speed_at = constants.sizes[0], 2 * constants.sizes[0] + constants.sizes[1] + mode
+        u, next_row, row_after = scheduled.acting.copy(), x.copy(), x.copy()
+        u[:n] = acting
+        transition(constants, scheduled, x, u, next_row)
+        transition(constants, scheduled, next_row, u, row_after)
+        speed = 0.5 * (next_row[speed_at] + row_after[speed_at])
+        stretch = np.exp(x[constants.adapted[mode]]) if constants.adapted[mode] >= 0 else 1.0
+        stiffness, damping, given = scheduled.modes[mode, 0] * stretch * stretch, scheduled.modes[mode, 1] * stretch, 0.0
         for k in range(n):
-            force += values[2 + k] * acting[k]
-            given += values[2 + k] * values[2 + k]
-        _, _, p21, p22, _, g2 = mode_step(stiffness, damping, ahead_s)
-        speed = p21 * x[places[0]] + p22 * x[places[1]] + g2 * force
+            given += scheduled.encoders[mode, 2 * n + k] ** 2
         missing = max(2.0 * ratio * np.sqrt(stiffness) - damping, 0.0)
         for k in range(n):
-            effort[k] = -missing * speed * values[2 + k] / given if version >= 0 else 0.0
+            effort[k] = -missing * speed * scheduled.encoders[mode, 2 * n + k] / given if version >= 0 else 0.0
 
     return against_speed
 
 
-_against_speed = _compile(sources_digest(controllers.models.modal, controllers.observers.modal_equations))
+_against_speed = _compile(
+    sources_digest(controllers.models.chain, controllers.models.modal, controllers.models.vectors, controllers.observers.modal_equations)
+)
 
 
 class ModalDamping:
@@ -85,11 +84,9 @@ class ModalDamping:
 
     Parameters
     ----------
-    model : ModalModel
-        The observer's.
+    observer : ModalObserver
+        Its model, as it stands after the observer's step.
     settings : DampingSettings
-    adapted : sequence of int
-        The observer's modes whose frequency is a state.
 
     Attributes
     ----------
@@ -101,26 +98,17 @@ class ModalDamping:
     Raises
     ------
     DesignError
-        No such mode, a ratio that is none, or a mode that no drive moves.
+        No such mode, or a ratio that is none.
     """
 
-    def __init__(self, model: ModalModel, settings: DampingSettings, adapted: tuple[int, ...] = ()) -> None:
+    def __init__(self, observer: ModalObserver, settings: DampingSettings) -> None:
+        model = observer.model
         n, modes, mode = len(model.axes), model.modes, settings.mode
         if not 0 <= mode < modes:
             raise DesignError(f"damping: mode {mode + 1}: the model has modes 1 to {modes}")
         if not 0.0 < settings.ratio <= 1.0:
             raise DesignError(f"damping ratio {settings.ratio:g}: must be above 0, and 1 at most")
-        first = mode * model.mode_stride
-        push = modes * model.mode_stride + n * (n + 1) + n + mode
-        rows = [first, first + 1, *range(first + model.mode_stride - n, first + model.mode_stride), push]
-        coefficients = np.ascontiguousarray(model.coefficients[rows], dtype=float)
-        if not np.abs(coefficients[2 : 2 + n]).max() > 0.0:
-            raise DesignError(f"damping: no drive moves mode {mode + 1}")
-        self.settings = settings
-        ratio_at = 3 * (n + modes) + adapted.index(mode) if mode in adapted else -1
-        places = np.array([2 * n + mode, 2 * n + modes + mode, 3 * n + 2 * modes + mode, ratio_at], dtype=np.int64)
-        ahead_s = AHEAD_SAMPLES / model.sample_rate_Hz
-        self._law = (np.array(model.harmonics, dtype=np.int64), coefficients, places, ahead_s, float(settings.ratio))
+        self.settings, self._observer = settings, observer
         self._limit = LIMIT_SHARE * np.asarray(model.effort_limit, dtype=float)
         self._slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * self._limit
         self._step = 1.0 / max(round(RAMP_s * model.sample_rate_Hz), 1)
@@ -145,7 +133,7 @@ class ModalDamping:
 
     def law(self, state: np.ndarray, acting: np.ndarray, out: np.ndarray) -> None:
         """The command itself (n_axes,), neither limited nor ramped, from an observer's state and the command (n_axes,) on the wire."""
-        _against_speed(*self._law, state, acting, out)
+        _against_speed(self._observer.constants, self._observer.scheduled, self.settings.mode, self.settings.ratio, state, acting, out)
 
     def step(self, state: np.ndarray, acting: np.ndarray, is_good: bool) -> None:
         """One row.

@@ -87,6 +87,11 @@ class ModalObserver:
         return self.memory.x
 
     @property
+    def scheduled(self) -> Scheduled:
+        """The model at the last row's predicted pose."""
+        return self._scheduled
+
+    @property
     def covariance(self) -> np.ndarray:
         """(states, states) of the state's error."""
         return self.memory.factor.T @ self.memory.factor

@@ -60,8 +60,8 @@ def live_observer(path: Path | None, damping: float, machine: Machine, bus: str,
         from controllers.damping import DampingSettings, ModalDamping
         from hil.observing.damping import accept_damping, examine_damping
 
-        law = ModalDamping(design.model, DampingSettings(damping), observer.adapted)
-        answer.say(accept_damping(machine, examine_damping(machine, design, law, observer)))
+        law = ModalDamping(observer, DampingSettings(damping))
+        answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
     units = [units.effort for units in machine.units] if law is not None else []
     with contextlib.closing(LiveObserver(observer, str(path), law, units, "" if bus.startswith("lockstep:") else bus)) as live:
         yield live

@@ -13,12 +13,12 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.damping import ModalDamping
+from controllers.observers.modal_equations import SENSOR_SIGNALS, readings, signals, transition
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid, shown_pose
 from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, loop_margins
-from hil.observing.design import ObserverDesign
 from virtual_bus.physics import Physics
 
 POSES = 25
@@ -140,7 +140,6 @@ def _shifted(triangular: np.ndarray, z: complex) -> np.ndarray:
 def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) -> tuple[np.ndarray, ...]:
     """The filter at rest in a pose: x̂⁻ = F x̂ + G u, ẑ = H x̂⁻ + J u, x̂ = x̂⁻ + K (z - ẑ), with the gain it has after a while there."""
     model, n = observer.model, len(pose)
-    size = n + model.modes
     physics.place(pose)
     latched = physics.latch_exactly()
     z = np.concatenate((latched.position, latched.link_position, latched.imu))[: len(model.channels())]
@@ -152,19 +151,30 @@ def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) ->
     covariance, at_rest = observer.covariance, observer.state[:n].copy()
     F, H = observer.linearised(at_rest)
     K = covariance @ H.T / observer.noise.measurement**2
-    values = model.at(at_rest)
-    inputs = np.vstack([
-        values[model.modes * model.mode_stride :][: n * n].reshape(n, n),
-        values[: model.modes * model.mode_stride].reshape(model.modes, model.mode_stride)[:, -n:],
-    ])  # fmt: skip
-    pushes = slice(2 * size, 3 * size)  # what is pushed by a disturbance is pushed likewise by a command; the disturbance decays first
-    G = F[:, pushes] / np.diag(F[pushes, pushes]) @ inputs
-    G[pushes] = 0.0
-    return F, G, H, H[:, pushes] @ inputs, K
+    constants, scheduled, states = observer.constants, observer.scheduled, len(F)  # at rest since `linearised`
+    width = 2 * n + len(model.sensors) * (3 * n + SENSOR_SIGNALS)
+    rest, sensed, acting = np.zeros(states), np.zeros(width), np.zeros(len(scheduled.acting))
+    rest[:n] = at_rest
+
+    def answer(effort: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        acting[:n] = effort
+        after, read = np.zeros(states), np.zeros(len(H))
+        transition(constants, scheduled, rest, acting, after)
+        signals(constants, scheduled, rest, acting, sensed)
+        readings(constants, sensed, read)
+        return after, read
+
+    still = answer(np.zeros(n))
+    moved = [answer(unit) for unit in np.eye(n)]
+    G, J = (np.column_stack([each[k] - still[k] for each in moved]) for k in (0, 1))
+    return F, G, H, J, K
 
 
 def _law_at(damping: ModalDamping, observer: ModalObserver, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The law's slopes by state and by the command on the wire, at rest in a pose: linear there, so a unit's difference is exact."""
+    """The law's slopes by state and by the command on the wire, at rest in a pose: linear there, so a unit's difference is exact.
+
+    After `_observer_at`, which leaves the model at that pose.
+    """
     n, states = len(pose), len(observer.state)
     rest, still = np.zeros(states), np.zeros(n)
     rest[:n] = pose
@@ -184,13 +194,13 @@ def _law_at(damping: ModalDamping, observer: ModalObserver, pose: np.ndarray) ->
     return by_state, by_command
 
 
-def examine_damping(machine: Machine, design: ObserverDesign, damping: ModalDamping, observer: ModalObserver) -> list[DampedPose]:
+def examine_damping(machine: Machine, damping: ModalDamping, observer: ModalObserver) -> list[DampedPose]:
     """The loop over a grid of poses of the machine's range."""
     physics = Physics(machine.plant, noise=False)
     results = []
     for pose in pose_grid(machine, POSES):
         at = np.array(pose)
-        near_Hz = float(design.model.frequencies_Hz(at)[damping.settings.mode])
+        near_Hz = float(observer.model.frequencies_Hz(at)[damping.settings.mode])
         with_it, without = (DampedLoop(machine, physics, observer, law, at) for law in (damping, None))
         radius = float(np.abs(with_it.poles()).max())
         results.append(DampedPose(pose, radius, with_it.margins(), with_it.damping_ratio(near_Hz), without.damping_ratio(near_Hz)))

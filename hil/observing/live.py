@@ -16,6 +16,9 @@ from hil.observing.measured import MeasuredRow
 IMU_GAP_ROWS = 8
 """Rows without an IMU that the estimate is acted upon all the same: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
 
+ALARM_ROWS = 128
+"""And rows of an alarm, two of its windows: one that passes was a push, one that stays says that the model is wrong."""
+
 
 class LiveObserver:
     """One observer for the loop.
@@ -67,7 +70,6 @@ class LiveObserver:
         self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")
         self._row = MeasuredRow(observer.model)
         self._read = np.full(2 * axes + 6, np.nan)
-        self._without_imu = 0
         self._board = EstimateBoard(bus_url, [name for name, _ in self.channels]) if bus_url else None
         nothing = np.zeros(axes)
         observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
@@ -80,8 +82,7 @@ class LiveObserver:
         self._row.restart()
         self.observer.restart()
         self.estimate[:] = np.nan
-        self._without_imu = 0
-        self._rows = 0
+        self._without_imu = self._alarmed = self._rows = 0
         if self.damping is not None:
             self.damping.restart(rows)
 
@@ -110,9 +111,9 @@ class LiveObserver:
             self._board.close()
 
     def _is_good(self) -> bool:
-        """Whether the estimate may be acted upon: numbers, no alarm, and an IMU that has been heard of lately."""
+        """Whether the estimate may be acted upon: numbers, no lasting alarm, and an IMU that has been heard of lately."""
         axes = len(self.effort)
         self._without_imu = self._without_imu + 1 if np.isnan(self._row.values[2 * axes :]).all() else 0
-        return (
-            self._without_imu <= IMU_GAP_ROWS and not self.observer.estimate[self._alarm] and bool(np.isfinite(self.observer.state).all())
-        )
+        self._alarmed = self._alarmed + 1 if self.observer.estimate[self._alarm] else 0
+        is_known = self._without_imu <= IMU_GAP_ROWS and self._alarmed <= ALARM_ROWS
+        return is_known and bool(np.isfinite(self.observer.state).all())

@@ -1,0 +1,203 @@
+"""Claims about damping feedback: the mode gets the ratio that was asked for, in and out without a step, where margins are kept."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+from observed_models import DenseModel, small_model, small_noise
+
+from controllers.damping import DampingSettings, ModalDamping
+from controllers.errors import DesignError
+from controllers.observers.modal_observer import ModalObserver
+from hil.bench import BenchOptions, open_bench
+from hil.errors import UnusableInput
+from hil.experiments import Static
+from hil.machine import Machine
+from hil.machine.closed_loop import LinearLoop
+from hil.observing import ObserverDesign, observe
+from hil.observing.damping import DampedLoop, DampedPose, accept_damping
+from hil.observing.live import LiveObserver
+from hil.recording import Recording, read_recording
+from virtual_bus.physics import Physics
+
+REST = np.zeros(2)
+PULSED_ROW, PULSE_ROWS, PULSE_A = 3 * 256, 16, 2.0
+STATES = 24
+
+
+def damped_live(design: ObserverDesign, ratio: float) -> LiveObserver:
+    observer = design.observer()
+    return LiveObserver(observer, "", ModalDamping(observer, DampingSettings(ratio)), ("A", "A"))
+
+
+def small_law(ratio: float = 0.1, modes: int = 4, mode: int = 0) -> ModalDamping:
+    """On the small model at pose zero."""
+    observer = ModalObserver(small_model(modes=modes), small_noise(modes=modes))
+    observer.linearised(REST)
+    return ModalDamping(observer, DampingSettings(ratio, mode))
+
+
+def rung(machine: Machine, live: LiveObserver, path: Path, pulse_A: float = PULSE_A) -> Recording:
+    """Six seconds at rest; the propeller's drive pushes there and back once, at the pace of its gear's mode."""
+    plan = Static(6.0, {}).plans(machine)[0]
+    excitation = plan.excitation.copy()
+    excitation[PULSED_ROW : PULSED_ROW + PULSE_ROWS, 0] = pulse_A
+    excitation[PULSED_ROW + PULSE_ROWS : PULSED_ROW + 2 * PULSE_ROWS, 0] = -pulse_A
+    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, live) as bench:
+        bench.run(dataclasses.replace(plan, excitation=excitation), path)
+    return read_recording(path)
+
+
+def pencil_poles(values: np.ndarray, order: int) -> np.ndarray:
+    """Poles of a sum of damped sinusoids by the matrix pencil of Hua and Sarkar 1990: (order,) in z."""
+    columns = len(values) // 3
+    hankel = scipy.linalg.hankel(values[: len(values) - columns], values[len(values) - columns - 1 :])
+    _, _, right = np.linalg.svd(hankel, full_matrices=False)
+    kept = right[:order].T
+    return np.linalg.eigvals(np.linalg.pinv(kept[:-1]) @ kept[1:])
+
+
+def ratio_of(poles: np.ndarray, near_Hz: float, rate_Hz: float = 256.0) -> float:
+    """Damping ratio of the pole nearest to a frequency."""
+    s = np.log(poles[poles.imag > 0.0]) * rate_Hz
+    nearest = s[np.argmin(np.abs(np.abs(s) / (2.0 * np.pi) - near_Hz))]
+    return float(-nearest.real / abs(nearest))
+
+
+@pytest.mark.parametrize("wanted", [0.05, 0.15])
+def test_with_the_true_state_the_law_gives_the_ratio_that_is_asked_for(wanted: float) -> None:
+    """Against matrices of an independent derivation; the mode alone, since the law answers for no other."""
+    dense, law = DenseModel(small_model(modes=1), small_noise(modes=1)), small_law(wanted, modes=1)
+    states = dense.states
+    nothing = np.zeros(states)
+    F = np.column_stack([dense.transition(unit, REST) - dense.transition(nothing, REST) for unit in np.eye(states)])
+    G = np.column_stack([dense.transition(nothing, unit) - dense.transition(nothing, REST) for unit in np.eye(2)])
+
+    def command(x: np.ndarray, acting: np.ndarray) -> np.ndarray:
+        out = np.zeros(2)
+        law.law(x, acting, out)
+        return out
+
+    base = command(nothing, REST)
+    L = np.column_stack([command(unit, REST) - base for unit in np.eye(states)])
+    M = np.column_stack([command(nothing, unit) - base for unit in np.eye(2)])
+    # [mode's deflection and speed; command on the wire], the command of row k acting from k+1
+    mode = np.ix_([4, 5], [4, 5])
+    loop = np.block([[F[mode], G[[4, 5]]], [L[:, [4, 5]], M]])
+    assert ratio_of(np.linalg.eigvals(loop), 8.0) == pytest.approx(wanted, rel=0.1)
+
+
+def test_at_rest_under_gravity_it_asks_for_nothing() -> None:
+    law, out, x = small_law(), np.zeros(2), np.zeros(STATES)
+    values, holding = small_model().coefficients[:, 0], np.array([0.3, -0.2])
+    push = values[4 * 14 + 8] + values[12:14] @ holding
+    x[4] = push / values[0]  # where the spring bears the push and what the drives hold
+    law.law(x, holding, out)
+    assert np.abs(out).max() < 1e-12
+
+
+def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, design: ObserverDesign) -> None:
+    pose = np.array([0.0, 0.3])
+    physics = Physics(machine.plant, noise=False)
+    whole = DampedLoop(machine, physics, design.observer(), None, pose)
+    plant = physics.linearise(pose)
+    joints = 2 * physics.plant.joints
+    rows = [plant.output_labels.index(f"position_{axis}") for axis in machine.axes]
+    alone = LinearLoop(plant.A[:joints, :joints], plant.B[:joints], plant.C[rows, :joints], machine.controllers, machine.sample_rate_Hz)
+    for ours, theirs in zip(whole.margins(), alone.margins(), strict=True):
+        assert dataclasses.astuple(ours) == pytest.approx(dataclasses.astuple(theirs), rel=1e-3)
+    assert whole.damping_ratio(8.3) > 0.03
+
+
+def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+    physics = Physics(machine.plant, noise=False)
+    found = {}
+    for wanted in (0.0, 0.1):
+        live = damped_live(design, wanted) if wanted else LiveObserver(design.observer())
+        pushed, still = (rung(machine, live, tmp_path / f"{wanted}_{push}.mf4", push) for push in (PULSE_A, 0.0))
+        after = slice(PULSED_ROW + 2 * PULSE_ROWS + 8, PULSED_ROW + 2 * PULSE_ROWS + 8 + 120)
+        answer = pushed["gyro_x"][after] - still["gyro_x"][after]
+        found[wanted] = ratio_of(pencil_poles(answer, 6), 8.4)
+        expected = DampedLoop(machine, physics, live.observer, live.damping, REST).damping_ratio(8.3)
+        assert found[wanted] == pytest.approx(expected, abs=0.02)
+    assert found[0.1] > 2.0 * found[0.0]
+
+
+def test_it_comes_and_goes_without_a_step_and_a_replay_is_the_same(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+    recording = rung(machine, damped_live(design, 0.1), tmp_path / "damped.mf4")
+    share = recording["damping_share"]
+    assert share[0] == share[-1] == 0.0 and share.max() == 1.0
+    assert np.abs(np.diff(share)).max() <= 1.0 / 128 + 1e-12
+    assert np.flatnonzero(share)[0] == pytest.approx(256, abs=2)  # after a second that proves the estimate
+    assert 0.05 < np.abs(recording["damping_propeller"]).max() <= 2.0
+    added = recording.matrix(["damping_propeller", "damping_roll"])
+    assert np.abs(np.diff(added, axis=0)).max() < 0.65  # a swing of the whole limit at 1.5 times 8 Hz
+    replayed = observe(recording, design.observer())
+    assert np.array_equal(recording.matrix(replayed.names), replayed.values, equal_nan=True)
+
+
+def _settled(law: ModalDamping) -> np.ndarray:
+    """Rows of an 8 Hz swing until all of the damping is in force; the state of the last."""
+    x = np.zeros(STATES)
+    law.restart(10_000)
+    for k in range(600):
+        x[4], x[8] = 1e-3 * np.sin(0.196 * k), 1e-3 * 50.0 * np.cos(0.196 * k)
+        law.step(x, REST, True)
+    assert law.share == 1.0 and np.abs(law.effort).max() > 1e-3
+    return x
+
+
+@pytest.mark.parametrize("broken", ["doubted", "not a number"])
+def test_an_estimate_that_cannot_be_trusted_ramps_it_out_and_a_second_of_a_good_one_brings_it_back(broken: str) -> None:
+    law = small_law()
+    x = _settled(law)
+    bad = np.full(STATES, np.nan) if broken == "not a number" else x
+    efforts = [law.effort.copy()]
+    for _ in range(128):
+        law.step(bad, REST, False)
+        efforts.append(law.effort.copy())
+    assert np.isfinite(efforts).all() and law.share == 0.0 and not law.effort.any()
+    assert np.abs(np.diff(efforts, axis=0)).max() <= np.abs(efforts[0]).max() / 127
+    shares = []
+    for _ in range(256 + 128 + 1):
+        law.step(x, REST, True)
+        shares.append(law.share)
+    assert shares[255] == 0.0 and shares[-1] == 1.0
+
+
+def test_a_jump_of_the_estimate_is_no_jump_of_the_command() -> None:
+    law = small_law()
+    x = _settled(law)
+    before = law.effort.copy()
+    law.step(x + 1.0, REST, True)
+    assert np.abs(law.effort - before).max() < 0.65
+    for _ in range(50):
+        law.step(x + 1.0, REST, True)
+    assert np.abs(law.effort).max() <= 0.25 * 8.0 + 1e-12
+
+
+def test_more_than_the_margins_allow_is_refused_in_one_line(machine: Machine, design: ObserverDesign) -> None:
+    physics, pose, observer = Physics(machine.plant, noise=False), (0.0, 0.3), design.observer()
+    results = {}
+    for wanted in (0.05, 0.5, 3.0):
+        law = ModalDamping(observer, DampingSettings(min(wanted, 1.0)))
+        loop = DampedLoop(machine, physics, observer, law, np.array(pose))
+        radius = float(np.abs(loop.poles()).max()) if wanted <= 1.0 else 1.01
+        results[wanted] = [DampedPose(pose, radius, loop.margins(), loop.damping_ratio(8.3), 0.05)]
+    assert "margins at least" in accept_damping(machine, results[0.05])
+    for wanted, word in ((0.5, "of phase margin"), (3.0, "unstable in 1 of 1 poses")):
+        with pytest.raises(UnusableInput, match=word) as caught:
+            accept_damping(machine, results[wanted])
+        assert "\n" not in str(caught.value) and "roll 17.19 deg" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"), [(DampingSettings(0.1, 7), "modes 1 to 4"), (DampingSettings(1.5), "above 0, and 1 at most")]
+)
+def test_what_is_no_damping_is_refused(settings: DampingSettings, word: str) -> None:
+    with pytest.raises(DesignError, match=word):
+        small_law(settings.ratio, mode=settings.mode)
