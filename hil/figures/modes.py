@@ -11,27 +11,25 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # 
 POINTS = 121
 
 
-def modes_figure(model: ModalFrfModel, poses: np.ndarray, *, angle: bool = True, title: str = "") -> Figure:
+def modes_figure(model: ModalFrfModel, *, angle: bool = True, title: str = "") -> Figure:
     """Curves of the model with 95 % bands, points of the fits at single poses.
 
     Parameters
     ----------
-    poses : (n,) of `model.at_poses`, ascending. angle : the scheduling parameter is an angle and drawn in degrees.
+    angle : the scheduling parameter is an angle and drawn in degrees.
     """
     along = np.linspace(*model.pose_range, POINTS)
     curves = [np.stack(values) for values in zip(*(model.modes(pose) for pose in along), strict=True)]
     figure = Figure(figsize=(6.4, 6.0), layout="constrained")
     frequency, damping = figure.subplots(2, 1, sharex=True)
-    shown, points = (np.degrees(along), np.degrees(poses)) if angle else (along, poses)
+    shown, points = (np.degrees(along), np.degrees(model.poses)) if angle else (along, model.poses)
     for k in range(curves[0].shape[1]):
         colour = COLOURS[k % len(COLOURS)]
         for axes, value, half in ((frequency, curves[0][:, k], curves[2][:, k]), (damping, 100 * curves[1][:, k], 100 * curves[3][:, k])):
             axes.plot(shown, value, color=colour, linewidth=1.2, label=f"mode {k + 1}")
             axes.fill_between(shown, value - half, value + half, color=colour, alpha=0.25, linewidth=0)
-        a0, a1 = (np.array([getattr(fit, name)[k] for fit in model.at_poses]) for name in ("a0", "a1"))
-        omega = np.sqrt(np.where(a0 > 0.0, a0, np.nan))
-        frequency.plot(points, omega / (2 * np.pi), ".", color=colour, markersize=5)
-        damping.plot(points, 100 * a1 / (2 * omega), ".", color=colour, markersize=5)
+        frequency.plot(points, model.alone[:, k, 0], ".", color=colour, markersize=5)
+        damping.plot(points, 100 * model.alone[:, k, 1], ".", color=colour, markersize=5)
     frequency.set_ylabel("natural frequency [Hz]")
     damping.set_ylabel("damping ratio [%]")
     damping.set_yscale("log")

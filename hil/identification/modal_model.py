@@ -1,7 +1,8 @@
 """Parametric LPV modal model, Sec. 5.4: poles and numerators as smooth functions of a scheduling parameter, from responses over poses.
 
-Pose by pose a modal model is fitted, each starting from its neighbour's, which keeps the modes apart by name. Each coefficient then gets
-a polynomial in the pose, weighted by the covariance of its fits; its order is the one of least BIC. (5.31) and (5.32) are used with the
+Every mode in the band has a denominator with coefficients that are polynomials of the pose; poles below and above the band stand for what
+they do within it. All poses are fitted together, weighted by the covariances (`hil.identification.modal_joint`); the number of modes, of
+poles outside the band and every polynomial's order are chosen (`hil.identification.modal_choice`). (5.31) and (5.32) are used with the
 first rows [0 I] and [C_m 0].
 """
 
@@ -16,137 +17,137 @@ from numpy.polynomial import legendre
 from scipy import special
 
 from hil.identification.errors import IdentificationError
-from hil.identification.modal_pose import PoseModes, choose_pairs, fit_modes, pair_responses
+from hil.identification.modal_blocks import Block
+from hil.identification.modal_choice import HIGHEST_ORDER, choose_blocks, mode_blocks, modes_along, with_better_form, with_chosen_orders
+from hil.identification.modal_joint import JointFit, JointProblem
 from hil.identification.result import FrequencyResponse
 
 if TYPE_CHECKING:
     import control
 
-HIGHEST_ORDER = 8  # of a polynomial over the poses, and one degree of freedom is left
-
-
-@dataclass(frozen=True)
-class PoseFunction:
-    """Polynomials over the pose, of one family of coefficients.
-
-    Attributes
-    ----------
-    coefficients : (order + 1, ...) of Legendre polynomials on the pose scaled to -1 ... 1.
-    covariance : (order + 1, order + 1, ...) of them, scattering beyond their fits' covariances counted in.
-    """
-
-    coefficients: np.ndarray
-    covariance: np.ndarray
-
-    def __call__(self, x: float) -> np.ndarray:
-        return legendre.legval(x, self.coefficients)
-
-    def deviation(self, x: float) -> np.ndarray:
-        """Standard deviation at x."""
-        basis = legendre.legvander(np.array([x]), len(self.coefficients) - 1)[0]
-        return np.sqrt(np.maximum(np.einsum("p,pq...,q->...", basis, self.covariance, basis), 0.0))
-
 
 @dataclass(frozen=True)
 class ModalFrfModel:
-    """Omega(theta), Z(theta), B_m(theta), C_m(theta) of (5.35) as pairs s^2 + a_1 s + a_0 with numerators N_0 + N_1 s, and D.
-
-    What the responses say, whatever the machine. The observer's model, with shapes of modes about a known chain of axes, is
-    `controllers.models.modal.ModalModel`.
+    """Omega(theta), Z(theta), B_m(theta), C_m(theta) of (5.35), each mode's product of the last two as its numerator.
 
     Attributes
     ----------
-    a0, a1 : functions to (K,). N0, N1 : to (K, n_y, n_u). D : to (n_y, n_u).
+    fit : polynomials of the pose scaled to -1 ... 1.
     pose_range : lowest and highest pose fitted. direction : which scheduling parameter of the responses.
-    at_poses : the fits behind it, poses ascending.
+    poses : (n,) fitted. alone : (n, K, 2) natural frequency [Hz] and damping ratio of every mode, from each pose alone.
     """
 
-    a0: tuple[PoseFunction, ...]
-    a1: tuple[PoseFunction, ...]
-    N0: tuple[tuple[PoseFunction, ...], ...]
-    N1: tuple[tuple[PoseFunction, ...], ...]
-    D: tuple[PoseFunction, ...]
+    fit: JointFit
     pose_range: tuple[float, float]
     direction: int
-    at_poses: tuple[PoseModes, ...]
+    poses: np.ndarray
+    alone: np.ndarray
     output_names: tuple[str, ...]
     input_names: tuple[str, ...]
     sample_rate_Hz: float
 
     def modes(self, pose: float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Natural frequencies [Hz] and damping ratios (K,) with the half widths of their confidence intervals.
-
-        NaN for a pair whose a_0 is not positive: it does not vibrate.
-        """
+        """Natural frequencies [Hz] and damping ratios (K,) of the modes in the band, with the half widths of their confidence intervals."""
         x = self._scaled(pose)
-        a0, a1 = (np.array([f(x) for f in family]) for family in (self.a0, self.a1))
-        d0, d1 = (np.array([f.deviation(x) for f in family]) for family in (self.a0, self.a1))
-        omega = np.sqrt(np.where(a0 > 0.0, a0, np.nan))
         factor = special.ndtri(0.5 + probability / 2)
-        zeta = a1 / (2 * omega)
-        half_zeta = np.hypot(d1 / (2 * omega), zeta * d0 / (2 * omega**2))
-        return omega / (2 * np.pi), zeta, factor * d0 / (4 * np.pi * omega), factor * half_zeta
+        found, at = [], 0
+        for block in self.fit.blocks:
+            size = sum(len(c) for c in block.coefficients)
+            if block.is_mode:
+                over_poses = np.zeros((2, size))
+                split = len(block.coefficients[0])
+                over_poses[0, :split] = legendre.legvander(x, split - 1)[0]
+                over_poses[1, split:] = legendre.legvander(x, size - split - 1)[0]
+                covariance = over_poses @ self.fit.pole_covariance[at : at + size, at : at + size] @ over_poses.T
+                found.append(_mode(block, block.values(x)[0], covariance))
+            at += size
+        values = np.array(found).reshape(-1, 4)
+        return values[:, 0], values[:, 1], factor * values[:, 2], factor * values[:, 3]
 
     def state_space(self, pose: float) -> control.StateSpace:
-        """Continuous model from the effort as applied to the outputs; a vibrating pair takes two states, others two per input."""
+        """Continuous model from the effort as applied to the outputs; a mode takes two states, a pole outside the band one per input."""
         import control  # takes half a second to load, and only this needs it
 
-        a0, a1, N0, N1, D = self._values(pose)
-        n_u = D.shape[1]
-        blocks_A, blocks_B, blocks_C = [], [], []
-        for k in range(len(a0)):
-            left, b = _by_direction(N0[k], N1[k], vibrating=a0[k] > a1[k] ** 2 / 4)
+        numerators = self._numerators(pose)
+        n_u = self.shape[1]
+        blocks_A, blocks_B, blocks_C, at = [], [], [], 0
+        for block, c in zip(self.fit.blocks, self._monic(pose), strict=True):
+            n = block.order
+            companion = np.zeros((n, n))
+            companion[np.arange(n - 1), np.arange(1, n)] = 1.0
+            companion[-1] = -c
+            powers, divisor = block.numerator_scale(block.values(self._scaled(pose)))
+            N = np.moveaxis(numerators[..., at : at + n] * (powers / divisor[0]), 2, 1)  # (n_y, n, n_u)
+            left, b = _one_direction(N) if block.is_mode else (N, np.eye(n_u))
             for r in range(len(b)):
-                blocks_A.append(np.array([[0.0, 1.0], [-a0[k], -a1[k]]]))
-                blocks_B.append(np.vstack((np.zeros(n_u), b[r])))
+                blocks_A.append(companion)
+                blocks_B.append(np.vstack((np.zeros((n - 1, n_u)), b[r])))
                 blocks_C.append(left[:, :, r])
-        A = np.zeros((2 * len(blocks_A), 2 * len(blocks_A)))
-        for k, block in enumerate(blocks_A):
-            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+            at += n
+        A = np.zeros((sum(map(len, blocks_A)),) * 2)
+        at = 0
+        for companion in blocks_A:
+            A[at : at + len(companion), at : at + len(companion)] = companion
+            at += len(companion)
+        D = numerators[..., -1]
         return control.ss(A, np.vstack(blocks_B), np.hstack(blocks_C), D, inputs=list(self.input_names), outputs=list(self.output_names))
 
     def response(self, pose: float, frequencies_Hz: np.ndarray) -> np.ndarray:
         """(L, n_y, n_u) sampled response from command to outputs, tick and hold included."""
-        a0, a1, N0, N1, D = self._values(pose)
-        pairs = pair_responses(a0, a1, frequencies_Hz, self.sample_rate_Hz)
-        delay = np.exp(-2j * np.pi * frequencies_Hz / self.sample_rate_Hz)
-        return np.einsum("kl,kij->lij", pairs[..., 0], N0) + np.einsum("kl,kij->lij", pairs[..., 1], N1) + delay[:, None, None] * D
+        x = self._scaled(pose)
+        parts = [block.responses(block.values(x)[0], frequencies_Hz, self.sample_rate_Hz) for block in self.fit.blocks]
+        tick = np.exp(-2j * np.pi * frequencies_Hz / self.sample_rate_Hz)
+        return np.einsum("ls,ijs->lij", np.concatenate((*parts, tick[:, None]), axis=1), self._numerators(pose))
 
     def is_stable(self, pose: float) -> bool:
-        """All pairs damped and none repelled (gravity may repel a rigid body)."""
-        a0, a1, *_ = self._values(pose)
-        return bool(np.all(a0 > 0.0) and np.all(a1 > 0.0))
+        """Every pole of `state_space` is damped. Of poles outside the band the data tell only what they do within it."""
+        roots = [np.roots(np.concatenate(([1.0], c[::-1]))) for c in self._monic(pose)]
+        return bool(np.all(np.concatenate(roots).real < 0.0))
 
     def passive_modes(self, pose: float) -> np.ndarray:
         """(K, pairs of one axis's position and command) whether each mode's collocated numerator is not negative beyond its 95 % interval.
 
         Effort and speed at the same place exchange power with the machine one way only, so every mode's numerator is c b >= 0 there.
         """
-        x = self._scaled(pose)
+        x, n_u = self._scaled(pose), self.shape[1]
+        first = np.cumsum([0] + [block.order for block in self.fit.blocks])[:-1]
+        at = [start for start, block in zip(first, self.fit.blocks, strict=True) if block.is_mode]
         collocated = [
-            (i, j)
+            i * n_u + j
             for i, output in enumerate(self.output_names)
             for j, source in enumerate(self.input_names)
             if output.startswith("position_") and output.removeprefix("position_") == source.partition("_")[2]
         ]
-        n_u = len(self.input_names)
-        value = np.array([[family[i * n_u + j](x) for i, j in collocated] for family in self.N0])
-        deviation = np.array([[family[i * n_u + j].deviation(x) for i, j in collocated] for family in self.N0])
-        return value >= -special.ndtri(0.975) * deviation
+        passive = np.empty((len(at), len(collocated)), bool)
+        for p, e in enumerate(collocated):
+            polynomials = self.fit.numerators[e]
+            over_poses = legendre.legvander(x, len(polynomials) - 1)[0]
+            for k, s in enumerate(at):
+                places = np.arange(len(polynomials)) * polynomials.shape[1] + s
+                variance = over_poses @ self.fit.numerator_covariance[e][np.ix_(places, places)] @ over_poses
+                passive[k, p] = over_poses @ polynomials[:, s] >= -special.ndtri(0.975) * np.sqrt(variance)
+        return passive
 
-    def _scaled(self, pose: float) -> float:
+    @property
+    def shape(self) -> tuple[int, int]:
+        """n_y, n_u."""
+        return len(self.output_names), len(self.input_names)
+
+    def _scaled(self, pose: float) -> np.ndarray:
         low, high = self.pose_range
         x = 2.0 * (pose - low) / (high - low) - 1.0
         if abs(x) > 1.0 + 1e-9:
             raise IdentificationError(f"pose {pose:g} is outside {low:g} to {high:g}, over which the model was fitted")
-        return x
+        return np.array([x])
 
-    def _values(self, pose: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _numerators(self, pose: float) -> np.ndarray:
+        """(n_y, n_u, S + 1) of the numerators as scaled, D last."""
         x = self._scaled(pose)
-        n_u = len(self.input_names)
-        a0, a1 = (np.array([f(x) for f in family]) for family in (self.a0, self.a1))
-        N0, N1 = (np.array([[f(x) for f in mode] for mode in family]).reshape(len(a0), -1, n_u) for family in (self.N0, self.N1))
-        return a0, a1, N0, N1, np.array([f(x) for f in self.D]).reshape(-1, n_u)
+        return np.stack([legendre.legvander(x, len(n) - 1)[0] @ n for n in self.fit.numerators]).reshape(*self.shape, -1)
+
+    def _monic(self, pose: float) -> list[np.ndarray]:
+        x = self._scaled(pose)
+        return [block.monic(block.values(x))[0][0] for block in self.fit.blocks]
 
 
 def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> ModalFrfModel:
@@ -154,88 +155,62 @@ def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> M
 
     Parameters
     ----------
-    responses : with independent errors from line to line for the intervals to hold: BLA or robust local methods.
+    responses : at the same lines, with independent errors from line to line for the intervals to hold: BLA or robust local methods.
     direction : column of the poses that varies.
 
     Raises
     ------
     IdentificationError
-        Fewer than three poses; too few lines.
+        Fewer than three poses, different lines, too few lines, no mode in the band.
     """
     if len(responses) < 3:
         raise IdentificationError(f"{len(responses)} poses: a model over the pose takes three or more")
+    if any(not np.array_equal(response.lines, responses[0].lines) for response in responses):
+        raise IdentificationError("the poses' responses are at different lines: a model over the pose takes the same at every pose")
     ordered = sorted(responses, key=lambda response: response.pose[direction])
     poses = np.array([response.pose[direction] for response in ordered])
     x = 2.0 * (poses - poses[0]) / (poses[-1] - poses[0]) - 1.0
-    fits = _fit_along(ordered)
-    K = len(fits[0].a0)
-    n_y, n_u = fits[0].D.shape
-    pole_variance = np.stack([np.diagonal(fit.pole_covariance) for fit in fits])
-    numerator_variance = np.stack([np.diagonal(fit.numerator_covariance, axis1=2, axis2=3) for fit in fits])  # (poses, n_y, n_u, 2 K + 1)
-
-    def over_poses(values: np.ndarray, variance: np.ndarray) -> PoseFunction:
-        return smooth(x, values, variance)
-
-    elements = [(i, j) for i in range(n_y) for j in range(n_u)]
+    alone, modes = modes_along(ordered)
+    if not modes.any():
+        raise IdentificationError(
+            f"no mode between {ordered[0].frequencies_Hz[0]:g} and {ordered[0].frequencies_Hz[-1]:g} Hz is seen at every pose"
+        )
+    highest = min(HIGHEST_ORDER, len(poses) - 2)
+    problem = JointProblem(ordered, x)
+    middle = 2 * np.pi * np.sqrt(ordered[0].frequencies_Hz[0] * ordered[0].frequencies_Hz[-1])
+    outside = np.sqrt(np.median([np.abs(fit.a0) for fit in alone], axis=0))[~modes]
+    guess = (min(int(np.sum(outside < middle)), 1), min(int(np.sum(outside >= middle)), 1))
+    chosen = choose_blocks(problem, mode_blocks(alone, modes, x, highest), guess, highest)
+    chosen = with_better_form(problem, chosen, mode_blocks(alone, modes, x, highest, flexible=False))
+    rising = np.flatnonzero(modes)[np.argsort([np.mean(np.log([fit.a0[k] for fit in alone])) for k in np.flatnonzero(modes)])]
+    first = ordered[0]
     return ModalFrfModel(
-        a0=tuple(over_poses(np.array([f.a0[k] for f in fits]), pole_variance[:, k]) for k in range(K)),
-        a1=tuple(over_poses(np.array([f.a1[k] for f in fits]), pole_variance[:, K + k]) for k in range(K)),
-        N0=tuple(
-            tuple(over_poses(np.array([f.N0[k, i, j] for f in fits]), numerator_variance[:, i, j, 2 * k]) for i, j in elements)
-            for k in range(K)
-        ),
-        N1=tuple(
-            tuple(over_poses(np.array([f.N1[k, i, j] for f in fits]), numerator_variance[:, i, j, 2 * k + 1]) for i, j in elements)
-            for k in range(K)
-        ),
-        D=tuple(over_poses(np.array([f.D[i, j] for f in fits]), numerator_variance[:, i, j, -1]) for i, j in elements),
+        fit=with_chosen_orders(problem, chosen, highest),
         pose_range=(float(poses[0]), float(poses[-1])),
         direction=direction,
-        at_poses=tuple(fits),
-        output_names=ordered[0].output_names,
-        input_names=ordered[0].input_names,
-        sample_rate_Hz=ordered[0].sample_rate_Hz,
+        poses=poses,
+        alone=np.array([[(np.sqrt(f.a0[k]) / (2 * np.pi), f.a1[k] / (2 * np.sqrt(f.a0[k]))) for k in rising] for f in alone]),
+        output_names=first.output_names,
+        input_names=first.input_names,
+        sample_rate_Hz=first.sample_rate_Hz,
     )
 
 
-def smooth(x: np.ndarray, values: np.ndarray, variance: np.ndarray) -> PoseFunction:
-    """Polynomial through values with known variances; order of least BIC, covariance widened where they scatter by more than they say."""
-    weight = 1.0 / np.sqrt(np.maximum(variance, 1e-24 * np.max(values**2) + np.finfo(float).tiny))
-    best: tuple[float, PoseFunction] | None = None
-    for order in range(min(HIGHEST_ORDER, len(x) - 2) + 1):
-        basis = legendre.legvander(x, order)
-        solution = np.linalg.lstsq(basis * weight[:, None], values * weight, rcond=None)[0]
-        square = float(np.sum(((values - basis @ solution) * weight) ** 2))
-        left = len(x) - order - 1
-        criterion = square + (order + 1) * float(np.log(len(x)))
-        if best is None or criterion < best[0]:
-            covariance = np.linalg.inv(basis.T @ (basis * weight[:, None] ** 2)) * max(1.0, square / max(left, 1))
-            best = (criterion, PoseFunction(solution, covariance))
-    assert best is not None
-    return best[1]
+def _mode(block: Block, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float, float, float]:
+    """Natural frequency [Hz], damping ratio and their standard deviations from a mode's coefficients: zeta = other / (2 root of square)."""
+    at, power = (1, -0.5) if block.flexible else (0, 0.5)
+    square, other = values[at], values[1 - at]
+    frequency, ratio = block.scale * square**power / (2 * np.pi), other / (2 * np.sqrt(square))
+    slope = np.zeros(2)
+    slope[at], slope[1 - at] = -ratio / (2 * square), 1.0 / (2 * np.sqrt(square))
+    deviation = np.sqrt(max(covariance[at, at], 0.0)) * abs(power) * frequency / square
+    return float(frequency), float(ratio), float(deviation), float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
 
 
-def _fit_along(ordered: Sequence[FrequencyResponse]) -> list[PoseModes]:
-    """Fits from the middle pose outwards, each from its neighbour's poles."""
-    middle = len(ordered) // 2
-    fits: dict[int, PoseModes] = {middle: choose_pairs(ordered[middle])}
-    for index in (*range(middle + 1, len(ordered)), *range(middle - 1, -1, -1)):
-        inner, further = (index - 1, index - 2) if index > middle else (index + 1, index + 2)
-        near = fits[inner]
-        a0, a1 = near.a0, near.a1
-        if further in fits:  # a mode that moves goes on moving
-            a0 = np.where(near.a0 * fits[further].a0 > 0.0, near.a0**2 / np.where(fits[further].a0 == 0.0, 1.0, fits[further].a0), near.a0)
-        tried = [fit_modes(ordered[index], start) for start in ((a0, a1), (near.a0, near.a1))[: 1 + (further in fits)]]
-        fits[index] = min(tried, key=lambda fit: fit.criterion)
-    return [fits[index] for index in range(len(ordered))]
-
-
-def _by_direction(N0: np.ndarray, N1: np.ndarray, *, vibrating: bool) -> tuple[np.ndarray, np.ndarray]:
-    """C (n_y, 2, r) and B (r, n_u) of a pair: one direction for a vibrating mode, as many as inputs otherwise."""
-    n_y, n_u = N0.shape
-    if not vibrating:
-        return np.stack((N0, N1), axis=1), np.eye(n_u)
-    scale = np.linalg.norm(N0) / max(float(np.linalg.norm(N1)), np.finfo(float).tiny)
-    left, singular, right = np.linalg.svd(np.vstack((N0, N1 * scale)), full_matrices=False)
+def _one_direction(N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """C (n_y, 2, 1) and B (1, n_u) of a mode's numerators (n_y, 2, n_u): it is driven in one direction."""
+    scale = np.linalg.norm(N[:, 0]) / max(float(np.linalg.norm(N[:, 1])), np.finfo(float).tiny)
+    stacked = np.concatenate((N[:, 0], N[:, 1] * scale))
+    left, singular, right = np.linalg.svd(stacked, full_matrices=False)
     C = left[:, :1] * singular[0]
-    return np.stack((C[:n_y], C[n_y:] / scale), axis=1), right[:1]
+    return np.stack((C[: len(N)], C[len(N) :] / scale), axis=1), right[:1]

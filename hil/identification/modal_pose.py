@@ -1,23 +1,18 @@
 """A modal model at one pose, fitted to a frequency response matrix: Sec. 5.4.3.
 
-With a_0 = omega^2 and a_1 = 2 zeta omega of (5.30) the response from command to the sampled outputs is
-
-    G(z) = z^-1 ZOH{ sum_k (N_0k + N_1k s) / (s^2 + a_1k s + a_0k) + D }.
-
-For a position N_0 = c b^T and N_1 = 0; for an acceleration (5.32) N_0 = -omega^2 c_a b^T, N_1 = -2 zeta omega c_a b^T and D = c_a b^T.
-N_1 of a position takes what is not proportional damping. The pairs may be real poles as well (a rigid body under gravity), so a_0 may have
-either sign.
+Pairs of poles may be real as well (a rigid body under gravity), so a_0 may have either sign.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
 from hil.identification.errors import IdentificationError
+from hil.identification.modal_blocks import block_responses
+from hil.identification.modal_weights import fit_variance
 from hil.identification.result import FrequencyResponse
 
 RELOCATIONS = 25  # of the starting poles; vector fitting settles in ten or so
@@ -51,22 +46,6 @@ class PoseModes:
     criterion: float
 
 
-def pair_responses(a0: np.ndarray, a1: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-    """(..., L, 2) sampled responses z^-1 ZOH{1 / (s^2 + a_1 s + a_0)} and z^-1 ZOH{s / (...)} of pairs (...)."""
-    T = 1.0 / sample_rate_Hz
-    A = np.zeros((*np.shape(a0), 3, 3))
-    A[..., 0, 1] = 1.0
-    A[..., 1, 0], A[..., 1, 1], A[..., 1, 2] = -np.asarray(a0), -np.asarray(a1), 1.0
-    step = linalg.expm(A * T)
-    F, g = step[..., :2, :2], step[..., :2, 2]
-    z = np.exp(2j * np.pi * frequencies_Hz * T)
-    trace, determinant = F[..., 0, 0] + F[..., 1, 1], np.linalg.det(F)
-    denominator = (z**2 - trace[..., None] * z + determinant[..., None]) * z
-    first = (z - F[..., 1, 1, None]) * g[..., 0, None] + F[..., 0, 1, None] * g[..., 1, None]
-    second = (z - F[..., 0, 0, None]) * g[..., 1, None] + F[..., 1, 0, None] * g[..., 0, None]
-    return np.stack((first / denominator, second / denominator), axis=-1)
-
-
 def fit_modes(response: FrequencyResponse, start: tuple[np.ndarray, np.ndarray]) -> PoseModes:
     """Maximum likelihood with the element-wise variances, from starting pairs (a0, a1); their order is kept.
 
@@ -75,10 +54,10 @@ def fit_modes(response: FrequencyResponse, start: tuple[np.ndarray, np.ndarray])
     """
     problem = _Problem(response)
     scale = np.sqrt(np.maximum(np.abs(start[0]), (2 * np.pi * response.frequencies_Hz[0] / 4) ** 2))
-    K = len(scale)
+    K, fastest = len(scale), 2 * np.pi * response.sample_rate_Hz
 
     def poles(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return x[:K] * scale**2, x[K:] * scale
+        return np.clip(x[:K] * scale**2, -(fastest**2), fastest**2), np.clip(x[K:] * scale, -fastest, fastest)
 
     unscale = np.concatenate((scale**2, scale))
     solved = optimize.least_squares(
@@ -200,11 +179,9 @@ class _Problem:
     def __init__(self, response: FrequencyResponse) -> None:
         self.response = response
         self.n_y, self.n_u = response.G.shape[1:]
-        kind: Literal["noise", "total"] = "noise" if response.total_covariance is None else "total"
-        deviation = response.standard_deviation(kind) / np.sqrt(2.0)  # of the real and of the imaginary part
-        self.weight = 1.0 / deviation.transpose(1, 2, 0)  # (n_y, n_u, L)
+        self.weight = np.sqrt(2.0 / fit_variance(response)).transpose(1, 2, 0)  # (n_y, n_u, L), of the real and of the imaginary part
         self.data = response.G.transpose(1, 2, 0) * self.weight
-        self.covariance = response.covariance(kind)
+        self.covariance = response.covariance("noise" if response.total_covariance is None else "total")
         self.z = np.exp(2j * np.pi * response.frequencies_Hz / response.sample_rate_Hz)
         self._last: tuple[tuple[bytes, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
 
@@ -235,7 +212,7 @@ class _Problem:
         return Q @ (np.swapaxes(Q, 2, 3) @ moved) - moved
 
     def _pairs(self, a0: np.ndarray, a1: np.ndarray) -> np.ndarray:
-        return pair_responses(a0, a1, self.response.frequencies_Hz, self.response.sample_rate_Hz)
+        return block_responses(np.stack((a0, a1), axis=-1), self.response.frequencies_Hz, self.response.sample_rate_Hz)
 
     def _factors(self, a0: np.ndarray, a1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """QR of every element's weighted basis (n_y, n_u, 2 L, 2 K + 1), columns scaled; the last poles' are kept."""

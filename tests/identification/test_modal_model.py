@@ -1,6 +1,7 @@
 """Claims of the parametric modal model over poses, held against a loop whose two modes are known at every pose."""
 
 import io
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -9,8 +10,9 @@ from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_
 
 from hil.figures.modes import modes_figure
 from hil.identification import IdentificationError, periodic_records, robust_bla
-from hil.identification.modal_model import fit_modal_model, smooth
-from hil.identification.modal_pose import choose_pairs, pair_responses
+from hil.identification.modal_blocks import block_responses
+from hil.identification.modal_model import fit_modal_model
+from hil.identification.modal_pose import choose_pairs
 
 PERIOD, SETTLE, LINES = 512, 4, np.arange(5, 160)
 DAMPING = (0.03, 0.02)
@@ -26,8 +28,8 @@ def loop_at(pose):
     return two_mode_loop(frequencies_Hz=frequencies_Hz(pose), damping=DAMPING)
 
 
-def measured(pose, rng, noise=(0.05, 0.005, 0.005)):
-    data = experiment(loop_at(pose), rng, realisations=3, periods=4, settle_periods=SETTLE, period=PERIOD, lines=LINES, noise=noise)
+def measured(pose, rng, noise=(0.05, 0.005, 0.005), loop=None):
+    data = experiment(loop or loop_at(pose), rng, realisations=3, periods=4, settle_periods=SETTLE, period=PERIOD, lines=LINES, noise=noise)
     records = periodic_records(
         **data,
         period_samples=PERIOD,
@@ -95,14 +97,16 @@ def test_the_state_space_model_is_the_response_before_hold_and_tick(model):
     assert np.max(np.abs(found - expected) / np.abs(expected).max(axis=0)) < 0.02  # modes of rank one where the fit is free
 
 
-def test_one_pair_is_sampled_as_python_control_samples_it():
-    a0, a1 = np.array([400.0, -3.0]), np.array([0.8, 0.1])
+def test_a_block_is_sampled_as_python_control_samples_it():
+    """Vibrating, repelled by gravity, and two pairs as one block of fourth order."""
     at_Hz = np.array([0.5, 3.0, 20.0])
     z = np.exp(2j * np.pi * at_Hz / SAMPLE_RATE_HZ)
-    for k in range(2):
-        for power, numerator in enumerate(([1.0], [1.0, 0.0])):
-            sampled = control.c2d(control.tf(numerator, [1.0, a1[k], a0[k]]), 1.0 / SAMPLE_RATE_HZ, "zoh")
-            np.testing.assert_allclose(pair_responses(a0, a1, at_Hz, SAMPLE_RATE_HZ)[k, :, power], sampled(z) / z, rtol=1e-7)
+    for denominator in ([1.0, 0.8, 400.0], [1.0, 0.1, -3.0], np.polymul([1.0, 0.2, 1.0], [1.0, 0.1, -0.5])):
+        order = len(denominator) - 1
+        found = block_responses(np.array(denominator[:0:-1]), at_Hz, SAMPLE_RATE_HZ)
+        for power in range(order):
+            sampled = control.c2d(control.ss(control.tf([1.0] + [0.0] * power, denominator)), 1.0 / SAMPLE_RATE_HZ, "zoh")
+            np.testing.assert_allclose(found[:, power], sampled(z) / z, rtol=1e-7)
 
 
 def test_stability_and_passivity_are_told(model):
@@ -112,11 +116,47 @@ def test_stability_and_passivity_are_told(model):
 
 
 def test_the_order_over_the_poses_is_the_datas_own():
-    rng = np.random.default_rng(0)
-    x = np.linspace(-1, 1, 25)
-    for order in (0, 1, 2, 4):
-        truth = np.polynomial.legendre.legval(x, [1.0] * (order + 1))
-        assert len(smooth(x, truth + 0.01 * rng.standard_normal(25), np.full(25, 1e-4)).coefficients) == order + 1
+    """Of a machine whose first mode alone moves, along 1 / omega^2 = quadratic in the pose."""
+    rng = np.random.default_rng(70)
+    poses = np.linspace(-1.0, 1.0, 9)
+    made = [
+        measured(pose, rng, loop=two_mode_loop(frequencies_Hz=(3.0 / np.sqrt(1.0 - 0.2 * pose**2), 7.0), damping=DAMPING)) for pose in poses
+    ]
+    first, second = (block for block in fit_modal_model(made, 1).fit.blocks if block.is_mode)
+    assert len(first.coefficients[1]) == 3
+    assert len(second.coefficients[1]) == 1
+    assert len(second.coefficients[0]) == 1
+
+
+def test_poles_below_the_band_do_not_bend_the_response_within_it():
+    """A rigid body's slow pair below the lowest line, moving over the poses and repelled by gravity at some of them."""
+    rng = np.random.default_rng(71)
+    at_Hz = LINES * SAMPLE_RATE_HZ / PERIOD
+    z = np.exp(2j * np.pi * at_Hz / SAMPLE_RATE_HZ)
+
+    def truth(pose):
+        """Two modes and two rigid bodies, sampled by python-control."""
+        G = np.zeros((len(z), 3, 2), complex)
+        modes = (((2 * np.pi * 3.0) ** 2 / (1.0 + 0.1 * pose), 0.5), ((2 * np.pi * 7.0) ** 2, 1.0))
+        rigid = ((0.8 * pose, 0.1), (0.5 - 0.4 * pose, 0.05))
+        for k, (stiffness, damping) in enumerate((*modes, *rigid)):
+            sampled = control.c2d(control.tf([1.0], [1.0, damping, stiffness]), 1.0 / SAMPLE_RATE_HZ, "zoh")
+            shape = np.outer([0.3, 1.0 - k / 3, 0.2 + k / 3], [1.0, (-1.0) ** k * (1.0 + 0.3 * pose)])
+            G += (sampled(z) / z)[:, None, None] * shape
+        return G
+
+    template = measured(0.0, rng)
+    deviation = 1e-5 * np.ones((len(z), 3, 2))
+
+    def response_at(pose):
+        noise = (rng.standard_normal((len(z), 3, 2)) + 1j * rng.standard_normal((len(z), 3, 2))) * deviation / np.sqrt(2.0)
+        covariance = np.broadcast_to(np.eye(6) * deviation.flat[0] ** 2, (len(z), 6, 6)).astype(complex)
+        return replace(template, G=truth(pose) + noise, noise_covariance=covariance, total_covariance=covariance, pose=(0.0, pose))
+
+    model = fit_modal_model([response_at(pose) for pose in POSES[::2]], 1)
+    error = np.stack([np.abs(model.response(pose, at_Hz) - truth(pose)) for pose in POSES[1::2]])
+    assert len(model.modes(0.0)[0]) == 2
+    assert np.mean(error <= np.sqrt(-np.log(0.05)) * deviation) >= 0.95
 
 
 def test_poses_outside_the_fit_and_too_few_are_refused(model, responses):
@@ -127,7 +167,7 @@ def test_poses_outside_the_fit_and_too_few_are_refused(model, responses):
 
 
 def test_the_figure_draws_every_mode_with_units(model):
-    figure = modes_figure(model, POSES[::2])
+    figure = modes_figure(model)
     figure.savefig(io.BytesIO(), dpi=40)
     assert [axes.get_ylabel() for axes in figure.axes] == ["natural frequency [Hz]", "damping ratio [%]"]
     assert len(figure.axes[0].get_legend().get_texts()) == 2
