@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import sys
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from drivers.bus_url import open_bus
 from drivers.errors import ProtocolError
+from drivers.serial.stream import SerialStream
 from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.realtime import real_time
@@ -26,6 +26,7 @@ from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix
+from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
 
@@ -33,6 +34,7 @@ OWN_LOOP_BANDWIDTH_Hz = 0.5
 """The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
 
 STANDARD_BITRATE = 1_000_000
+PTY_BAUD = 115_200  # a pseudo terminal keeps any; this one is what the bench is told
 
 
 def build_emulated(
@@ -142,26 +144,63 @@ def emulate_machine(
     noise: bool = True,
     truth: Path | None = None,
     punctual: bool = True,
+    io_rtu: str = "",
+    on_ready: Callable[[dict[str, object]], None],
 ) -> None:
     """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
 
-    The first line of standard output is JSON and says where the ports of IMU and I/O are.
+    Parameters
+    ----------
+    io_rtu : str
+        Serve the I/O over Modbus RTU too: on a pseudo terminal ("pty") or a serial port ("DEVICE@BAUD").
+    on_ready : callable
+        Told once what is emulated and where the ports of IMU and I/O are, when everything listens.
+
+    Raises
+    ------
+    DriverError
+        The bus or the serial port cannot be opened.
+    EmulatorError
+        A port cannot be served, or the bus was lost.
     """
     with ExitStack() as stack:
         bus = stack.enter_context(opened_bus(bus_url, machine.bus.bitrate_bit_s if machine.bus is not None else STANDARD_BITRATE))
         log = stack.enter_context(closing(TruthLog(truth, machine.plant.tree.joints))) if truth is not None else None
+        line, baud = _io_line(io_rtu, machine, stack) if io_rtu else (None, 0)
         start = np.array([pose.get(axis, 0.0) for axis in machine.axes])
         emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log)
 
         def ready(ports: Ports) -> None:
             stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_device, ports.io_url)))
-            _say({"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url})
+            ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": ports.imu_device, "io": ports.io_url}
+            on_ready(ready_now | ({"io_rtu": f"rtu:{ports.io_line}@{baud}"} if ports.io_line else {}))
 
         with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
-            run_emulator(bus, emulated, ready, punctual=punctual)
+            run_emulator(bus, emulated, ready, io_line=line, punctual=punctual)
 
 
-def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:
+class _SerialPort(SerialStream):
+    """A serial port by the name the bench has for it."""
+
+    @property
+    def path(self) -> str:
+        """The port."""
+        return self.device
+
+
+def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _SerialPort, int]:
+    """The line on which Modbus RTU is served, closed with `stack`, and its baud rate."""
+    if machine.bus is None or machine.bus.io is None:
+        raise UnusableInput(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
+    if text == "pty":
+        return stack.enter_context(closing(Pty())), PTY_BAUD
+    match = re.fullmatch(r"(.+)@([1-9][0-9]{1,7})", text)
+    if match is None:
+        raise UnusableInput(f"--io-rtu {text}: write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200")
+    return stack.enter_context(closing(_SerialPort(match[1], int(match[2])))), int(match[2])
+
+
+def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None]) -> None:
     """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
     if not 1 <= node_id <= 127:
         raise UnusableInput(f"--node {node_id}: must be 1 to 127")
@@ -170,7 +209,7 @@ def emulate_eds(eds: Path, node_id: int, bus_url: str) -> None:
     except ProtocolError as error:
         raise UnusableInput(str(error)) from None
     with opened_bus(bus_url, STANDARD_BITRATE) as bus:
-        run_device(bus, device, lambda: _say({"ready": str(eds), "bus": bus_url, "node": node_id}))
+        run_device(bus, device, lambda: on_ready({"ready": str(eds), "bus": bus_url, "node": node_id}))
 
 
 @contextmanager
@@ -181,8 +220,3 @@ def opened_bus(url: str, bitrate: int) -> Iterator[can.BusABC]:
         yield bus
     finally:
         bus.shutdown()
-
-
-def _say(document: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(document) + "\n")
-    sys.stdout.flush()

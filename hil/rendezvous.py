@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+MAX_PID = 2**31 - 1
+
 
 @dataclass(frozen=True)
 class EmulatorCard:
@@ -47,12 +49,29 @@ def published(card: EmulatorCard) -> Iterator[None]:
             path.unlink()
 
 
+def card_from_text(text: str) -> EmulatorCard | None:
+    """A card as `published` writes it; None for anything else."""
+    try:
+        entries = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    kinds = {"bus": str, "pid": int, "imu_device": str, "io_url": str}
+    if (
+        not isinstance(entries, dict)
+        or {name: type(value) for name, value in entries.items()} != kinds
+        or not 0 < entries["pid"] <= MAX_PID
+    ):
+        return None
+    return EmulatorCard(**entries)
+
+
 def find(bus_url: str) -> EmulatorCard | None:
     """The card of a living emulator on that bus, or None."""
-    path = _card_path(bus_url)
     try:
-        card = EmulatorCard(**json.loads(path.read_text(encoding="utf-8")))
+        card = card_from_text(_card_path(bus_url).read_text(encoding="utf-8"))
+        if card is None or card.bus != bus_url:
+            return None
         os.kill(card.pid, 0)
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError):
         return None
     return card

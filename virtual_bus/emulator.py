@@ -15,6 +15,7 @@ from typing import Protocol
 import can
 
 from virtual_bus.canopen.node import Emit
+from virtual_bus.errors import BusLost
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
@@ -52,8 +53,8 @@ class Ports:
 class SerialLine(Protocol):
     """The I/O device's end of a serial line; `path` is the port."""
 
-    path: str
-
+    @property
+    def path(self) -> str: ...
     def read(self) -> bytes: ...
     def write(self, data: bytes) -> None: ...
 
@@ -80,6 +81,11 @@ def run_emulator(
         A serial line on which the I/O device answers Modbus RTU beside its TCP port; it stays open.
     punctual : bool
         Await each SYNC awake; not where bench and emulator have to share one processor.
+
+    Raises
+    ------
+    BusLost
+        The bus cannot be read any more.
     """
     with contextlib.ExitStack() as open_ports:
         line = None
@@ -148,7 +154,10 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
         last_s = time.perf_counter()
         while not stopped():
             patience_s = tick.patience(last_s) if tick is not None else POLL_S
-            message = bus.recv(patience_s)
+            try:
+                message = bus.recv(patience_s)
+            except (can.CanError, OSError) as error:
+                raise BusLost(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
             now_s = time.perf_counter()
             device.idle(now_s - last_s)
             last_s = now_s

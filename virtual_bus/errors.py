@@ -13,3 +13,9 @@ class PlantError(EmulatorError, ValueError):
 
 class EffectError(EmulatorError, ValueError):
     """An effect that does not exist, acts where it may not, or has a parameter out of bounds."""
+
+
+class BusLost(EmulatorError, ConnectionError):
+    """The bus an emulator was on is gone: its interface went down, its adapter was unplugged."""
+
+    exit_status = 1

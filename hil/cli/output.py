@@ -47,6 +47,17 @@ class Answer:
         else:
             Path(self._json_to).write_text(text + "\n", encoding="utf-8")
 
+    def write_at_once(self, document: Any) -> None:
+        """The same in one line for a program that waits for it while the command goes on."""
+        if self._json_to is None:
+            return
+        text = json.dumps(plain(document), ensure_ascii=False) + "\n"
+        if self._json_to == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            Path(self._json_to).write_text(text, encoding="utf-8")
+
 
 def plain(value: Any) -> Any:
     """The same value in JSON's own types: arrays as lists, dataclasses as objects, NaN and infinities as null."""

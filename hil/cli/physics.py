@@ -8,7 +8,10 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption, load, parse_pose
-from hil.cli.output import Answer
+from hil.cli.output import Answer, JsonOption
+
+PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu"}
+"""What a person calls the entries of the ready line."""
 
 
 def register(app: typer.Typer) -> None:
@@ -22,15 +25,13 @@ def register(app: typer.Typer) -> None:
         short_help="The emulated machine on a bus.",
         help="The emulated machine on a bus, wall clock; or one bare CANopen device of any EDS."
         "\n\nExample:  isocenter emulate carm --bus socketcan:vcan0"
+        "\n\nExample:  isocenter emulate carm --bus udp: --io-rtu pty --json -"
         "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0",
     )(emulate)
 
 
 def effects(
-    json_to: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE", help="Write the answer as JSON to FILE; - for standard output."),
-    ] = None,
+    json_to: JsonOption = None,
 ) -> None:
     """Print the catalogue."""
     from virtual_bus.effects import catalogue
@@ -53,16 +54,29 @@ def emulate(
     truth: Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Write what only the emulator knows (.csv).")] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="The sensors' noise.")] = True,
+    io_rtu: Annotated[
+        str,
+        typer.Option("--io-rtu", metavar="PORT", help="Serve the I/O over Modbus RTU too: pty for a new pseudo terminal, or DEVICE@BAUD."),
+    ] = "",
     real_time: RealTimeOption = True,
+    json_to: JsonOption = None,
 ) -> None:
     """Run until interrupted."""
     from hil.emulation import emulate_eds, emulate_machine
 
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
+    answer = Answer(json_to)
+
+    def ready(found: dict[str, object]) -> None:
+        ports = "".join(f", {name} {found[key]}" for name, key in PORTS.items() if found.get(key))
+        answer.say(f"ready: {found['ready']} on {found['bus']}{ports}; Ctrl-C ends it")
+        answer.write_at_once(found)
+
     if eds is not None:
-        emulate_eds(eds, node, bus)
+        emulate_eds(eds, node, bus, ready)
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)
-    emulate_machine(machine, bus, parse_pose(pose, machine), seed=seed, noise=noise, truth=truth, punctual=real_time)
+    start = parse_pose(pose, machine)
+    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, io_rtu=io_rtu, on_ready=ready)

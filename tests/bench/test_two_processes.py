@@ -42,7 +42,7 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
     command = [sys.executable, "-m", "hil"]
     truth, recorded = tmp_path / "truth.csv", tmp_path / "run.csv"
     emulator = subprocess.Popen(
-        [*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--truth", str(truth), "--no-real-time"],
+        [*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--truth", str(truth), "--no-real-time", "--json", "-"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

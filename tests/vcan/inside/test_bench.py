@@ -35,7 +35,7 @@ def emulate() -> Iterator[Callable[..., dict[str, str]]]:
         for process in running:
             _end(process)
         process = subprocess.Popen(
-            [*ISOCENTER, "emulate", "--no-real-time", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [*ISOCENTER, "emulate", "--no-real-time", "--json", "-", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         running.append(process)
         assert process.stdout is not None and process.stderr is not None
