@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -17,17 +18,11 @@ from hil.errors import RecordingError
 from hil.recording.formats import check_writable
 from hil.recording.journal import ChannelTable, Journal, part_path
 from hil.recording.recorder import finish_from_ring
-from hil.recording.ring import CONSUMED, HEARTBEAT, LOST, PRODUCED, Ring
+from hil.recording.ring import CONSUMED, LOST, PRODUCED, RECORDER, Ring
 from hil.recording.toml_text import plain
 
 CAPACITY_ROWS = 32768
 """Rows the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. So long may the disk be full or the recorder be away."""
-
-WATCH_ROWS = 128
-"""How often the loop looks whether the recorder lives: twice a second at 256 Hz, by a counter; the system is asked if that stands still."""
-
-MOST_RESTARTS = 5
-"""A recorder that dies more often is not killed by accident; rows then wait in the ring, and the loop's process writes them at the end."""
 
 CLOSE_TIMEOUT_S = 120.0
 """Longest a recorder may take to finish: an hour's rows at 256 Hz take less."""
@@ -37,8 +32,9 @@ class RecorderProcess:
     """Records in a process of its own: for runs on the wall clock.
 
     A context manager. `put` copies a row into shared memory and neither allocates, waits nor calls the system. The recorder brings the
-    rows to disk every 50 ms. If the recorder is killed, another takes over where its journal ends; if the loop's process is killed, the
-    recorder finishes the recording; if both are, the journal has all but the last tenth of a second, and `read_recording` reads it.
+    rows to disk every 50 ms. If the recorder is killed, another takes over where its journal ends, without the loop's doing; if the loop's
+    process is killed, the recorder finishes the recording; if all are, the journal has all but the last tenth of a second, and
+    `read_recording` reads it.
 
     Parameters
     ----------
@@ -64,8 +60,6 @@ class RecorderProcess:
         self._rows = self._ring.rows
         self._capacity = capacity_rows
         self._produced = 0
-        self._heartbeat = 0
-        self._restarts = 0
         self._closed = False
         self._recorder = self._start()
         self._await_ready()
@@ -88,7 +82,7 @@ class RecorderProcess:
     @property
     def pid(self) -> int:
         """Process id of the present recorder."""
-        return self._recorder.pid
+        return self._counters[RECORDER]
 
     def put(self, row: np.ndarray) -> None:
         """Copy one row (width,); if the ring is full the row is lost and counted."""
@@ -99,8 +93,6 @@ class RecorderProcess:
             self._rows[produced % self._capacity] = row
             self._produced = produced = produced + 1
             self._counters[PRODUCED] = produced
-        if produced % WATCH_ROWS == 0:
-            self.watch()
 
     def close(self, metadata: Mapping[str, Any] | None = None) -> int:
         """Write the recording, with further metadata tables, and end the recorder.
@@ -154,31 +146,13 @@ class RecorderProcess:
             part_path(self.path).unlink(missing_ok=True)
             raise RecordingError(answer.removeprefix("error ") or f"{self.path}: the recorder process did not start")
 
-    def watch(self) -> None:
-        """Start another recorder if this one was killed (one that gave up would do so again). `put` calls this every `WATCH_ROWS` rows."""
-        heartbeat = self._counters[HEARTBEAT]
-        if heartbeat != self._heartbeat:
-            self._heartbeat = heartbeat
-            return
-        code = self._recorder.poll()
-        if code is not None and code < 0 and self._restarts < MOST_RESTARTS:
-            self._restarts += 1
-            self._close_pipes()
-            self._recorder = self._start()
-
     def _end_recorder(self, words: bytes) -> str:
         """Tell the recorder its last words and wait for its own; "" if it was killed."""
         recorder = self._recorder
         try:
             output, _ = recorder.communicate(words, timeout=CLOSE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            recorder.kill()
+            os.killpg(recorder.pid, signal.SIGKILL) if hasattr(os, "killpg") else recorder.kill()
             output, _ = recorder.communicate()
         lines = output.decode(errors="replace").splitlines()
         return next((line for line in lines if line.startswith("done ")), "")
-
-    def _close_pipes(self) -> None:
-        for pipe in (self._recorder.stdin, self._recorder.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()

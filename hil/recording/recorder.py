@@ -3,6 +3,9 @@
 `python -m hil.recording.recorder RING WIDTH CAPACITY PATH`, started by `RecorderProcess` with the journal already there. Standard input is
 the lead the loop holds it by: on closing the recording the loop writes its last metadata there; if it ends without a word, the loop has
 died, and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
+
+Where processes can be forked, the one that was started only waits: it forks the one that records, and another where that is killed. So a
+recorder is replaced within a millisecond or two, and not by the loop, whose process would have to be copied in the middle of a tick.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import signal
 import sys
 import threading
@@ -19,7 +23,7 @@ from typing import Any
 
 from hil.errors import RecordingError
 from hil.recording.journal import Journal, part_path
-from hil.recording.ring import CONSUMED, HEARTBEAT, LOST, Ring
+from hil.recording.ring import CONSUMED, LOST, RECORDER, Ring
 from hil.recording.sink import finish
 
 DRAIN_PERIOD_S = 0.05
@@ -33,6 +37,13 @@ RETRY_PERIOD_S = 1.0
 
 BLOCK_ROWS = 1024
 """Most rows taken in one piece: 40 channels are then a third of a megabyte."""
+
+
+DYING_S = 1.0
+"""A process that dies lets go of its files a moment before it has ended."""
+
+MOST_RESTARTS = 5
+"""A recorder that dies more often is not killed by accident; rows then wait in the ring, and the loop's process writes them at the end."""
 
 
 class Drain:
@@ -64,10 +75,10 @@ def finish_from_ring(ring: Ring, path: Path, tables: dict[str, Any]) -> int:
 class _Lead:
     """Reads standard input to its end in a thread of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, loop: _LoopProcess) -> None:
         self.ended = threading.Event()
         self.words = b""
-        self._parent = os.getppid()
+        self._loop = loop
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
@@ -76,31 +87,76 @@ class _Lead:
         self.ended.set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether the loop has closed the recording or died. A fork of the loop may hold the lead, so the parent is watched as well."""
-        return self.ended.wait(timeout_s) or (os.name == "posix" and os.getppid() != self._parent)
+        """Whether the loop has closed the recording or died. A fork of the loop may hold the lead, so its process is watched as well."""
+        return self.ended.wait(timeout_s) or self._loop.gone()
 
-    def last_metadata(self) -> dict[str, Any]:
-        """What the loop said on closing; a table of ours where it died."""
+    def last_metadata(self) -> dict[str, Any] | None:
+        """What the loop said on closing; a table of ours where it died; None where it said it to a recorder that was killed since."""
         if self.words.endswith(b"\n"):
             return json.loads(self.words)
-        return {"ended": {"error": "the loop's process ended without closing the recording"}}
+        return {"ended": {"error": "the loop's process ended without closing the recording"}} if self._loop.gone(DYING_S) else None
+
+
+class _LoopProcess:
+    """The process that started this one."""
+
+    def __init__(self) -> None:
+        self._pid = os.getppid()
+        self._handle = -1
+        if hasattr(os, "pidfd_open"):
+            with contextlib.suppress(OSError):
+                self._handle = os.pidfd_open(self._pid)
+
+    def gone(self, timeout_s: float = 0.0) -> bool:
+        """Whether it has ended, or does within that time; where nobody can tell, the lead's end has to (Windows, where nothing forks)."""
+        if self._handle >= 0:
+            return bool(select.select([self._handle], [], [], timeout_s)[0])
+        if os.name != "posix":
+            return timeout_s > 0.0
+        until_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                os.kill(self._pid, 0)
+            except ProcessLookupError:
+                return True
+            if time.monotonic() >= until_s:
+                return False
+            time.sleep(DRAIN_PERIOD_S)
 
 
 def main(arguments: list[str]) -> None:
     """Record until the loop closes the recording or dies."""
     _be_modest()
     key, width, capacity, name = arguments
-    path = Path(name)
+    loop = _LoopProcess()
+    ring = Ring(int(width), int(capacity), key)
+    if not hasattr(os, "fork"):
+        raise SystemExit(_record_to_the_end(ring, Path(name), loop))
+    for _ in range(1 + MOST_RESTARTS):
+        child = os.fork()
+        if child == 0:
+            os._exit(_record_to_the_end(ring, Path(name), loop))
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if status >= 0:  # it was not killed; one that gave up would do so again
+            raise SystemExit(status)
+
+
+def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess) -> int:
+    """Exit status: 0 where the recording was written, 1 where it could not be, or is left to the loop."""
+    ring.counters[RECORDER] = os.getpid()
     try:
-        ring = Ring(int(width), int(capacity), key)
-        lead = _Lead()
+        lead = _Lead(loop)
         with Journal.resume(part_path(path)) as journal:
             _say("ready")
             _record(ring, journal, lead)
-        _say(f"done {finish_from_ring(ring, path, lead.last_metadata())}")
+        tables = lead.last_metadata()
+        if tables is None:
+            return 1
+        _say(f"done {finish_from_ring(ring, path, tables)}")
     except Exception as problem:  # nothing but one line must reach the person at the bench
         _say(f"error {problem if isinstance(problem, RecordingError) else f'{path}: the recorder failed: {problem!r}'}")
-        raise SystemExit(1) from None
+        return 1
+    return 0
 
 
 def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
@@ -110,7 +166,6 @@ def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
     ended = False
     while not ended:
         ended = lead.wait(DRAIN_PERIOD_S)
-        ring.counters[HEARTBEAT] += 1
         now_s = time.monotonic()
         if now_s < not_before_s:
             continue

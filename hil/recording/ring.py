@@ -25,8 +25,8 @@ CONSUMED = 1 * _COUNTER_STRIDE
 """Rows the recorder has brought into the journal."""
 LOST = 2 * _COUNTER_STRIDE
 """Rows the loop could not write because the ring was full."""
-HEARTBEAT = 3 * _COUNTER_STRIDE
-"""Grows for as long as a recorder runs."""
+RECORDER = 3 * _COUNTER_STRIDE
+"""Process id of the recorder."""
 
 
 class Ring:

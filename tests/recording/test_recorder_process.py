@@ -72,16 +72,17 @@ def assert_unbroken(recording, at_least):
     assert recording.rows >= at_least
 
 
-def shared_memory():
-    return set(os.listdir("/dev/shm")) if os.path.isdir("/dev/shm") else set()
+def named_memory(pid):
+    """Shared memory of a process that has a name, and so would be left behind if everybody were killed."""
+    return [line for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
 
 
 @pytest.mark.parametrize("lines", [2, 40, 103])  # the first is said before the first row
 def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path, lines):
-    before = shared_memory()
     path = tmp_path / "run.mf4"
     loop = Loop(path)
     loop.listen(lines)
+    assert named_memory(loop.process.pid) == []
     recorder = ended(loop.recorder)
     loop.kill()
     wait_for(recorder)
@@ -91,7 +92,6 @@ def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path, l
     assert recording.rows >= 64 * (lines - 1)  # not only what was on disk: the ring outlives the loop
     assert "without closing" in recording.metadata["ended"]["error"]
     assert loop.complaints() == ""
-    assert shared_memory() <= before
 
 
 @pytest.mark.parametrize("lines", [1, 60])
@@ -101,6 +101,7 @@ def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path, li
     killed = set()
     for _ in range(3):
         loop.listen(lines)
+    assert named_memory(loop.process.pid) == []
         while loop.recorder in killed:
             loop.listen(1)
         os.kill(loop.recorder, signal.SIGKILL)
@@ -114,22 +115,59 @@ def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path, li
     assert not (tmp_path / "run.csv.part").exists()
 
 
+def test_a_recorder_is_replaced_by_a_process_that_is_not_the_loops_child(tmp_path):
+    """The loop's process is copied for nobody while it ticks."""
+    with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
+        first, keeper = recorder.pid, os.getpgid(recorder.pid)
+        children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text()
+        os.kill(first, signal.SIGKILL)
+        while recorder.pid == first:
+            os.sched_yield()
+        fill(recorder, 0, 100)
+        assert Path(f"/proc/{recorder.pid}/stat").read_text().rpartition(")")[2].split()[1] == str(keeper)
+        assert Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text() == children
+    np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(100))
+
+
+def test_a_recorder_records_on_when_the_process_that_would_replace_it_is_killed(tmp_path):
+    with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
+        fill(recorder, 0, 50)
+        os.kill(os.getpgid(recorder.pid), signal.SIGKILL)
+        fill(recorder, 50, 100)
+    np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(100))
+
+
 @pytest.mark.parametrize("first", ["loop", "recorder"])
 @pytest.mark.parametrize("lines", [3, 88])
-def test_when_both_are_killed_the_journal_is_read(tmp_path, first, lines):
-    before = shared_memory()
+def test_when_both_are_killed_another_recorder_finishes_the_recording(tmp_path, first, lines):
     path = tmp_path / "run.mf4"
     loop = Loop(path)
     loop.listen(lines)
-    recorder = ended(loop.recorder)
+    assert named_memory(loop.process.pid) == []
+    keeper = ended(os.getpgid(loop.recorder))
     for pid in (loop.process.pid, loop.recorder) if first == "loop" else (loop.recorder, loop.process.pid):
         os.kill(pid, signal.SIGKILL)
     loop.process.wait()
+    wait_for(keeper)
+    recording = read_recording(path)
+    assert_unbroken(recording, max(loop.kept, 64 * (lines - 1)))
+    assert "without closing" in recording.metadata["ended"]["error"]
+    assert loop.complaints() == ""
+
+
+@pytest.mark.parametrize("lines", [3, 88])
+def test_when_all_are_killed_the_journal_is_read(tmp_path, lines):
+    path = tmp_path / "run.mf4"
+    loop = Loop(path)
+    loop.listen(lines)
+    assert named_memory(loop.process.pid) == []
+    recorder = ended(loop.recorder)
+    os.killpg(os.getpgid(loop.recorder), signal.SIGKILL)
+    loop.kill()
     wait_for(recorder)
     if loop.kept:
         assert_unbroken(read_whatever_is_there(path), loop.kept)
     assert loop.complaints() == ""
-    assert shared_memory() <= before
 
 
 def test_rows_reach_the_disk_well_within_the_second_that_may_be_lost():
@@ -143,7 +181,8 @@ def fill(recorder, first, last):
 
 def stop(recorder):
     os.kill(recorder.pid, signal.SIGSTOP)
-    os.waitpid(recorder.pid, os.WUNTRACED)
+    while Path(f"/proc/{recorder.pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        os.sched_yield()
 
 
 def test_a_full_ring_loses_the_newest_rows_counts_them_and_never_waits(tmp_path):
