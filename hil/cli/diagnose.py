@@ -87,4 +87,4 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     where = "held-out" if diagnosis.fit.held_out is not None else "training"
     stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
     answer.say(f"misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
-    answer.say(f"{out}: diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")
+    answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

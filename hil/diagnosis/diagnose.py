@@ -11,12 +11,13 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate, candidates
 from hil.diagnosis.estimates import effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis, Location
+from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.sufficiency import what_is_missing
@@ -46,7 +47,8 @@ class Outcome:
     train, held_out : Mismatch
         Beside the nominal simulation; held_out is None where none was given.
     stages : mapping of str to mapping of str to list of (N, C) arrays
-        "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended".
+        "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended", and "without_effects": the extended
+        one's numbers without its effects.
     selection : Selection
     hypotheses : tuple of Weighed
     """
@@ -143,7 +145,9 @@ def diagnose(
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
-            location=Location(),
+            location=locate_outcome(
+                train, stages[TRAIN]["retuned"], stages[TRAIN]["extended"], stages[TRAIN]["without_effects"], named=bool(findings)
+            ),
             fit=_fit(train, sets.get(HELD_OUT), stages),
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
@@ -177,6 +181,7 @@ def _stages(
 ) -> dict[str, dict[str, list[np.ndarray]]]:
     """Simulated rows of every set at nominal, retuned and extended."""
     trials = {"nominal": Trial(runs.nominal), "retuned": Trial(tuning.values), "extended": Trial(values, effects)}
+    trials["without_effects"] = Trial(values)
     found: dict[str, dict[str, list[np.ndarray]]] = {}
     for name in runs.sets:
         found[name] = {}

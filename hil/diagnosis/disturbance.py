@@ -8,6 +8,7 @@ Kailath, Sayed, Hassibi 2000, ch. 3 (smoothing as linear estimation); it uses th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +28,7 @@ PRIOR_CORNER_Hz = 1.0
 """Above it that effort's spectrum falls with the square of frequency, as that of a friction which reverses does."""
 
 LOWEST_Hz = 1e-4
-"""Stands for zero: a free joint's response to a constant effort is not finite."""
-
-NO_END = 1e12
-"""Stands for an integrator's gain at zero frequency."""
+"""Stands for zero: a free joint's response to a constant effort is not finite, nor is an integrator's gain."""
 
 LEAST_PRIOR = 1e-9
 """In Nm or N, for recordings in which no drive works."""
@@ -76,7 +74,7 @@ def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None =
     frequencies = np.fft.rfftfreq(len(extended), 1.0 / found.noise.rate_Hz)
     lines = np.fft.rfft(extended, axis=0)
     response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, values)
-    weight = _noise_weight(found, frequencies, group.repeats)
+    weight = _noise_weight(found, frequencies, group.repeats) * _is_linear(found.channels)
     machine = group.machine
     plant = compile_plant(machine.plant)
     gains = plant.drive_gains(plant.model(values), np.zeros(plant.joints))
@@ -125,8 +123,7 @@ def loop_response(
         rows = [labels.index(f"position_{axis}") for axis in machine.axes]
         feedback = np.zeros((len(s), axes), dtype=complex)
         for k, controller in enumerate(machine.controllers):
-            _, feedback[:, k] = scipy.signal.sosfreqz(controller.position_sections, omega_t)
-        feedback = np.where(np.isfinite(feedback), feedback, NO_END)
+            _, feedback[:, k] = scipy.signal.sosfreqz(controller.position_sections, np.maximum(omega_t, LOWEST_Hz * period_s))
         loop = np.eye(axes) + feedback[:, :, None] * from_drive[:, rows] * hold[:, None, None]
         command = -np.linalg.solve(loop, feedback[:, :, None] * from_effort[:, rows])
     outputs = from_effort + (from_drive * hold[:, None, None]) @ command
@@ -149,6 +146,12 @@ def _noise_weight(found: Mismatch, frequencies_Hz: np.ndarray, repeats: int) -> 
     filtered = np.column_stack([np.interp(frequencies_Hz, noise.grid_Hz, column) for column in own.T])
     z = np.exp(-2j * np.pi * np.outer(frequencies_Hz / noise.rate_Hz, np.arange(noise.filters.shape[1])))
     return np.abs(z @ noise.filters.T) / filtered * np.sqrt(repeats)
+
+
+def _is_linear(channels: Sequence[str]) -> np.ndarray:
+    """(C,) 1 for channels that efforts are estimated from: accelerometers turn in gravity, so away from the mean pose they are left out."""
+    encoded = any(name.startswith(("position_", "link_position_")) for name in channels)
+    return np.array([0.0 if encoded and name.startswith("imu_") else 1.0 for name in channels])
 
 
 def _power(found: Mismatch, signal: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import Estimate, RetunedValue
-from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, UNDECIDED, Tuning
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, UNDECIDED, Tuning, sensitivities
 from virtual_bus.effects.effect import DRIVE_UNIT
 from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
@@ -23,14 +23,15 @@ def joint_covariance(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> np.ndarr
     The noise model's covariance is inverse curvature of the cost. Each repeat's own small deviation of the parameters gives a second
     estimate of every variance; the larger one counts (a sandwich on its diagonal; White 1982).
     """
-    columns = np.hstack([tuning.jacobian, fitted.jacobian])
+    # beside the effects: what scales a machine's every number alike scales its friction too
+    columns = np.hstack([sensitivities(runs, tuning, fitted.offset, fitted.settings), fitted.jacobian])
     count = len(tuning.offset)
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
     scale[:count] = 1.0
     scaled = columns / scale
     hessian = scaled.T @ scaled
     hessian[:count, :count] += np.eye(count)
-    free = np.concatenate([np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR, np.ones(fitted.freedom, dtype=bool)])
+    free = np.concatenate([np.abs(fitted.offset) < LARGEST_CHANGE / PRIOR, np.ones(fitted.freedom, dtype=bool)])
     inverse = np.zeros_like(hessian)
     inverse[np.ix_(free, free)] = np.linalg.pinv(hessian[np.ix_(free, free)], rcond=1e-12, hermitian=True)
     widening = _widening(runs, scaled, inverse)

@@ -9,13 +9,14 @@ from typing import Any
 
 from hil.diagnosis.diagnose import Outcome
 from hil.diagnosis.machine_file import retuned_text
+from hil.diagnosis.report import write_report
 from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.machine.effects_file import effects_text
 
 
 def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
-    """Write diagnosis.json, effects.toml and the re-tuned machine.toml.
+    """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html.
 
     Raises
     ------
@@ -29,6 +30,7 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
         (folder / "effects.toml").write_text(effects_text(outcome.effects, machine), encoding="utf-8")
         text = retuned_text(machine, outcome.tuning.parameters, outcome.values)
         (folder / "machine.toml").write_text(text, encoding="utf-8")
+        write_report(outcome, folder)
     except OSError as error:
         raise UnusableInput(f"{folder}: cannot be written to: {error.strerror}") from None
 

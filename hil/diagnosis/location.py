@@ -74,6 +74,23 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     )
 
 
+def locate_outcome(
+    found: Mismatch, retuned: Sequence[np.ndarray], extended: Sequence[np.ndarray], without: Sequence[np.ndarray], *, named: bool
+) -> Location:
+    """Where the named effects act, or, where none is named, where the re-tuned simulation is off.
+
+    Parameters
+    ----------
+    found : Mismatch
+    retuned, extended, without : sequences of (N, C) arrays
+        Simulated rows per group: re-tuned; with the effects; with the same numbers but without the effects.
+    named : bool
+    """
+    if named and all(np.isfinite(rows).all() for rows in without):
+        return locate(found, [full - bare for full, bare in zip(extended, without, strict=True)])
+    return locate(found.with_simulated(retuned))
+
+
 def _smooth(power: np.ndarray, rate_Hz: float) -> np.ndarray:
     """(M, C) mean over a window about every row."""
     width = max(1, round(TIME_WINDOW_s * rate_Hz))

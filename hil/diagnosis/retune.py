@@ -16,6 +16,8 @@ import scipy.optimize
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
+from virtual_bus.settings import EffectSetting
+from virtual_bus.settings import EffectSetting
 
 PRIOR = 0.1
 """Standard deviation of a nominal number, as a share of it."""
@@ -26,15 +28,22 @@ LARGEST_CHANGE = 0.15
 DIFFERENCE = 0.25
 """Of sensitivities, in units of PRIOR: large against rounding, small against the curvature of a tenth."""
 
+FINE_DIFFERENCE = 0.05
+"""Of those that intervals are computed from."""
+
 INVISIBLE = 0.05
 """A parameter whose whole prior moves the simulation by less than this in units of noise, summed over the record, is not shown by it."""
 
 UNDECIDED = 0.7
 """A parameter whose standard deviation is still above this share of the prior's is not determined by the recordings."""
 
-ITERATIONS = 4
-SETTLED = 1e-3
-"""Relative decrease of the cost below which re-tuning has ended."""
+ITERATIONS = 12
+SETTLED = 1e-4
+SETTLED_GAIN = 0.1
+"""Decrease of the cost, as a share of it and in units of noise, below which re-tuning has ended."""
+
+LARGE_STEP = 0.05
+"""In units of PRIOR: a larger step asks for new sensitivities."""
 
 TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant")
 
@@ -106,31 +115,52 @@ def retune(runs: FreeRuns) -> Tuning:
     tuning = linearised(runs, tuning)
     visible = np.linalg.norm(tuning.jacobian, axis=0) > INVISIBLE
     tuning = _only(tuning, visible)
+    return with_covariance(descend(runs, tuning, measured))
+
+
+def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
+    """Gauss-Newton from these values, beside effects that stay as they are: sensitivities anew while steps with them are large."""
     cost = _cost(measured, tuning.predicted, tuning.offset)
-    for iteration in range(ITERATIONS):
+    fresh = True
+    for _ in range(ITERATIONS):
         step = bounded_step(tuning.jacobian, measured - tuning.predicted, tuning.offset)
-        better = _line_search(runs, tuning, step, measured, cost)
-        if better is None:
+        better = _line_search(runs, tuning, step, measured, cost, effects)
+        settled = better is None or cost - better[1] < max(SETTLED * cost, SETTLED_GAIN)
+        if better is not None:
+            tuning, cost = better
+        if settled and fresh:
             break
-        before = cost
-        tuning, cost = better
-        if before - cost < SETTLED * before:
-            break
-        if iteration < 2:
-            tuning = linearised(runs, tuning)
-    return with_covariance(tuning)
+        fresh = settled or float(np.abs(step).max(initial=0.0)) > LARGE_STEP
+        if fresh:
+            tuning = linearised(runs, tuning, effects)
+    return tuning
 
 
-def linearised(runs: FreeRuns, tuning: Tuning) -> Tuning:
+def linearised(runs: FreeRuns, tuning: Tuning, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
     """With the sensitivities at its present values."""
     sign = np.where(tuning.offset > 0.0, -1.0, 1.0)  # towards nominal: never beyond the bounds
     moved = [tuning.offset + DIFFERENCE * sign[k] * unit for k, unit in enumerate(np.eye(len(tuning.offset)))]
-    answers = runs.run([Trial(tuning.at(offset)) for offset in moved])
+    answers = runs.run([Trial(tuning.at(offset), effects) for offset in moved])
     jacobian = np.zeros((len(tuning.predicted), len(moved)))
     for k, answer in enumerate(answers):
         if answer is not None:
             jacobian[:, k] = (answer - tuning.predicted) * (sign[k] / DIFFERENCE)
     return replace(tuning, jacobian=jacobian)
+
+
+def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> np.ndarray:
+    """(M, P) of the tuned coordinates at an offset and beside effects, by central differences.
+
+    One-sided ones make directions look determined that are not, such as all numbers of a machine scaled alike: the columns are large, and
+    it is their small differences that count.
+    """
+    units = FINE_DIFFERENCE * np.eye(len(offset))
+    answers = runs.run([Trial(tuning.at(offset + way * unit), effects) for unit in units for way in (1.0, -1.0)])
+    jacobian = np.zeros((len(tuning.predicted), len(offset)))
+    for k, (up, down) in enumerate(zip(answers[::2], answers[1::2], strict=True)):
+        if up is not None and down is not None:
+            jacobian[:, k] = (up - down) / (2.0 * FINE_DIFFERENCE)
+    return jacobian
 
 
 def bounded_step(jacobian: np.ndarray, residual: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -151,11 +181,13 @@ def with_covariance(tuning: Tuning) -> Tuning:
     return replace(tuning, covariance=np.linalg.inv(tuning.jacobian.T @ tuning.jacobian + np.eye(count)) if count else np.eye(0))
 
 
-def _line_search(runs: FreeRuns, tuning: Tuning, step: np.ndarray, measured: np.ndarray, cost: float) -> tuple[Tuning, float] | None:
+def _line_search(
+    runs: FreeRuns, tuning: Tuning, step: np.ndarray, measured: np.ndarray, cost: float, effects: tuple[EffectSetting, ...]
+) -> tuple[Tuning, float] | None:
     for share in (1.0, 0.5, 0.2):
         offset = tuning.offset + share * step
         values = tuning.at(offset)
-        predicted = runs.run_one(Trial(values))
+        predicted = runs.run_one(Trial(values, effects))
         if predicted is not None and (found := _cost(measured, predicted, offset)) < cost:
             return replace(tuning, offset=offset, values=values, predicted=predicted), found
     return None

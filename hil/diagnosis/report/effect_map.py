@@ -1,0 +1,148 @@
+"""An effect's own map: the effort the simulation lacks against what the effect depends on, and what the fitted effect says there.
+
+Recording and fit go through the same estimator (disturbance.py), so what it smooths in one it smooths in the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.diagnosis.disturbance import disturbance
+from hil.diagnosis.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.report.style import BLUE, VERMILION
+from hil.diagnosis.result import EffectAt
+from virtual_bus.effects.effect import CALIBRATION, CLOCK, DROPOUT, ENCODER_ERROR, FRICTION, IMU_CHANGE, LATTICE, SIGN
+from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.registry import effects
+
+SENSOR_KINDS = (CALIBRATION, CLOCK, DROPOUT, ENCODER_ERROR, IMU_CHANGE, LATTICE, SIGN)
+BY_SPEED = ("quadratic_friction", "temperature_dependent_friction", "viscous_friction", "presliding_hysteresis")
+CELLS = 40
+LEAST_ROWS = 5
+BAND = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class EffectMap:
+    """Cells of one effect's map.
+
+    Attributes
+    ----------
+    x, recorded, fitted : (cells,) arrays
+        Means; NaN where nothing was.
+    band : (cells,) array
+        Half width of the 95 % band of the recorded mean.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    x: np.ndarray
+    recorded: np.ndarray
+    fitted: np.ndarray
+    band: np.ndarray
+
+
+def effect_map(
+    found: Mismatch, bare: Sequence[np.ndarray], extended: Sequence[np.ndarray], effect: EffectAt, values: np.ndarray
+) -> EffectMap | None:
+    """The map of one effect.
+
+    Parameters
+    ----------
+    found : Mismatch
+    bare, extended : sequence of (N, C) arrays
+        Simulated rows per group without and with the effects, all other numbers the same.
+    effect : EffectAt
+    values : (parameters,) array
+        Plant parameters of both.
+    """
+    kind = effects()[effect.effect].kind
+    if kind in SENSOR_KINDS:
+        return _sensor_map(found, bare, extended, effect)
+    settings = found.machine.plant
+    joint = [each.name for each in settings.tree.joints].index(joint_at(effect.at, settings))
+    axis = _axis_of(found, joint)
+    by_speed = kind is FRICTION or effect.effect in BY_SPEED
+    units = found.machine.units[axis]
+    xs, recorded, fitted = [], [], []
+    for group, plain, full in zip(found.groups, bare, extended, strict=True):
+        measured = disturbance(found, replace(group, simulated=plain), values).effort[:, joint]
+        model = disturbance(found, _as_measured(group, plain, full), values).effort[:, joint]
+        xs.append((group.speed if by_speed else group.position)[:, axis])
+        recorded.append(measured)
+        fitted.append(model)
+    effort_unit = "Nm" if settings.tree.joints[joint].kind == "revolute" else "N"
+    x_unit = f"{units.position}/s" if by_speed else units.position
+    what = "speed" if by_speed else "position"
+    return _cells(
+        f"{effect}: missing effort against {what}", f"{what} of {units.axis} [{x_unit}]", f"missing effort on the joint [{effort_unit}]",
+        np.concatenate(xs), np.concatenate(recorded), np.concatenate(fitted),
+    )  # fmt: skip
+
+
+def _sensor_map(found: Mismatch, bare: Sequence[np.ndarray], extended: Sequence[np.ndarray], effect: EffectAt) -> EffectMap | None:
+    """A sensor's reading against what the machine without its error would show."""
+    columns = [c for c, name in enumerate(found.channels) if name == effect.at]
+    columns = columns or [c for c, name in enumerate(found.channels) if name.startswith(("imu_", "gyro_"))]
+    if not columns:
+        return None
+    change = sum(np.sum((full - plain) ** 2, axis=0) for plain, full in zip(bare, extended, strict=True)) / found.noise.std**2
+    c = max(columns, key=lambda column: change[column])
+    x = np.concatenate([plain[:, c] for plain in bare])
+    recorded = np.concatenate([group.mean[:, c] for group in found.groups])
+    fitted = np.concatenate([full[:, c] for full in extended])
+    name, unit = found.channels[c], found.units[c]
+    title = f"{effect}: reading against the machine"
+    return _cells(title, f"{name} simulated without it [{unit}]", f"{name} [{unit}]", x, recorded, fitted)
+
+
+def _as_measured(group: RepeatGroup, plain: np.ndarray, full: np.ndarray) -> RepeatGroup:
+    """The group as if the extended simulation had been measured, as often as the group was."""
+    return replace(group, measured=np.repeat(full[None], group.repeats, axis=0), simulated=plain)
+
+
+def _axis_of(found: Mismatch, joint: int) -> int:
+    """The axis that drives a joint, or the nearest one before it in the tree."""
+    settings = found.machine.plant
+    driven = [settings.tree.joint_index(drive.joint) for drive in settings.drives]
+    before = [k for k, j in enumerate(driven) if j <= joint]
+    return driven.index(joint) if joint in driven else max(before, key=lambda k: driven[k], default=0)
+
+
+def _cells(title: str, x_label: str, y_label: str, x: np.ndarray, recorded: np.ndarray, fitted: np.ndarray) -> EffectMap | None:
+    if not np.ptp(x) > 0.0:
+        return None
+    edges = np.linspace(x.min(), x.max(), CELLS + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, CELLS - 1)
+    rows = np.bincount(place, minlength=CELLS).astype(float)
+    rows[rows < LEAST_ROWS] = np.nan
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(place, weights=values, minlength=CELLS) / rows
+
+    scatter = np.sqrt(np.maximum(mean(recorded**2) - mean(recorded) ** 2, 0.0))
+    enters = np.flatnonzero(np.diff(place, prepend=-1))
+    passes = np.maximum(np.bincount(place[enters], minlength=CELLS), 1)  # neighbouring rows of one pass are not independent
+    return EffectMap(title, x_label, y_label, mean(x), mean(recorded), mean(fitted), BAND * scatter / np.sqrt(passes))
+
+
+def effect_map_figure(drawn: EffectMap) -> Figure:
+    """Recorded cells with their band, and the fit."""
+    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
+    axes = figure.subplots()
+    seen = np.isfinite(drawn.x)
+    x = drawn.x[seen]
+    low, high = (drawn.recorded - drawn.band)[seen], (drawn.recorded + drawn.band)[seen]
+    axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="95 % band")
+    axes.plot(x, drawn.recorded[seen], "o", color=BLUE, ms=4, label="recorded")
+    axes.plot(x, drawn.fitted[seen], color=VERMILION, lw=1.6, label="fitted effect")
+    axes.set(xlabel=drawn.x_label, ylabel=drawn.y_label)
+    axes.set_title(drawn.title, fontsize="medium")
+    axes.grid(alpha=0.3, lw=0.5)
+    axes.legend(fontsize="small", frameon=False)
+    return figure

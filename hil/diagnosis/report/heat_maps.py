@@ -1,0 +1,138 @@
+"""Residuals in units of repeat noise over pose and speed, and over pose and frequency; cells that nothing visited are hatched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from hil.diagnosis.mismatch import Mismatch
+from hil.diagnosis.whitened import in_noise_units
+
+POSE_CELLS = 16
+SPEED_CELLS = 12
+LEAST_ROWS = 5
+"""A cell with fewer rows was not visited."""
+
+WINDOW_s = 1.0
+"""Of the spectra over pose: its inverse is the width of a line."""
+
+BANDS = 14
+CHANNELS_SHOWN = 6
+BRIGHTEST = 100.0
+"""In units of noise: the colour scale ends there."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatMap:
+    """Mean power of cells (x cells, y cells) in units of noise; NaN where nothing was."""
+
+    x_edges: np.ndarray
+    y_edges: np.ndarray
+    power: np.ndarray
+
+
+def over_pose_and_speed(found: Mismatch, axis: int, channel: int) -> HeatMap | None:
+    """Of one axis's position and speed; None for an axis that does not move."""
+    positions, speeds, powers = [], [], []
+    for group in found.groups:
+        w = in_noise_units(found.noise, group.mean - group.simulated)
+        positions.append(group.position[w.first_row :, axis])
+        speeds.append(group.speed[w.first_row :, axis])
+        powers.append(w.rows[:, channel] ** 2)
+    x, y, power = np.concatenate(positions), np.concatenate(speeds), np.concatenate(powers)
+    if not (np.ptp(x) > 0.0 and np.ptp(y) > 0.0):
+        return None
+    x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
+    y_edges = np.linspace(y.min(), y.max(), SPEED_CELLS + 1)
+    return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges, LEAST_ROWS))
+
+
+def over_pose_and_frequency(found: Mismatch, axis: int, channel: int) -> HeatMap | None:
+    """Of one axis's position; short spectra belong to the pose in the middle of their window."""
+    rate_Hz = found.noise.rate_Hz
+    width = round(WINDOW_s * rate_Hz)
+    positions, frequencies, powers = [], [], []
+    for group in found.groups:
+        w = in_noise_units(found.noise, group.mean - group.simulated)
+        if len(w.rows) < 2 * width or width < 8:
+            continue
+        bands_Hz, times_s, spectrum = scipy.signal.spectrogram(
+            w.rows[:, channel], rate_Hz, window="hann", nperseg=width, noverlap=width // 2, detrend=False, scaling="density", mode="psd"
+        )
+        middle = np.clip(np.round(times_s * rate_Hz).astype(int), 0, len(w.rows) - 1) + w.first_row
+        pose, band = np.meshgrid(group.position[middle, axis], bands_Hz[1:])
+        positions.append(pose.ravel())
+        frequencies.append(band.ravel())
+        powers.append((spectrum[1:] * rate_Hz / 2.0).ravel())  # white noise of unit variance has density 2 / rate
+    if not positions:
+        return None
+    x, y, power = np.concatenate(positions), np.concatenate(frequencies), np.concatenate(powers)
+    if not np.ptp(x) > 0.0:
+        return None
+    x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
+    y_edges = _edges_between_lines(np.unique(y))
+    return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges, 1))
+
+
+def _edges_between_lines(lines_Hz: np.ndarray) -> np.ndarray:
+    """Edges of at most BANDS bands, wider with frequency, with a line in every one."""
+    numbers = np.unique(np.round(np.geomspace(1, len(lines_Hz), BANDS + 1)).astype(int))
+    step = lines_Hz[1] - lines_Hz[0] if len(lines_Hz) > 1 else lines_Hz[0]
+    return np.concatenate([lines_Hz[numbers[:-1] - 1], [lines_Hz[-1] + step]]) - 0.5 * step
+
+
+def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.ndarray, y_edges: np.ndarray, least: int) -> np.ndarray:
+    edges = (x_edges, y_edges)
+    rows = np.histogram2d(x, y, bins=edges)[0]
+    sums = np.histogram2d(x, y, bins=edges, weights=power)[0]
+    return np.where(rows >= least, sums / np.maximum(rows, 1.0), np.nan)
+
+
+def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
+    """Both maps of the channels with the largest residual, for one axis; None where it does not move."""
+    units = found.machine.units[axis]
+    channels = _loudest(found)
+    drawn = [(c, over_pose_and_speed(found, axis, c), over_pose_and_frequency(found, axis, c)) for c in channels]
+    if not any(by_speed or by_frequency for _, by_speed, by_frequency in drawn):
+        return None
+    figure = Figure(figsize=(2.9 * len(channels) + 1.2, 5.8), layout="constrained")
+    axes = figure.subplots(2, len(channels), squeeze=False)
+    shown = None
+    for column, (c, by_speed, by_frequency) in enumerate(drawn):
+        axes[0, column].set_title(found.channels[c], fontsize="medium")
+        for row, heat_map in enumerate((by_speed, by_frequency)):
+            if heat_map is None:
+                axes[row, column].set_axis_off()
+            else:
+                shown = _draw(axes[row, column], heat_map)
+        axes[1, column].set_yscale("log")
+        axes[1, column].set_xlabel(f"position of {units.axis} [{units.position}]")
+    axes[0, 0].set_ylabel(f"speed [{units.position}/s]")
+    axes[1, 0].set_ylabel("frequency [Hz]")
+    if shown is not None:
+        figure.colorbar(shown, ax=axes, label="rms of the residual in units of one repeat's noise", shrink=0.8)
+    figure.suptitle(f"Residual of the {stage} simulation over the pose of {units.axis}; hatched: not visited")
+    return figure
+
+
+def _loudest(found: Mismatch) -> Sequence[int]:
+    power = sum((in_noise_units(found.noise, group.mean - group.simulated).rows ** 2).mean(axis=0) for group in found.groups)
+    loudest = np.argsort(-np.asarray(power))[:CHANNELS_SHOWN]
+    return sorted(int(c) for c in loudest)
+
+
+def _draw(axes: Axes, heat_map: HeatMap):  # type: ignore[no-untyped-def]
+    x, y = heat_map.x_edges, heat_map.y_edges
+    size = np.sqrt(np.ma.masked_invalid(heat_map.power.T))
+    axes.add_patch(Rectangle((x[0], y[0]), x[-1] - x[0], y[-1] - y[0], hatch="////", fill=False, edgecolor="0.7", lw=0, zorder=0))
+    drawn = axes.pcolormesh(x, y, size, norm=LogNorm(0.5, BRIGHTEST, clip=True), cmap="cividis", zorder=1)
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    axes.tick_params(labelsize="small")
+    return drawn

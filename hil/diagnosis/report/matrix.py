@@ -1,0 +1,39 @@
+"""Which numbers the recordings can tell apart: cosines between the free-run sensitivities of tuned numbers and effects' parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+LEGIBLE = 24
+"""Numbers shown at most: those with the largest sensitivity."""
+
+
+def cosines(columns: np.ndarray) -> np.ndarray:
+    """(P, P) absolute cosines between the columns (M, P) of a Jacobian; 0 for a column of zeros."""
+    norm = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(norm > 0.0, norm, 1.0)
+    return np.abs(unit.T @ unit)
+
+
+def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
+    """The matrix as an image with its numbers; None with fewer than two numbers."""
+    seen = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
+    if len(seen) < 2:
+        return None
+    order = np.sort(seen[np.argsort(-np.linalg.norm(columns[:, seen], axis=0))][:LEGIBLE])
+    values = cosines(columns[:, order])
+    size = 0.42 * len(order) + 2.8
+    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
+    axes = figure.subplots()
+    image = axes.imshow(values, vmin=0.0, vmax=1.0, cmap="cividis")
+    labels = [names[k] for k in order]
+    axes.set_xticks(range(len(order)), labels, rotation=90, fontsize="small")
+    axes.set_yticks(range(len(order)), labels, fontsize="small")
+    for i, row in enumerate(values):
+        for j, value in enumerate(row):
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=6, color="white" if value < 0.6 else "black")
+    figure.colorbar(image, ax=axes, label="|cos| of sensitivities; 1: cannot be told apart", shrink=0.7)
+    return figure

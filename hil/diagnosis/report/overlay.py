@@ -1,0 +1,91 @@
+"""Recorded beside simulated, nominal, re-tuned and with the effects: current beside encoder beside IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.diagnosis.mismatch import Mismatch
+from hil.diagnosis.report.style import BLACK, STAGE_COLOURS, STAGE_NAMES, channel_label
+
+SHOWN_s = 4.0
+"""Length of the stretch that is drawn: a motion there and back, and still its details."""
+
+COLUMNS = 3
+LEAST_ROWS = 50
+KINDS = (("current_", "effort_", "command_"), ("position_", "link_position_", "speed_"), ("imu_", "gyro_"))
+"""One column each; of every kind the channel with the largest mismatch."""
+
+
+def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], title: str) -> Figure:
+    """Above, the channel and its simulations; below, what each leaves, with the noise of one repeat as a grey band.
+
+    Parameters
+    ----------
+    found : Mismatch
+    stages : mapping of str to sequence of (N, C) arrays
+        Simulated rows per group at "nominal", "retuned" and "extended".
+    """
+    number, rows = _stretch(found, stages)
+    group = found.groups[number]
+    columns = _columns(found, stages, number)
+    figure = Figure(figsize=(4.0 * len(columns) + 1.0, 5.6), layout="constrained")
+    axes = figure.subplots(2, len(columns), sharex=True, squeeze=False, height_ratios=(3, 2))
+    time_s = group.time_s[rows]
+    for place, c in enumerate(columns):
+        above, below = axes[0, place], axes[1, place]
+        above.plot(time_s, group.mean[rows, c], color=BLACK, lw=2.6, label="recorded")
+        for stage, simulated in stages.items():
+            colour = STAGE_COLOURS[stage]
+            above.plot(time_s, simulated[number][rows, c], color=colour, lw=1.0, label=STAGE_NAMES[stage])
+            below.plot(time_s, (group.mean - simulated[number])[rows, c], color=colour, lw=0.9)
+        sigma = float(found.noise.std[c])
+        below.axhspan(-2.0 * sigma, 2.0 * sigma, color="0.85", lw=0, label="noise, ±2 standard deviations")
+        above.set_title(found.channels[c], fontsize="medium")
+        above.set_ylabel(f"[{found.units[c]}]")
+        below.set_ylabel(f"recorded less simulated [{found.units[c]}]")
+        below.set_xlabel("time [s]")
+        for each in (above, below):
+            each.grid(alpha=0.3, lw=0.5)
+    figure.align_ylabels(axes)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    more, names = axes[1, 0].get_legend_handles_labels()
+    figure.legend(handles + more, labels + names, loc="outside lower center", ncols=5, fontsize="small", frameon=False)
+    figure.suptitle(f"{title}: {group.labels[0]}" + (f" and {group.repeats - 1} repeats, mean" if group.repeats > 1 else ""))
+    return figure
+
+
+def _stretch(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]]) -> tuple[int, slice]:
+    """The group and the rows in which the effects change most, in units of noise."""
+    best = (-1.0, 0, slice(0, 1))
+    for number, group in enumerate(found.groups):
+        width = max(LEAST_ROWS, round(SHOWN_s * found.noise.rate_Hz))
+        change = np.sum(((stages["extended"][number] - stages["nominal"][number]) / found.noise.std) ** 2, axis=1)
+        if not np.isfinite(change).all():
+            change = np.zeros(len(group.time_s))
+        width = min(width, len(change))
+        sums = np.concatenate([[0.0], np.cumsum(change)])
+        power = sums[width:] - sums[:-width]
+        start = int(np.argmax(power))
+        if power[start] > best[0]:
+            best = (float(power[start]), number, slice(start, start + width))
+    return best[1], best[2]
+
+
+def _columns(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], number: int) -> list[int]:
+    """One channel of every kind there is."""
+    residual = found.groups[number].mean - stages["nominal"][number]
+    size = np.sqrt(np.mean(residual**2, axis=0)) / found.noise.std
+    chosen = []
+    for kind in KINDS:
+        of_kind = [c for c, name in enumerate(found.channels) if name.startswith(kind)]
+        if of_kind:
+            chosen.append(max(of_kind, key=lambda c: size[c]))
+    return chosen
+
+
+def label_of(found: Mismatch, column: int) -> str:
+    """A channel with its unit."""
+    return channel_label(found.channels[column], found.units[column])
