@@ -17,7 +17,6 @@ from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
-from virtual_bus.settings import EffectSetting
 
 PRIOR = 0.1
 """Standard deviation of a nominal number, as a share of it."""
