@@ -11,6 +11,7 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate, candidates
 from hil.diagnosis.estimates import effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
@@ -112,9 +113,10 @@ def diagnose(
             group = replace(train.groups[largest], simulated=rows[largest])
             return candidates(Motion(machine, values, group, train.channels), train.channels)
 
-        selection = select(runs, tuning, noise, candidates_of, report)
+        judged = HeldOut(runs, tuning) if runs.has_held_out else None
+        selection = select(runs, tuning, judged, noise, candidates_of, report)
         report("weighing", 0.95)
-        hypotheses = _weigh(runs, tuning, selection)
+        hypotheses = _weigh(runs, tuning, judged, selection)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None
         values = tuning.values if chosen is None else tuning.at(chosen.offset)
         effects = () if chosen is None else chosen.settings
@@ -155,25 +157,22 @@ def diagnose(
     return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses)
 
 
-def _weigh(runs: FreeRuns, tuning: Tuning, selection: Selection) -> tuple[Weighed, ...]:
-    measured = runs.measured()
-    residual = measured - tuning.predicted
-    held_out_rows = sum(group.measured.shape[0] * len(group.time_s) for group in runs.sets[HELD_OUT].groups) if runs.has_held_out else 0
-    rows = sum(group.measured.shape[0] * len(group.time_s) for group in runs.sets[TRAIN].groups) + held_out_rows
-    trials = [Trial(tuning.values), *(Trial(tuning.at(fit.offset), fit.settings) for fit in selection.hypotheses)]
-    held_out = [0.0] * len(trials)
-    held_out_noise = 0.0
-    if runs.has_held_out:
-        wanted = runs.measured(HELD_OUT)
-        held_out_noise = float(len(wanted))
-        answers = runs.run(trials, HELD_OUT)
-        held_out = [1e300 if answer is None else float(np.sum((wanted - answer) ** 2)) for answer in answers]
-    base = Weighed(None, float(residual @ residual + tuning.offset @ tuning.offset), held_out[0], 0, 1.0)
+def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
+    """Every set that was fitted, on training and held-out recordings."""
+    residual = runs.measured() - tuning.predicted
+    noise = float(len(residual))
+    misfits = [0.0] * (1 + len(selection.hypotheses))
+    if judged is not None:
+        noise += len(judged.measured)
+        answers = judged.predictions([(fit.offset, fit.settings) for fit in selection.hypotheses])
+        misfits = [judged.misfit(answer) for answer in [judged.base, *answers]]
+    base = Weighed(None, float(residual @ residual + tuning.offset @ tuning.offset), misfits[0], 0, 1.0)
     if selection.chosen is None:
         return (replace(base, confidence=LARGEST_TIE),)
-    sets = [Weighed(fit, fit.cost, misfit, fit.freedom) for fit, misfit in zip(selection.hypotheses, held_out[1:], strict=True)]
+    sets = [Weighed(fit, fit.cost, misfit, fit.freedom) for fit, misfit in zip(selection.hypotheses, misfits[1:], strict=True)]
     cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
-    return tuple(weighed(sets, base, rows, len(measured) + held_out_noise, cap))
+    rows = sum(group.measured.shape[0] * len(group.time_s) for found in runs.sets.values() for group in found.groups)
+    return tuple(weighed(sets, base, rows, noise, cap))
 
 
 def _stages(

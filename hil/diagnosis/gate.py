@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
@@ -37,7 +37,8 @@ SAME_BACKWARDS = 0.5
 """A response whose cosine with itself backwards is larger has no placebo of this kind (a constant has no direction in time)."""
 
 LEAST_SHARE = 0.02
-"""Of the explainable mismatch."""
+LEAST_SHARE_BESIDE = 0.005
+"""Of the explainable mismatch. Beside a larger effect a small one may be explained, but less than an equation's form errs is no effect."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class Gate:
     scatter: float  # variance of the strength over repeats, in units of the noise model's
     held_out_deviations: float | None  # None without held-out recordings
     placebo_gain: float
-    share: float
+    share: float  # of what there is to explain before the first effect
+    is_first: bool
 
     @property
     def significant(self) -> bool:
@@ -65,7 +67,7 @@ class Gate:
 
     @property
     def explains(self) -> bool:
-        return self.share > LEAST_SHARE
+        return self.share > (LEAST_SHARE if self.is_first else LEAST_SHARE_BESIDE)
 
     @property
     def passed(self) -> bool:
@@ -112,18 +114,6 @@ def strength_scatter(runs: FreeRuns, projection: Projection, change: np.ndarray)
         total += float(along @ along)
         free += len(repeats) - 1.0
     return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
-
-
-def held_out_deviations(runs: FreeRuns, without: Trial, extended: Trial) -> float | None:
-    """How far the held-out residual goes along the change that the effect predicts, in units of its noise; None without held-out."""
-    if not runs.has_held_out:
-        return None
-    before, after = runs.run([without, extended], HELD_OUT)
-    if before is None or after is None:
-        return -np.inf
-    change = after - before
-    length = float(np.linalg.norm(change))
-    return float(change @ (runs.measured(HELD_OUT) - before)) / length if length > 0.0 else 0.0
 
 
 def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> float:

@@ -63,8 +63,7 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, rows: int, noise: floa
         Largest confidence.
     """
     best = min(h.misfit for h in hypotheses)
-    removed, left = max(base.misfit - best, 0.0), max(best - noise, 0.0)
-    temper = 1.0 + FORM_ERROR * removed + LEFT_WEIGHT * left
+    temper = temperature(base.misfit - best, best - noise)
     log_rows = np.log(max(rows, 2))
     evidence = np.array([-0.5 * h.misfit / temper - 0.5 * h.freedom * log_rows for h in hypotheses])
     share = np.exp(evidence - evidence.max())
@@ -72,3 +71,8 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, rows: int, noise: floa
     share = np.minimum(share, cap)
     ranked = [Weighed(h.fitted, h.train, h.held_out, h.freedom, float(c)) for h, c in zip(hypotheses, share, strict=True)]
     return sorted(ranked, key=lambda h: -h.confidence)
+
+
+def temperature(removed: float, left: float) -> float:
+    """T, from the energies that the best set removes and leaves above noise."""
+    return 1.0 + FORM_ERROR * max(removed, 0.0) + LEFT_WEIGHT * max(left, 0.0)

@@ -7,7 +7,7 @@ sensitivities of the effects' parameters are taken anew at every step.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.optimize
@@ -15,7 +15,7 @@ import scipy.optimize
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, linearised
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -89,6 +89,14 @@ def refit(
     """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all."""
     fits = [_fit(tuning, measured, names, values, steps) for names, values in starts]
     return together(runs, fits)
+
+
+def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted) -> Fitted:
+    """Fit on, with the tuned numbers' sensitivities taken where the effects are."""
+    at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
+    at = linearised(runs, at, fitted.settings)
+    (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)])
+    return fitted if again is None or again.cost > fitted.cost else again
 
 
 def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitted | None]]) -> list[Fitted | None]:

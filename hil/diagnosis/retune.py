@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.optimize
 
-from hil.diagnosis.free_run import FreeRuns, Trial
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
@@ -137,28 +137,20 @@ def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple
 
 def linearised(runs: FreeRuns, tuning: Tuning, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
     """With the sensitivities at its present values."""
-    sign = np.where(tuning.offset > 0.0, -1.0, 1.0)  # towards nominal: never beyond the bounds
+    return replace(tuning, jacobian=sensitivities(runs, tuning, tuning.predicted, effects))
+
+
+def sensitivities(
+    runs: FreeRuns, tuning: Tuning, predicted: np.ndarray, effects: tuple[EffectSetting, ...] = (), name: str = TRAIN
+) -> np.ndarray:
+    """(M, P) of the whitened free run with the tuned coordinates, by differences towards nominal: never beyond the bounds."""
+    sign = np.where(tuning.offset > 0.0, -1.0, 1.0)
     moved = [tuning.offset + DIFFERENCE * sign[k] * unit for k, unit in enumerate(np.eye(len(tuning.offset)))]
-    answers = runs.run([Trial(tuning.at(offset), effects) for offset in moved])
-    jacobian = np.zeros((len(tuning.predicted), len(moved)))
+    answers = runs.run([Trial(tuning.at(offset), effects) for offset in moved], name)
+    jacobian = np.zeros((len(predicted), len(moved)))
     for k, answer in enumerate(answers):
         if answer is not None:
-            jacobian[:, k] = (answer - tuning.predicted) * (sign[k] / DIFFERENCE)
-    return replace(tuning, jacobian=jacobian)
-
-
-def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> np.ndarray:
-    """(M, P) of the tuned coordinates at an offset and beside effects, by central differences.
-
-    One-sided ones make directions look determined that are not, such as all numbers of a machine scaled alike: the columns are large, and
-    it is their small differences that count.
-    """
-    units = FINE_DIFFERENCE * np.eye(len(offset))
-    answers = runs.run([Trial(tuning.at(offset + way * unit), effects) for unit in units for way in (1.0, -1.0)])
-    jacobian = np.zeros((len(tuning.predicted), len(offset)))
-    for k, (up, down) in enumerate(zip(answers[::2], answers[1::2], strict=True)):
-        if up is not None and down is not None:
-            jacobian[:, k] = (up - down) / (2.0 * FINE_DIFFERENCE)
+            jacobian[:, k] = (answer - predicted) * (sign[k] / DIFFERENCE)
     return jacobian
 
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.free_run import FreeRuns, Trial
-from hil.diagnosis.gate import Gate, held_out_deviations, needed_gain, placebo_gain, strength_scatter
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.gate import Gate, needed_gain, placebo_gain, strength_scatter
+from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.naming import temperature
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import Fitted, refit
+from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, screen
@@ -21,6 +23,9 @@ REFITTED = 8
 
 REFITTED_BESIDE = 5
 """Candidates refitted beside effects that were found already."""
+
+POLISHED = 3
+"""Fits that are continued with sensitivities taken where they are."""
 
 MOST_EFFECTS = 3
 WORTH_A_FIT = 0.02
@@ -54,6 +59,7 @@ class Selection:
 def select(
     runs: FreeRuns,
     tuning: Tuning,
+    held_out: HeldOut | None,
     noise_energy: float,
     candidates_of: Callable[[Fitted | None], Sequence[Candidate]],
     report: Report,
@@ -65,6 +71,7 @@ def select(
     runs : FreeRuns
     tuning : Tuning
         Without effects.
+    held_out : HeldOut or None
     noise_energy : float
         Expected |residual|^2 of a perfect simulation.
     candidates_of : callable
@@ -78,6 +85,7 @@ def select(
     hypotheses: tuple[Fitted, ...] = ()
     first: list[Screened] = []
     present = tuning
+    base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
     for size in range(MOST_EFFECTS):
         report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
         settings = chosen.settings if chosen is not None else ()
@@ -96,8 +104,10 @@ def select(
         fits = [fit for fit in refit(runs, present, measured, starts) if fit is not None]
         if not fits:
             break
-        fits.sort(key=lambda fit: fit.cost + fit.freedom * np.log(len(measured)))
-        gate = _gate(runs, present, chosen, fits[0], screened, residual, noise_energy, len(found))
+        fits.sort(key=lambda fit: fit.cost)
+        fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
+        fits = in_order(fits, base, noise_energy, len(measured))
+        gate = _gate(runs, present, held_out, chosen, fits[0], screened, residual, base - noise_energy, len(found))
         gates.append(gate)
         if not gate.passed:
             break
@@ -112,27 +122,36 @@ def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...
     return (*chosen.effects, added.effect), (*chosen.values, added.values)
 
 
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, rows: int) -> list[Fitted]:
+    """Fitted sets by their evidence on the training recordings, see naming.py."""
+    best = min(fit.cost for fit in fits)
+    temper = temperature(base - best, best - noise_energy)
+    return sorted(fits, key=lambda fit: fit.cost / temper + fit.freedom * np.log(rows))
+
+
 def _gate(
     runs: FreeRuns,
     present: Tuning,
+    held_out: HeldOut | None,
     before: Fitted | None,
     after: Fitted,
     screened: Sequence[Screened],
     residual: np.ndarray,
-    noise_energy: float,
+    explainable: float,
     tried: int,
 ) -> Gate:
-    cost = float(residual @ residual + present.offset @ present.offset)
-    gain = cost - after.cost
+    gain = float(residual @ residual + present.offset @ present.offset) - after.cost
     projection = Projection.of(present)
-    settings = before.settings if before is not None else ()
-    without, extended = Trial(present.values, settings), Trial(present.at(after.offset), after.settings)
-    explainable = max(cost - noise_energy, gain, 1e-9)
+    deviations = None
+    if held_out is not None:
+        settings = before.settings if before is not None else ()
+        deviations = held_out.deviations(*held_out.predictions([(present.offset, settings), (after.offset, after.settings)]))
     return Gate(
         gain=gain,
         needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0)),
         scatter=strength_scatter(runs, projection, after.predicted - present.predicted),
-        held_out_deviations=held_out_deviations(runs, without, extended),
+        held_out_deviations=deviations,
         placebo_gain=placebo_gain(runs, present, screened, residual),
-        share=gain / explainable,
+        share=gain / max(explainable, gain, 1e-9),
+        is_first=before is None,
     )
