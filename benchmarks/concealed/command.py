@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import making, running, scoring
+from concealed import making, mutating, running, scoring
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 
@@ -22,7 +22,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", default="", help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", default="", help="null, single, pair, off; comma between them; all by default")
@@ -39,7 +39,10 @@ def main(arguments: list[str]) -> int:
     if options.step == "make":
         _each(partial(making.make, places), numbers, options.jobs, "make", lambda _number, _row: None)
     if options.step in ("run", "all"):
-        _run(options, places, numbers)
+        path = options.results / f"answers_{options.seeds}.jsonl"
+        _append(path, numbers, partial(running.run_case, places, keep=options.keep), options.jobs)
+    if options.step == "mutate":
+        _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options.jobs)
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results))
     return 0
@@ -54,13 +57,8 @@ def _numbers(options: argparse.Namespace, places: making.Places) -> list[int]:
     return [number for number in numbers if wanted is None or making.stratum_of(number) in wanted]
 
 
-def answers_path(results: Path, seeds: str) -> Path:
-    """One line of JSON a case."""
-    return results / f"answers_{seeds}.jsonl"
-
-
-def _run(options: argparse.Namespace, places: making.Places, numbers: list[int]) -> None:
-    path = answers_path(options.results, options.seeds)
+def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int) -> None:
+    """Do a task for the numbers that have no line yet, and add a line of JSON each."""
     done = {json.loads(line)["number"] for line in path.read_text().splitlines()} if path.exists() else set()
     with path.open("a", encoding="utf-8") as stream:
 
@@ -68,8 +66,7 @@ def _run(options: argparse.Namespace, places: making.Places, numbers: list[int])
             stream.write(json.dumps(row) + "\n")
             stream.flush()
 
-        left = [number for number in numbers if number not in done]
-        _each(partial(running.run_case, places, keep=options.keep), left, options.jobs, "run", keep)
+        _each(task, [number for number in numbers if number not in done], jobs, path.stem, keep)
 
 
 def _each(task: Callable[[int], Any], numbers: Iterable[int], jobs: int, what: str, then: Callable[[int, Any], None]) -> None:

@@ -56,8 +56,7 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
     if answer.exists():
         found = json.loads(answer.read_text(encoding="utf-8"))
         row["diagnosis"] = {key: found[key] for key in JSON_KEPT if key in found}
-        if not keep:
-            row |= _held_out_errors(places, number, found.get("verdict", ""))
+        row |= _held_out_errors(places, number, found.get("verdict", ""))
     if not keep:
         shutil.rmtree(case, ignore_errors=True)
         shutil.rmtree(out, ignore_errors=True)

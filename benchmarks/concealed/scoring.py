@@ -1,5 +1,190 @@
-"""Scoring."""
+"""The score: every bar with its interval, by stratum, and detection and naming over detectability."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from concealed.curves import draw_curves
+from concealed.intervals import calibration, clopper_pearson, upper_bound
+from concealed.judging import Judgement, judge
+from concealed.making import Places, seal
+from concealed.truth.catalogue import INSIDE
+
+EDGES = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, np.inf)
+"""Detectability's bins [standard deviations]."""
 
 
-def score(places, results):
-    return ""
+def score(places: Places, results: Path) -> str:
+    """Score every answered case of a set; write `scores_SEEDS.json` and the figure, return the tables as text."""
+    lines = (results / f"answers_{places.seeds}.jsonl").read_text(encoding="utf-8").splitlines()
+    answers = {answer["number"]: answer for answer in map(json.loads, lines)}
+    judged = []
+    for number, answer in sorted(answers.items()):
+        path = places.truth(number)
+        if seal(path) != answer["truth_sha256"]:
+            raise SystemExit(f"{path}: is not the truth that was sealed when case {number} was answered")
+        judged.append(judge(answer, json.loads(path.read_text(encoding="utf-8"))))
+    bars, strata, curve = _bars(judged), _strata(judged), _curve(judged)
+    commits = sorted({answer["commit"] for answer in answers.values()})
+    table = {"seeds": places.seeds, "cases": len(judged), "commits": commits, "bars": bars, "strata": strata, "curve": curve}
+    table["cases_judged"] = [asdict(each) for each in judged]
+    (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    draw_curves(curve, results / f"detectability_{places.seeds}.svg")
+    return _text(bars, strata, judged)
+
+
+def _share(judged: Sequence[Judgement], hit: Callable[[Judgement], bool]) -> tuple[int, int]:
+    return sum(map(hit, judged)), len(judged)
+
+
+def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
+    """Every bar of the proof: what was measured, its 95 % interval, what is asked, whether it is met."""
+    nulls = [each for each in judged if each.stratum == "null"]
+    inside = [each for each in judged if each.stratum in ("single", "pair")]
+    singles = [each for each in inside if each.stratum == "single" and each.asked]
+    pairs = [each for each in inside if each.stratum == "pair" and each.asked]
+    outside = [each for each in judged if each.stratum == "off"]
+    ambiguous = [each for each in inside if each.ambiguous]
+    confident = [each for each in judged if each.confident]
+    covered = [hit for each in inside for hit in each.covered]
+    bars = []
+
+    def proportion(name: str, hits: int, n: int, asked: str, met: Callable[[float, float, float], bool]) -> None:
+        low, high = clopper_pearson(hits, n)
+        value = hits / n if n else float("nan")
+        bars.append(
+            {
+                "bar": name,
+                "value": value,
+                "hits": hits,
+                "n": n,
+                "ci95": [low, high],
+                "asked": asked,
+                "met": bool(n and met(value, low, high)),
+            }
+        )
+
+    def median(name: str, values: list[float], asked: float) -> None:
+        value = float(np.median(values)) if values else float("nan")
+        bars.append(
+            {"bar": name, "value": value, "n": len(values), "asked": f">= {asked:g} in the median", "met": bool(values and value >= asked)}
+        )
+
+    alarms = sum(each.alarm for each in nulls)
+    proportion(
+        "false alarms on nulls, one-sided upper bound",
+        alarms,
+        len(nulls),
+        "<= 5 % (upper bound)",
+        lambda *_: upper_bound(alarms, len(nulls)) <= 0.05,
+    )
+    bars[-1]["upper_bound"] = upper_bound(alarms, len(nulls))
+    for name, group in (("single effects", singles), ("pairs", pairs)):
+        proportion(
+            f"top name right, {name} the oracle separates",
+            *_share(group, lambda each: each.right),
+            ">= 85 %",
+            lambda value, *_: value >= 0.85,
+        )
+        proportion(
+            f"right among three, {name} the oracle separates",
+            *_share(group, lambda each: each.among_three),
+            ">= 95 %",
+            lambda value, *_: value >= 0.95,
+        )
+    proportion(
+        "confidently wrong, effects of the catalogue", *_share(inside, lambda each: each.wrong), "<= 3 %", lambda value, *_: value <= 0.03
+    )
+    proportion("wrong among all confident answers", *_share(confident, lambda each: each.wrong), "not asked", lambda *_: True)
+    proportion(
+        "off the catalogue, confidently misnamed", *_share(outside, lambda each: each.confident), "<= 5 %", lambda value, *_: value <= 0.05
+    )
+    proportion(
+        "ambiguous sets hold the truth", *_share(ambiguous, lambda each: each.holds_truth), ">= 95 %", lambda value, *_: value >= 0.95
+    )
+    proportion("95 % intervals cover", sum(covered), len(covered), "90 to 98 %", lambda value, *_: 0.90 <= value <= 0.98)
+    located = [each for each in judged if each.channel_right is not None]
+    proportion(
+        "location: channel right", *_share(located, lambda each: bool(each.channel_right)), ">= 95 %", lambda value, *_: value >= 0.95
+    )
+    for dimension in ("time", "position", "frequency"):
+        median(f"location: overlap in {dimension}", [each.overlap[dimension] for each in located if dimension in each.overlap], 0.6)
+    median("removed share of the oracle's", [each.removed for each in inside if each.removed is not None], 0.9)
+    claimed = [each for each in judged if each.findings and each.alarm]
+    bins = calibration([each.confidence for each in claimed], [each.right for each in claimed])
+    bars.append(
+        {
+            "bar": "confidence calibrated, five bins",
+            "n": len(claimed),
+            "bins": bins,
+            "asked": "all inside the band",
+            "met": bool(bins) and all(each["inside"] for each in bins),
+        }
+    )
+    return bars
+
+
+def _strata(judged: list[Judgement]) -> list[dict[str, Any]]:
+    groups: dict[tuple[str, str], list[Judgement]] = {}
+    for each in judged:
+        groups.setdefault((each.stratum, each.condition), []).append(each)
+    sensors = [each for each in judged if each.stratum == "single" and INSIDE[each.kinds[0].split("@")[0]].sensor]
+    if sensors:
+        groups["single", "sensor only (of all singles)"] = sensors
+    rows = []
+    for (stratum, condition), group in sorted(groups.items()):
+        verdicts = {verdict: sum(each.verdict == verdict for each in group) for verdict in sorted({each.verdict for each in group})}
+        asked = [each for each in group if each.asked]
+        rows.append({
+            "stratum": stratum, "condition": condition, "n": len(group), "alarms": sum(each.alarm for each in group),
+            "asked": len(asked), "right": sum(each.right for each in asked), "wrong": sum(each.wrong for each in group),
+            "verdicts": verdicts,
+        })  # fmt: skip
+    return rows
+
+
+def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
+    """Detection over detectability, naming over the distance to the nearest other name, single effects."""
+    singles = [each for each in judged if each.stratum == "single" and each.condition not in ("little", "uncovered")]
+    rows = []
+    for low, high in pairwise(EDGES):
+        detected = [each for each in singles if low <= each.detectability < high]
+        named = [each for each in singles if low <= (each.detectability if each.tuned else each.separation) < high]
+        rows.append({
+            "from": low, "to": high if np.isfinite(high) else None,
+            "detected": [sum(each.found for each in detected), len(detected)], "named": [sum(each.right for each in named), len(named)],
+        })  # fmt: skip
+    return rows
+
+
+def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list[Judgement]) -> str:
+    lines = ["| bar | measured | 95 % interval | cases | asked | met |", "|---|---|---|---|---|---|"]
+    for bar in bars:
+        if "bins" in bar:
+            value, interval = " ".join(f"{each['right']:.2f}/{each['confidence']:.2f}" for each in bar["bins"]), "right/said per bin"
+        elif "ci95" in bar:
+            value = f"{100 * bar['value']:.1f} %" if bar["n"] else "-"
+            interval = f"{100 * bar['ci95'][0]:.1f} to {100 * bar['ci95'][1]:.1f} %" + (
+                f", upper {100 * bar['upper_bound']:.1f} %" if "upper_bound" in bar else ""
+            )
+        else:
+            value, interval = f"{bar['value']:.2f}", ""
+        lines.append(f"| {bar['bar']} | {value} | {interval} | {bar['n']} | {bar['asked']} | {'yes' if bar['met'] else 'no'} |")
+    lines += [
+        "",
+        "| stratum | condition | cases | alarms | name asked | right | confidently wrong | verdicts |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in strata:
+        verdicts = ", ".join(f"{verdict} {count}" for verdict, count in row["verdicts"].items())
+        cells = [row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")]
+        lines.append("| " + " | ".join(map(str, [*cells, verdicts])) + " |")
+    lines += ["", f"{len(judged)} cases; median {np.median([each.seconds for each in judged]):.1f} s each"]
+    return "\n".join(lines)

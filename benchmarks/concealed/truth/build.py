@@ -195,7 +195,7 @@ def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup) -> dict[st
     answer["held_out_detectability"] = float(np.linalg.norm(held_units(seen["held_out"])))
     answer["removable_rms"] = dict(zip(case.channels, np.sqrt(np.mean(seen["held_out"] ** 2, axis=0)).tolist(), strict=True))
     positions = shop.answer(setup, shop.training).q[:, [Plant(machine, setup).dof(machine.joint_of[axis]) for axis in machine.axes]]
-    answer["location"] = location(seen["train"], units, machine.rate_Hz, positions, list(case.channels), machine.axes)
+    answer["location"] = location(effect["train"], units, machine.rate_Hz, positions, list(case.channels), machine.axes)
     answer["each"] = [_apart(shop, chosen, index, base["train"], units, columns) for index in range(len(chosen))]
     return answer
 

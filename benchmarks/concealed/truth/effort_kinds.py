@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from concealed.truth import joint_physics as physics
-from concealed.truth.kinds import Kind, Shape, axes, effort, no_shape, number, other_axis, paired_axes, sprung_axes, turning_axes
+from concealed.truth.kinds import Kind, Shape, axes, effort, inertia, no_shape, number, other_axis, paired_axes, sprung_axes, turning_axes
 from concealed.truth.plant import Machine, Setup
 
 
@@ -113,11 +113,6 @@ def _mode(setup: Setup, machine: Machine, axis: str, shape: Shape, s: float) -> 
     if s:
         w = 2.0 * math.pi * shape["f"]
         _at(setup, machine, axis, physics.ADDED_MODE, [s, s * w * w, 2.0 * shape["zeta"] * w * s])
-
-
-def inertia(share: float):  # type: ignore[no-untyped-def]
-    """A share of the inertia that a joint alone accelerates."""
-    return lambda machine, axis: share * machine.inertias[machine.joint_of[axis]]
 
 
 def _stop_shape(rng: np.random.Generator, machine: Machine, axis: str) -> Shape:

@@ -64,7 +64,8 @@ def _moves(
     reference[: len(way)] = way
     if end < samples:  # jog under the multisine, so that the axis does not stick
         t = np.arange(samples - end) / machine.rate_Hz
-        reference[end:] += _inward(reference[end], low, high) * 0.12 * (high - low) * np.sin(np.pi * rng.uniform(0.2, 0.35) * t) ** 2
+        jog = 0.45 if experiment.kind == "multisine" else 0.12
+        reference[end:] += _inward(reference[end], low, high) * jog * (high - low) * np.sin(np.pi * rng.uniform(0.2, 0.35) * t) ** 2
     return _smooth(
         _smooth(reference, machine.rate_Hz, top / _limit(machine, axis, "acceleration")), machine.rate_Hz, SMOOTHING_S
     ), excitation
@@ -79,13 +80,13 @@ def _way(
 ) -> np.ndarray:
     """Moves between turning points at constant speeds, short rests between them."""
     at, pieces, total = start, [np.full(round(0.3 * rate_Hz), start)], round(0.3 * rate_Hz)
-    speeds = {"sweeps": (0.12, 0.3, 0.7), "steps": (0.9, 0.9, 0.9), "mixed": (0.15, 0.45, 0.9), HELD_OUT: (0.5, 0.2, 0.8)}.get(
+    speeds = {"sweeps": (0.12, 0.3, 0.7), "steps": (0.9, 0.9, 0.9), "mixed": (0.6, 0.15, 0.9), HELD_OUT: (0.5, 0.2, 0.8)}.get(
         kind, (0.3, 0.3, 0.3)
     )
     number = 0
     while total < samples and kind != "multisine":
         speed = speeds[(number // 2) % 3] * top * rng.uniform(0.85, 1.15)
-        short = kind == "steps" or speed < 0.25 * top
+        short = (kind == "steps" and number > 1) or speed < 0.25 * top
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         far = middle + half * (rng.uniform(0.1, 0.5) if short else rng.uniform(0.8, 1.0)) * (1.0 if number % 2 else -1.0)
         if speed < 0.25 * top:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from concealed.truth import joint_physics as physics
-from concealed.truth.kinds import Kind, Shape, axes, effort, heavy_axes, no_shape, number, paired_axes
+from concealed.truth.kinds import Kind, Shape, axes, effort, heavy_axes, inertia, no_shape, number, paired_axes
 from concealed.truth.plant import STEP_S, Machine, Setup
 
 STIFF, SOFT = 4, 8
@@ -195,5 +195,5 @@ OUTSIDE = (
     Kind("friction_growing_with_travel", (), axes, _wear_shape, _wear, effort(0.3), effort(4.0)),
     Kind("stick_event", (), axes, _window_shape, _window, effort(0.3), effort(4.0)),
     Kind("friction_by_other_axis_speed", (), paired_axes, no_shape, _cross, per_speed(0.3), per_speed(8.0)),
-    Kind("friction_by_acceleration", (), axes, no_shape, _accelerated, per_speed(0.1), per_speed(4.0)),
+    Kind("friction_by_acceleration", (), axes, no_shape, _accelerated, inertia(0.05), inertia(0.4)),
 )

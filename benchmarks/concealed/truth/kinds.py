@@ -112,3 +112,8 @@ def effort(share: float) -> Callable[[Machine, str], float]:
 def number(value: float) -> Callable[[Machine, str], float]:
     """The same everywhere."""
     return lambda _machine, _place: value
+
+
+def inertia(share: float) -> Callable[[Machine, str], float]:
+    """A share of the inertia that a joint alone accelerates."""
+    return lambda machine, axis: share * machine.inertias[machine.joint_of[axis]]

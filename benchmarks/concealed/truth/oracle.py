@@ -77,15 +77,15 @@ def left_over(target: np.ndarray, columns: Sequence[np.ndarray]) -> float:
 def location(
     effect: np.ndarray, units: NoiseUnits, rate_Hz: float, positions: np.ndarray, channels: list[str], axes: list[str]
 ) -> dict[str, object]:
-    """Where an effect (N, C) exceeds the noise of the mean of the repeats: channels' shares, times, frequencies, positions."""
+    """Where the difference that an effect makes (N, C) exceeds one repeat's noise: channels' shares, times, frequencies, positions."""
     spectrum = np.abs(np.fft.rfft(effect / units.std * units.taper[:, None], axis=0)) ** 2 / units.samples
     power = (spectrum[1:] / units.density[1:]).sum(axis=0)
     shares = power / max(power.sum(), 1e-300)
-    ratio = (effect / units.std) ** 2 * units.repeats
+    ratio = (effect / units.std) ** 2
     width = max(1, round(WINDOW_S * rate_Hz))
     smooth = np.apply_along_axis(lambda y: np.convolve(y, np.ones(width) / width, mode="same"), 0, ratio)
     in_time = (smooth > 1.0).any(axis=1)
-    lines = np.apply_along_axis(lambda y: np.convolve(y, np.ones(5) / 5.0, mode="same"), 0, spectrum / units.density * units.repeats)
+    lines = np.apply_along_axis(lambda y: np.convolve(y, np.ones(5) / 5.0, mode="same"), 0, spectrum / units.density)
     in_frequency = (lines > 1.0).any(axis=1)
     frequency = np.fft.rfftfreq(units.samples, 1.0 / rate_Hz)
     where = {}

@@ -1,0 +1,183 @@
+"""One answer against its truth: what is right, wrong, abstained, covered, located."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+QUIET = ("consistent", "retuned", "inconclusive")
+"""Verdicts that claim no missing physics."""
+
+HIDDEN_FROM_NAMING = ("uncovered", "little")
+"""Conditions under which nobody is asked for a name."""
+
+DURATION_S = 10.0
+LOWEST_Hz, HIGHEST_Hz = 0.1, 100.0
+"""Frequencies are compared in octaves between a recording's lowest line and half the sample rate of most machines."""
+
+CHANNEL_SHARE = 0.5
+"""A channel is right that holds at least this share of what the truest channel holds."""
+
+ENOUGH_TO_REMOVE = 0.05
+"""Excess of the squared misfit over noise, from which on a removed share means something."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the scorer makes of one case."""
+
+    number: int
+    stratum: str
+    condition: str
+    machine: str
+    kinds: tuple[str, ...]
+    verdict: str
+    findings: tuple[str, ...]
+    seconds: float
+    detectability: float
+    separation: float
+    tuned: bool
+    asked: bool  # the oracle can tell the names
+    alarm: bool
+    found: bool  # alarm, or the right verdict of a tuned parameter
+    right: bool
+    among_three: bool
+    wrong: bool  # explained, and something named that is not there
+    confident: bool
+    ambiguous: bool
+    holds_truth: bool
+    confidence: float
+    covered: tuple[bool, ...]
+    channel_right: bool | None
+    overlap: dict[str, float]
+    removed: float | None
+
+
+def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
+    """Judge one line of answers by its truth."""
+    diagnosis = answer.get("diagnosis") or {}
+    verdict = diagnosis.get("verdict", "none")
+    findings = diagnosis.get("findings") or []
+    effects = truth["effects"]
+    each = truth.get("each", [])
+    named = bool(effects) and all(effect["accepted"] for effect in effects)
+    tuned = named and all(effect["tuned"] for effect in effects)
+    detectability = truth.get("raw_detectability" if tuned else "detectability", 0.0)
+    separation = min((min([*one["distances"].values(), one["detectability"]]) for one in each), default=0.0)
+    asked = bool(effects) and truth["condition"] not in HIDDEN_FROM_NAMING and all(one["separable"] for one in each)
+    if tuned:
+        asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= 5.0
+    alarm = verdict not in (*QUIET, "none")
+    by_tuning = tuned and verdict == "retuned"
+    sets = [findings] if findings else []
+    ranked = [hypothesis["effects"] for hypothesis in diagnosis.get("hypotheses") or []]
+    right = by_tuning or (alarm and verdict != "unknown_physics" and named and bool(sets) and _matches(findings, effects))
+    three = right or (alarm and named and any(_matches(some, effects) for some in ranked[:3]))
+    wrong = verdict == "explained" and any(not any(_accepts(effect, finding) for effect in effects) for finding in findings)
+    possible = [*findings, *(other for finding in findings for other in finding.get("ambiguous_with", []))]
+    return Judgement(
+        number=truth["number"],
+        stratum=truth["stratum"],
+        condition=truth["condition"],
+        machine=truth["machine"],
+        kinds=tuple(f"{effect['kind']}@{effect['at']}" for effect in effects),
+        verdict=verdict,
+        findings=tuple(f"{finding['effect']}@{finding['at']}" for finding in findings),
+        seconds=float(answer.get("wall_s", 0.0)),
+        detectability=detectability,
+        separation=separation,
+        tuned=tuned,
+        asked=asked,
+        alarm=alarm,
+        found=alarm or by_tuning,
+        right=right,
+        among_three=three,
+        wrong=wrong,
+        confident=verdict == "explained",
+        ambiguous=verdict == "ambiguous",
+        holds_truth=named and all(any(_accepts(effect, other) for other in possible) for effect in effects),
+        confidence=max((float(finding.get("confidence", 0.0)) for finding in findings[:1]), default=0.0),
+        covered=tuple(_coverage(findings, effects)),
+        channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,
+        overlap=_overlap(diagnosis, truth) if alarm and asked else {},
+        removed=_removed(answer, truth) if asked and named else None,
+    )
+
+
+def _accepts(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
+    return finding["effect"] in effect["accepted"] and finding["at"] in effect["accepted_at"]
+
+
+def _matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bool:
+    """Every effect has a finding of its own, and no finding is left over."""
+    if len(findings) != len(effects):
+        return False
+    if len(effects) == 1:
+        return _accepts(effects[0], findings[0])
+    (a, b), (x, y) = effects, findings
+    return (_accepts(a, x) and _accepts(b, y)) or (_accepts(a, y) and _accepts(b, x))
+
+
+def _coverage(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> Iterable[bool]:
+    """Whether intervals of parameters that mean the same in both equations hold the truth."""
+    for effect in effects:
+        for finding in findings:
+            if finding["effect"] != effect["kind"] or not _accepts(effect, finding):
+                continue
+            for name, value in effect["compare"].items():
+                interval = finding.get("parameters", {}).get(name, {}).get("ci95")
+                if interval:
+                    yield bool(interval[0] <= value <= interval[1])
+
+
+def _channel_right(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
+    said, true = diagnosis.get("location", {}).get("channels") or {}, truth["location"]["channels"]
+    known = {name: share for name, share in said.items() if name in true}
+    if not known:
+        return False
+    top = max(known, key=lambda name: known[name])
+    return bool(true[top] >= CHANNEL_SHARE * max(true.values()))
+
+
+def _overlap(diagnosis: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+    """Intersection over union in time, frequency and position; what is left out is everywhere."""
+    said, true = diagnosis.get("location", {}), truth["location"]
+    overlap = {}
+    if true["time_s"]:
+        runs = [intervals for name, intervals in (said.get("time_s") or {}).items() if "held_out" not in name]
+        everywhere = [[[0.0, DURATION_S]]]
+        overlap["time"] = float(np.mean([_iou(intervals, true["time_s"]) for intervals in (runs or everywhere)]))
+    if true["frequency_hz"]:
+        overlap["frequency"] = _iou(_octaves(said.get("frequency_hz") or [[0.0, HIGHEST_Hz]]), _octaves(true["frequency_hz"]))
+    axis = next((effect["at"] for effect in truth["effects"] if effect["at"] in true["position"]), None)
+    if axis and true["position"][axis]["intervals"]:
+        visited = true["position"][axis]["visited"]
+        overlap["position"] = _iou((said.get("position") or {}).get(axis) or [visited], true["position"][axis]["intervals"])
+    return overlap
+
+
+def _octaves(intervals: list[list[float]]) -> list[list[float]]:
+    return [[float(np.log2(np.clip(edge, LOWEST_Hz, HIGHEST_Hz))) for edge in interval] for interval in intervals]
+
+
+def _iou(first: list[list[float]], second: list[list[float]]) -> float:
+    """Intersection over union of two unions of intervals."""
+    edges = np.unique([edge for intervals in (first, second) for interval in intervals for edge in interval])
+    middles, widths = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    inside = [np.any([(low <= middles) & (middles <= high) for low, high in intervals], axis=0) for intervals in (first, second)]
+    union = float(widths[inside[0] | inside[1]].sum())
+    return float(widths[inside[0] & inside[1]].sum()) / union if union else 0.0
+
+
+def _removed(answer: dict[str, Any], truth: dict[str, Any]) -> float | None:
+    """Share of what the oracle could remove from the re-tuned machine's held-out misfit, in the truth's own noise units."""
+    errors, noise = answer.get("held_out_rms") or {}, truth["held_out_noise_rms"]
+    if "retuned" not in errors or "extended" not in errors:
+        return None
+    channels = [name for name in noise if name in errors["retuned"] and noise[name] > 0.0]
+    squares = {name: float(np.mean([(errors[name][channel] / noise[channel]) ** 2 for channel in channels])) for name in errors}
+    excess = squares["retuned"] - 1.0
+    return (squares["retuned"] - squares["extended"]) / excess if excess > ENOUGH_TO_REMOVE else None

@@ -1,0 +1,106 @@
+"""The scorer: intervals against tables, one answer against its truth, calibration of a tool that is calibrated and of one that is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+
+def test_clopper_pearson_gives_the_published_limits():
+    from concealed.intervals import clopper_pearson, upper_bound
+
+    assert clopper_pearson(4, 20) == pytest.approx((0.0573, 0.4366), abs=1e-4)  # Newcombe 1998 quotes the exact interval's kind
+    assert upper_bound(0, 300) == pytest.approx(1.0 - 0.05 ** (1.0 / 300.0))  # closed form for no hits
+    assert upper_bound(0, 300) < 0.0100
+    assert clopper_pearson(0, 10)[0] == 0.0 and clopper_pearson(10, 10)[1] == 1.0
+
+
+def test_a_calibrated_tool_is_inside_the_band_and_a_boasting_one_is_not():
+    from concealed.intervals import calibration
+
+    rng = np.random.default_rng(3)
+    said = rng.uniform(0.2, 1.0, 400)
+    assert all(part["inside"] for part in calibration(said, rng.random(400) < said))
+    assert not any(part["inside"] for part in calibration(said, rng.random(400) < said - 0.2))
+
+
+def finding(effect, at, interval=(11.0, 13.0), others=()):
+    return {
+        "effect": effect, "at": at, "confidence": 0.9,
+        "parameters": {"Fc": {"value": 12.0, "unit": "Nm", "ci95": list(interval)}},
+        "ambiguous_with": [{"effect": other, "at": at} for other in others],
+    }  # fmt: skip
+
+
+def truth(**changes):
+    effect = {
+        "kind": "coulomb_friction", "at": "roll", "accepted_at": ["roll", "position_roll"], "accepted": ["coulomb_friction"],
+        "tuned": False, "compare": {"Fc": 12.5},
+    }  # fmt: skip
+    location = {
+        "channels": {"current_roll": 0.9, "position_roll": 0.1}, "time_s": [[0.0, 4.0]], "frequency_hz": [[0.0, 5.0]],
+        "position": {"roll": {"intervals": [[0.0, 1.0]], "visited": [-1.0, 1.0]}},
+    }  # fmt: skip
+    each = [{"detectability": 20.0, "distances": {"viscous_friction": 9.0}, "separable": True}]
+    return {
+        "number": 3, "stratum": "single", "condition": "plain", "machine": "carm", "effects": [effect], "each": each, "detectability": 20.0,
+        "location": location, "held_out_noise_rms": {"current_roll": 0.01, "position_roll": 1e-5},
+    } | changes  # fmt: skip
+
+
+def answer(verdict, findings, **more):
+    diagnosis = {"verdict": verdict, "findings": findings, "hypotheses": [], "location": more.pop("location", {})}
+    return {"number": 3, "wall_s": 1.0, "diagnosis": diagnosis} | more
+
+
+def test_the_right_name_at_the_right_place_is_right():
+    from concealed.judging import judge
+
+    judged = judge(answer("explained", [finding("coulomb_friction", "roll")]), truth())
+    assert (judged.asked, judged.right, judged.wrong, judged.covered) == (True, True, False, (True,))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "findings", "right", "wrong"),
+    [
+        ("explained", [finding("viscous_friction", "roll")], False, True),
+        ("explained", [finding("coulomb_friction", "propeller")], False, True),
+        ("explained", [finding("coulomb_friction", "roll"), finding("delay", "roll")], False, True),
+        ("ambiguous", [finding("viscous_friction", "roll", others=["coulomb_friction"])], False, False),
+        ("unknown_physics", [], False, False),
+        ("consistent", [], False, False),
+    ],
+)
+def test_what_is_not_right(verdict, findings, right, wrong):
+    from concealed.judging import judge
+
+    judged = judge(answer(verdict, findings), truth())
+    assert (judged.right, judged.wrong) == (right, wrong)
+    assert judged.holds_truth is (verdict == "ambiguous") or "coulomb_friction@roll" in judged.findings
+
+
+def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue():
+    from concealed.judging import judge
+
+    null = truth(stratum="null", effects=[], each=[])
+    assert judge(answer("unknown_physics", []), null).alarm
+    assert not judge(answer("retuned", []), null).alarm
+    off = truth(stratum="off", effects=[{**truth()["effects"][0], "kind": "sloshing_mass", "accepted": []}])
+    judged = judge(answer("explained", [finding("coulomb_friction", "roll")]), off)
+    assert judged.confident and judged.wrong and not judged.right
+
+
+def test_removed_share_and_overlap():
+    from concealed.judging import judge
+
+    rms = {"retuned": {"current_roll": 0.03, "position_roll": 1e-5}, "extended": {"current_roll": 0.01, "position_roll": 1e-5}}
+    location = {
+        "channels": {"current_roll": 0.8, "position_roll": 0.2}, "time_s": {"run_1": [[2.0, 6.0]]}, "frequency_hz": [[0.0, 10.0]],
+        "position": {"roll": [[0.0, 1.0]]},
+    }  # fmt: skip
+    judged = judge(answer("explained", [finding("coulomb_friction", "roll")], location=location, held_out_rms=rms), truth())
+    assert judged.removed == pytest.approx(1.0)  # (5 - 1) / (5 - 1)
+    assert judged.channel_right
+    assert judged.overlap["time"] == pytest.approx(2.0 / 6.0)
+    assert judged.overlap["frequency"] == pytest.approx(np.log2(50.0) / np.log2(100.0))
+    assert judged.overlap["position"] == pytest.approx(1.0)

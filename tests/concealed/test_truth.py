@@ -1,0 +1,114 @@
+"""The truth stands apart from the tool, and without hidden physics both see the same machine."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TRUTH = Path(__file__).parents[2] / "benchmarks" / "concealed" / "truth"
+
+
+def test_the_truth_imports_none_of_the_four_packages():
+    imported = set()
+    for path in TRUTH.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {name.name.split(".")[0] for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported |= {".".join(node.module.split(".")[:2]) if node.module.startswith("concealed") else node.module.split(".")[0]}
+    assert not imported & {"hil", "drivers", "controllers", "virtual_bus"}
+    assert {name for name in imported if name.startswith("concealed")} == {"concealed.truth"}
+
+
+# Both loops round positions and targets to lattices, so efforts differ by a few of their steps; the IMU's high frequencies carry that on.
+LARGEST_NRMSE = {"current": 0.01, "effort": 0.002, "position": 2e-4, "link": 2e-4, "imu": 0.015, "gyro": 2e-3}
+
+
+@pytest.mark.parametrize("name", ["tilted_arm", "slider", "pan_tilt", "spring_mass", "carm"])
+def test_without_hidden_physics_the_simulation_gives_the_same_recording(machines, tmp_path, name):
+    from concealed.truth.experiments import Experiment, plan
+    from concealed.truth.plant import Plant, Setup
+    from concealed.truth.writing import write_recording
+
+    from hil.machine import load_machine
+    from hil.recording import read_recording
+    from hil.simulation import simulate
+
+    machine = machines[name]
+    drive = plan(machine, Experiment("mixed", 3, duration_s=6.0))
+    answer = Plant(machine, Setup()).run(drive)
+    columns = {"time": np.arange(len(drive.reference)) / machine.rate_Hz}
+    for i, axis in enumerate(machine.axes):
+        if machine.closed:
+            columns |= {f"reference_{axis}": drive.reference[:, i], f"excitation_{axis}": drive.excitation[:, i]}
+        columns[f"command_{axis}"] = answer.command[:, i]
+    write_recording(
+        tmp_path / "run.csv", machine, columns | answer.channels, {"start_pose": drive.start.tolist()}, answer.controller_states
+    )
+    recorded = read_recording(tmp_path / "run.csv")
+    simulated = simulate(load_machine(str(machine.path)), recorded)
+    compared = 0
+    for channel in machine.channels():
+        spread = float(np.std(recorded[channel]))
+        if spread > 1e-9:
+            error = float(np.std(recorded[channel] - simulated[channel])) / spread
+            assert error < LARGEST_NRMSE[channel.split("_")[0]], (channel, error)
+            compared += 1
+    assert compared >= 2
+
+
+def test_every_kind_of_physics_changes_some_channel_and_strength_zero_changes_none(machines):
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.experiments import Experiment, plan
+    from concealed.truth.plant import Plant, Setup
+    from concealed.truth.sensor_kinds import read
+
+    drives = {name: plan(machine, Experiment("mixed", 5)) for name, machine in machines.items()}
+
+    def seen(machine, kind, place, shape, strength):
+        setup = Setup()
+        kind.add(setup, machine, place, shape, strength)
+        answer = Plant(machine, setup).run(drives[machine.name], lattices=False)
+        assert not answer.failed
+        return read(setup, answer.channels, machine.rate_Hz, np.random.default_rng(1))
+
+    silent, loud = [], []
+    bases = {}
+    for kind in KINDS.values():
+        name, machine = next((name, machine) for name, machine in machines.items() if kind.places(machine))
+        place = kind.places(machine)[0]
+        shape = kind.draw(np.random.default_rng(2), machine, place)
+        if name not in bases:
+            bases[name] = Plant(machine, Setup()).run(drives[name], lattices=False).channels
+        changed = seen(machine, kind, place, shape, 0.5 * kind.largest(machine, place))
+        if not any(np.abs(changed[channel] - bases[name][channel]).max() > 1e-7 for channel in machine.channels()):
+            silent.append(kind.name)
+        nothing = seen(machine, kind, place, shape, 0.0)
+        if any(not np.array_equal(nothing[channel], bases[name][channel]) for channel in machine.channels()):
+            loud.append(kind.name)
+    assert silent == []
+    assert loud == []
+
+
+def test_coulomb_friction_costs_its_level_in_each_direction(machines):
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.plant import Drive, Plant, Setup
+
+    machine = machines["slider"]
+    t = np.arange(1600) / machine.rate_Hz
+    reference = (0.2 * np.abs((t / 4.0 + 0.5) % 2.0 - 1.0) - 0.1)[:, None]  # 0.05 m/s down and up
+    efforts = []
+    for strength in (0.0, 6.0):
+        setup = Setup()
+        KINDS["coulomb_friction"].add(setup, machine, "carriage", {}, strength)
+        answer = Plant(machine, setup).run(Drive(reference, np.zeros_like(reference), reference[0]), lattices=False)
+        efforts.append(answer.channels["effort_carriage"])
+    added = (efforts[1] - efforts[0]) * machine.gear[0]
+    speed = np.gradient(reference[:, 0], t)
+    steady = {sign: (np.sign(speed) == sign) & (np.abs((t + 2.0) % 4.0 - 3.5) < 0.3) for sign in (-1.0, 1.0)}
+    for sign, rows in steady.items():
+        assert rows.sum() > 50
+        assert np.mean(added[rows]) == pytest.approx(6.0 * sign, rel=0.05)
