@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from hil.diagnosis.free_run import HELD_OUT, FreeRuns, Trial
-from hil.diagnosis.retune import Tuning, sensitivities
+from hil.diagnosis.retune import Tuning, quick_sensitivities
 from virtual_bus.settings import EffectSetting
 
 
@@ -29,7 +29,7 @@ class HeldOut:
         self.measured = runs.measured(HELD_OUT)
         base = runs.run_one(Trial(tuning.values), HELD_OUT)
         self.base = np.zeros_like(self.measured) if base is None else base
-        self._jacobian = sensitivities(runs, tuning, self.base, (), HELD_OUT)
+        self._jacobian = quick_sensitivities(runs, tuning, self.base, (), HELD_OUT)
         precision = np.linalg.inv(tuning.covariance) if len(tuning.offset) else np.eye(0)
         self._factor = scipy.linalg.cho_factor(self._jacobian.T @ self._jacobian + precision)
 

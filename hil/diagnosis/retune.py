@@ -137,10 +137,10 @@ def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple
 
 def linearised(runs: FreeRuns, tuning: Tuning, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
     """With the sensitivities at its present values."""
-    return replace(tuning, jacobian=sensitivities(runs, tuning, tuning.predicted, effects))
+    return replace(tuning, jacobian=quick_sensitivities(runs, tuning, tuning.predicted, effects))
 
 
-def sensitivities(
+def quick_sensitivities(
     runs: FreeRuns, tuning: Tuning, predicted: np.ndarray, effects: tuple[EffectSetting, ...] = (), name: str = TRAIN
 ) -> np.ndarray:
     """(M, P) of the whitened free run with the tuned coordinates, by differences towards nominal: never beyond the bounds."""
@@ -151,6 +151,21 @@ def sensitivities(
     for k, answer in enumerate(answers):
         if answer is not None:
             jacobian[:, k] = (answer - predicted) * (sign[k] / DIFFERENCE)
+    return jacobian
+
+
+def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> np.ndarray:
+    """(M, P) of the tuned coordinates at an offset and beside effects, by central differences.
+
+    One-sided ones make directions look determined that are not, such as all numbers of a machine scaled alike: the columns are large, and
+    it is their small differences that count.
+    """
+    units = FINE_DIFFERENCE * np.eye(len(offset))
+    answers = runs.run([Trial(tuning.at(offset + way * unit), effects) for unit in units for way in (1.0, -1.0)])
+    jacobian = np.zeros((len(tuning.predicted), len(offset)))
+    for k, (up, down) in enumerate(zip(answers[::2], answers[1::2], strict=True)):
+        if up is not None and down is not None:
+            jacobian[:, k] = (up - down) / (2.0 * FINE_DIFFERENCE)
     return jacobian
 
 
