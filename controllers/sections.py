@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.signal
-from numba import njit
 
+from controllers.compiled import kept_on_disk
 from controllers.errors import DesignError
 
 INTEGRATOR_TOLERANCE = 1e-9
@@ -18,7 +18,7 @@ STEADY_TOLERANCE = 1e-9
 """Relative residual up to which a standstill state counts as solved."""
 
 # Left unsaid, fast math would be inherited from the first compiled caller, and numba's cache would hand its roundings to everybody.
-exactly_compiled = njit(cache=True, fastmath=False)
+exactly_compiled = kept_on_disk(fastmath=False)
 
 
 @exactly_compiled
@@ -60,8 +60,6 @@ def feedback_step(
     out: np.ndarray,
 ) -> int:
     """One sample of every axis, u = C_r r - C_y y + w + feedforward; callable from other compiled functions. See `controllers.feedback`.
-
-    It stands beside `sections_step` because numba's cache does not see a change in another file.
 
     Parameters
     ----------

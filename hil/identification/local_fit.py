@@ -15,8 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from controllers.compiled import kept_on_disk
+
+quickly_compiled = kept_on_disk(fastmath=True, error_model="numpy")
 LANES = 8  # problems side by side: one AVX-512 register of doubles, two of AVX2
 DEPENDENT = 1e-20  # squared length left of a scaled column (1e-10 of it) below which it counts as dependent on the columns before
 
@@ -76,7 +78,7 @@ def local_fits(
     return LocalFits(response, inverse_gram, residual_products, dof)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@quickly_compiled
 def _fit_all(rows, bases, w, z, n_y, response, inverse_gram, residual_products, dof):  # type: ignore[no-untyped-def]
     numerator, denominator, extra = bases
     centres, n = rows.shape
@@ -102,7 +104,7 @@ def _fit_all(rows, bases, w, z, n_y, response, inverse_gram, residual_products, 
             dof[first + lane] = n - rank[lane]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@quickly_compiled
 def _fill(re, im, lane, rows, numerator, denominator, extra, w, z, n_y):  # type: ignore[no-untyped-def]
     """Columns in the order numerator, denominator, extra, N_0, targets."""
     n_w, n_z = w.shape[1], z.shape[1]
@@ -129,7 +131,7 @@ def _fill(re, im, lane, rows, numerator, denominator, extra, w, z, n_y):  # type
             im[behind - x + b, i, lane] = 0.0
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@quickly_compiled
 def _scale_columns(re, im, unknowns, scale):  # type: ignore[no-untyped-def]
     """Unit length for every column of K, (4.37), (4.38)."""
     n = re.shape[1]
@@ -147,7 +149,7 @@ def _scale_columns(re, im, unknowns, scale):  # type: ignore[no-untyped-def]
                 im[c, i, lane] /= scale[c, lane]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@quickly_compiled
 def _eliminate(re, im, unknowns, n_w, n_z, upper_re, upper_im, length, rank):  # type: ignore[no-untyped-def]
     """Modified Gram-Schmidt over the columns of K, targets included; the rows of R that belong to N_0 are kept."""
     n = re.shape[1]
@@ -186,7 +188,7 @@ def _eliminate(re, im, unknowns, n_w, n_z, upper_re, upper_im, length, rank):  #
                 length[j - unknowns + n_w, lane] = inverse[lane]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@quickly_compiled
 def _collect(centre, lane, n, unknowns, re, im, scale, upper_re, upper_im, length, response, inverse_gram, residual_products):  # type: ignore[no-untyped-def]
     n_w, n_z = response.shape[2], response.shape[1]
     inverse = np.zeros((n_w, n_w), np.complex128)  # of the unit upper triangle
