@@ -27,6 +27,9 @@ SPIN_S = 150e-6
 """So long after a SYNC was expected it goes to sleep again: a sleeper is woken tens of microseconds late, and a virtual processor that has
 gone idle later still."""
 POLL_S = 0.001  # how long one look at the bus takes at most: the grain of time while nothing comes
+LOOK_S = 0.02
+"""A look at the bus that took longer was this process standing still, not the bus: what has come meanwhile lies in the queue. No more than
+that passes as silence, so that a loaded computer does not let the machine's time run on between two frames."""
 SEND_ATTEMPTS = 20  # a full transmit queue empties within a few frame times; after that the frame is lost, as on a real controller
 SEND_PAUSE_S = 0.0005
 STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
@@ -159,7 +162,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
             except (can.CanError, OSError) as error:
                 raise BusLost(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
             now_s = time.perf_counter()
-            device.idle(now_s - last_s)
+            device.idle(min(now_s - last_s, LOOK_S))
             last_s = now_s
             if message is not None and not (message.is_remote_frame or message.is_error_frame or message.is_extended_id):
                 device.receive(message.arbitration_id, bytes(message.data))

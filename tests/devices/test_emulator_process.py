@@ -125,3 +125,39 @@ def test_remote_frames_on_a_real_bus_are_ignored() -> None:
         assert bus.recv(0.0) is None
 
     emulate("remote", lambda bus, ready: run_device(bus, BareMachine(DRIVE_EDS, 5), ready), work, signal.SIGTERM)
+
+
+class StallingBus(can.BusABC):
+    """Frames that lie in the queue when the emulator wakes after having stood still for so many seconds; then it is told to stop."""
+
+    def __init__(self, stalls: list[tuple[float, can.Message | None]]) -> None:
+        super().__init__("stalling")
+        self.now_s = 0.0
+        self._stalls = stalls
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None: ...
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        if not self._stalls:
+            os.kill(os.getpid(), signal.SIGTERM)
+            return None
+        stall_s, message = self._stalls.pop(0)
+        self.now_s += stall_s
+        return message
+
+
+@pytest.mark.parametrize(
+    ("stall_s", "looks", "periods"), [(5.0, 1, 0), (0.3, 4, 0), (0.002, 500, 256)], ids=["one stall", "four", "a silent bus"]
+)
+def test_an_emulator_that_stood_still_does_not_take_that_for_silence(monkeypatch, stall_s: float, looks: int, periods: int) -> None:
+    """A SYNC has come while it stood still: one period passes, as without the stall. On a bus that is silent time goes on."""
+    physics = SpinningMasses()
+    machine = EmulatedMachine(physics, two_axis_bus(), PERIOD_S)  # type: ignore[arg-type]
+    machine.place(np.zeros(2))
+    sync = can.Message(arbitration_id=0x080, is_extended_id=False)
+    bus = StallingBus([(0.0, sync), *[(stall_s, None)] * (looks - 1), (stall_s, sync)])
+    monkeypatch.setattr("virtual_bus.emulator.time.perf_counter", lambda: bus.now_s)
+    run_emulator(bus, machine, lambda ports: None)
+    bus.shutdown()
+    assert physics.advanced == pytest.approx(2 + periods, abs=1)
+    assert physics.advanced == 2 or periods
