@@ -9,7 +9,8 @@ from scipy.stats import beta
 
 CONFIDENCE = 0.95
 BINS = 5
-DRAWS = 4000
+TAIL = (1.0 - CONFIDENCE) / BINS
+DRAWS = 20000
 
 
 def clopper_pearson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -28,7 +29,8 @@ def upper_bound(hits: int, n: int, confidence: float = CONFIDENCE) -> float:
 
 
 def calibration(confidences: Sequence[float], right: Sequence[bool], seed: int = 0) -> list[dict[str, float | bool]]:
-    """Five equal-count bins: mean confidence, share right, and the 95 % band of a tool whose confidences are true."""
+    """Five equal-count bins: mean confidence, share right, and the band that all bins of a tool whose confidences are true stay in together
+    in 95 % of benchmarks (Bonferroni)."""
     order = np.argsort(confidences, kind="stable")
     said, was = np.asarray(confidences, dtype=float)[order], np.asarray(right, dtype=float)[order]
     rng = np.random.default_rng(seed)
@@ -37,7 +39,7 @@ def calibration(confidences: Sequence[float], right: Sequence[bool], seed: int =
         if len(part) == 0:
             continue
         drawn = (rng.random((DRAWS, len(part))) < said[part]).mean(axis=1)
-        low, high = np.quantile(drawn, [0.025, 0.975])
+        low, high = np.quantile(drawn, [0.5 * TAIL, 1.0 - 0.5 * TAIL])
         share = float(was[part].mean())
         bins.append(
             {

@@ -53,7 +53,8 @@ class Judgement:
     covered: tuple[bool, ...]
     channel_right: bool | None
     overlap: dict[str, float]
-    removed: float | None
+    removed: float | None  # by simulating the tool's files
+    removed_by_its_own_word: float | None
 
 
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
@@ -104,6 +105,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,
         overlap=_overlap(diagnosis, truth) if alarm and asked else {},
         removed=_removed(answer, truth) if asked and named else None,
+        removed_by_its_own_word=diagnosis.get("fit", {}).get("removed_share") if asked and named and alarm else None,
     )
 
 

@@ -116,7 +116,9 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
     )
     for dimension in ("time", "position", "frequency"):
         median(f"location: overlap in {dimension}", [each.overlap[dimension] for each in located if dimension in each.overlap], 0.6)
-    median("removed share of the oracle's", [each.removed for each in inside if each.removed is not None], 0.9)
+    median("removed share of the oracle's, its files simulated", [each.removed for each in inside if each.removed is not None], 0.9)
+    own = [each.removed_by_its_own_word for each in inside if each.removed_by_its_own_word is not None]
+    median("removed share as the tool reports it", own, 0.9)
     claimed = [each for each in judged if each.findings and each.alarm]
     bins = calibration([each.confidence for each in claimed], [each.right for each in claimed])
     bars.append(

@@ -46,6 +46,11 @@ class Workshop:
     def __init__(self, case: Case, machine: Machine) -> None:
         self.case, self.machine = case, machine
         self.training, self.held_out = plan(machine, case.training), plan(machine, case.held_out)
+        self._softer = machine.with_gain(case.held_out_gain)
+
+    def under(self, drive: Drive) -> Machine:
+        """The machine with the controller that a run was made under."""
+        return self._softer if drive.reference is self.held_out.reference else self.machine
 
     def setup(self, chosen: tuple[Chosen, ...], factors: Mapping[str, float] | None = None) -> Setup:
         """The case's plant with this physics."""
@@ -56,7 +61,7 @@ class Workshop:
 
     def answer(self, setup: Setup, drive: Drive, lattices: bool = False) -> Answer:
         """One run."""
-        return Plant(self.machine, setup).run(drive, lattices)
+        return Plant(self.under(drive), setup).run(drive, lattices)
 
     def matrix(self, setup: Setup, drive: Drive) -> np.ndarray | None:
         """Noise-free readings (N, C) of the case's channels; None where the machine ran away."""
@@ -296,5 +301,5 @@ def _write(shop: Workshop, setup: Setup, folder: Path) -> None:
                 columns[f"reference_{axis}"], columns[f"excitation_{axis}"] = drive.reference[:, i], drive.excitation[:, i]
             columns[f"command_{axis}"] = answer.command[:, i]
         columns |= {channel: channels[channel] for channel in shop.case.channels}
-        experiment = {"kind": "static" if name == "held_out.csv" else "run", "start_pose": drive.start.tolist()}
-        write_recording(folder / name, shop.machine, columns, experiment, answer.controller_states)
+        experiment = {"kind": "run", "start_pose": drive.start.tolist()}
+        write_recording(folder / name, shop.under(drive), columns, experiment, answer.controller_states)

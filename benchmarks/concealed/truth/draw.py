@@ -28,6 +28,9 @@ LARGER = 10.0
 
 WEIGHTS = {"tilted_arm": 0.3, "slider": 0.2, "pan_tilt": 0.2, "spring_mass": 0.15, "carm": 0.15}
 PERTURBATION = 0.1
+HELD_OUT_GAINS = (1.0, 1.0, 1.0, 0.75)
+"""The held-out recording of every fourth case was made under a softer controller, which its metadata say."""
+
 UNCOVERED_TOP = 0.15
 """Where the training recordings of the stratum `uncovered` end, as a share of the range's half."""
 
@@ -60,6 +63,7 @@ class Case:
     held_out: Experiment
     channels: tuple[str, ...]
     seed: int
+    held_out_gain: float  # of the controller the held-out recording was made with
 
 
 def draw(number: int, base_seed: int, machines: Mapping[str, Machine]) -> Case:
@@ -101,7 +105,7 @@ def draw(number: int, base_seed: int, machines: Mapping[str, Machine]) -> Case:
         number, stratum, condition, name, hidden, perturbations(rng, machine), str(rng.choice(COLOURS)), float(rng.uniform(0.003, 0.02)),
         float(rng.uniform(0.7, 1.5)) * (4.0 if condition == "noise" else 1.0), int(rng.choice([3, 4])),
         Experiment(kind_of_run, int(rng.integers(1 << 31)), low, high), Experiment(HELD_OUT, int(rng.integers(1 << 31))), tuple(channels),
-        int(rng.integers(1 << 31)),
+        int(rng.integers(1 << 31)), float(rng.choice(HELD_OUT_GAINS)),
     )  # fmt: skip
 
 

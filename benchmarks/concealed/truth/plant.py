@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -51,9 +52,9 @@ class Drive:
 class Machine:
     """What the machine file says, as far as the truth needs it."""
 
-    def __init__(self, path: Path, mjcf: Path) -> None:
+    def __init__(self, path: Path, mjcf: Path, gain: float = 1.0) -> None:
         self.path, self.mjcf = path, mjcf
-        self.text = path.read_text(encoding="utf-8")
+        self.text = _with_gain(path.read_text(encoding="utf-8"), gain)
         table = self.table = tomllib.loads(self.text)
         self.name = table["name"]
         self.axes = list(table["drives"])
@@ -109,6 +110,10 @@ class Machine:
         unit = sensor_unit = self.units[self.axes.index(sensor["axis"])]
         return float(sensor.get(f"noise_rms_{unit}", 0.0)), float(sensor.get(f"resolution_{sensor_unit}", 0.0))
 
+    def with_gain(self, gain: float) -> Machine:
+        """The same machine under a controller of another gain."""
+        return self if gain == 1.0 or not self.closed else Machine(self.path, self.mjcf, gain)
+
     def spring_behind(self, axis: str) -> str:
         """The sprung joint between an axis's motor side and its load; "" for none."""
         carried = [b["joint"]["name"] for b in self.table["body"] if b["parent"] == self.body_of[self.joint_of[axis]] and "joint" in b]
@@ -147,6 +152,18 @@ class Machine:
         names += [f"position_{axis}" for axis in self.axes]
         names += [f"link_position_{axis}" for axis, count in zip(self.axes, self.link_counts, strict=True) if count > 0.0]
         return names + (list(IMU_CHANNELS) if self.imu else [])
+
+
+def _with_gain(text: str, gain: float) -> str:
+    """A machine file whose controllers' first sections are `gain` times as strong."""
+    if gain == 1.0:
+        return text
+
+    def stronger(match: re.Match[str]) -> str:
+        row = [float(cell) for cell in match[2].split(",")]
+        return f"{match[1]}{[*(gain * b for b in row[:3]), *row[3:]]}"
+
+    return re.sub(r"(position_sections = \[\s*)\[([^\]]*)\]", stronger, text)
 
 
 @dataclass(frozen=True)
