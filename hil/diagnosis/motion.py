@@ -58,6 +58,14 @@ class Motion:
         return self.plant.drive_gains(model, joints)
 
     @cached_property
+    def inertia(self) -> np.ndarray:
+        """(joints,) of every joint by itself, about the mean pose."""
+        joints = np.zeros(self.plant.joints)
+        joints[list(self.plant.joint_of_axis().values())] = self.group.position.mean(axis=0)
+        mass, _ = self.plant.inertia_and_bias(self.plant.model(self.values), joints, np.zeros(self.plant.joints))
+        return np.diag(mass).copy()
+
+    @cached_property
     def missing_effort(self) -> np.ndarray:
         """(N, n_axes) effort the simulation lacks at each driven joint [Nm or N].
 

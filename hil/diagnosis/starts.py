@@ -75,15 +75,11 @@ class _Typical:
     def _inertia(self) -> float:
         """Of the joint a place belongs to, about the mean pose."""
         plant = self.motion.plant
-        model = plant.model(self.motion.values)
-        q = np.zeros(plant.joints)
-        q[list(plant.joint_of_axis().values())] = self.motion.group.position.mean(axis=0)
-        mass, _ = plant.inertia_and_bias(model, q, np.zeros(plant.joints))
         try:
             joint = plant.settings.tree.joint_index(joint_at(self.at, plant.settings))
         except (StopIteration, AssertionError):
             joint = list(plant.joint_of_axis().values())[self.motion.axis_of(self.at)]
-        return float(mass[joint, joint])
+        return float(self.motion.inertia[joint])
 
     def of(self, parameter: Parameter) -> float:
         """A first strength of this unit."""

@@ -47,6 +47,7 @@ DEPENDENCIES = (motion, table, jit, linear, drives, terms, reactions, friction, 
 FINEST_PHASE = 1.0  # largest product of inner step and spectral radius: the Taylor flow errs by 1/9! = 3e-6 rad of phase per step there
 PROBED_POSES = 40  # at which the spectral radius is looked for
 SPECTRUM_MARGIN = 1.15  # for the poses between
+SEEN = 256  # models whose inner steps are remembered
 STANDSTILL_TIME_s = -1.0  # before the start: no disturbance has begun
 
 
@@ -201,8 +202,22 @@ class CompiledPlant:
         table.fill_terms(record, effects, ratio_of_axis, settings)
         table.fill_reactions(record, effects, settings)
         table.fill_drives(record, effects, ratio_of_axis, settings)
-        record["inner_steps"] = self._inner_steps(model)
+        record["inner_steps"] = self._known_inner_steps(model)
         return model
+
+    def _known_inner_steps(self, model: np.ndarray) -> int:
+        """`_inner_steps`, looked up where a model of the same inertia and springs was asked for before: probing takes milliseconds."""
+        names = ("step_s", "constants", "stiffness", "damping", "rest_position", "pair_count", "pair_rows", "pair_joints", "pair_is_spring")
+        key = b"".join(np.ascontiguousarray(model[name][0]).tobytes() for name in names)
+        if key not in self._inner_steps_seen:
+            if len(self._inner_steps_seen) >= SEEN:
+                self._inner_steps_seen.clear()
+            self._inner_steps_seen[key] = self._inner_steps(model)
+        return self._inner_steps_seen[key]
+
+    @cached_property
+    def _inner_steps_seen(self) -> dict[bytes, int]:
+        return {}
 
     def _inner_steps(self, model: np.ndarray) -> int:
         """As many steps of the linear part within a plant step as its fastest mode over all poses needs."""
