@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,9 @@ from hil.cli.options import load
 from hil.cli.output import Answer, JsonOption
 
 if TYPE_CHECKING:
-    from hil.identification import LocalModel, PoseModel
+    from hil.identification import LocalModel, PoseModel, PoseSymmetry
+
+POSE_UNITS = {"deg": math.pi / 180.0, "m": 1.0}
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +46,10 @@ def identify(
     over_poses: Annotated[
         list[str] | None,
         typer.Option(
-            "--over-poses", metavar="Q_n,Q_d,P", help="Orders over the poses and levels to either side, for each axis that varies."
+            "--over-poses",
+            metavar="Q_n,Q_d,P[,SYMMETRY]",
+            help="Orders over the poses and levels to either side, for each axis that varies; SYMMETRY, where the machine responds alike: "
+            "mirror@90deg, period@360deg, or in m.",
         ),
     ] = None,
     select: Annotated[bool, typer.Option("--select", help="Choose orders and windows from the data (fast and nd methods).")] = False,
@@ -112,10 +118,31 @@ def _over_poses(texts: list[str]) -> PoseModel | None:
 
     if not texts:
         return None
-    numerator, denominator, windows = zip(
-        *(_whole_numbers("--over-poses", text, "Q_n,Q_d,P, such as 1,1,2") for text in texts), strict=True
-    )
-    return PoseModel(numerator, denominator, windows)
+    orders, symmetries = [], []
+    for text in texts:
+        parts = text.split(",")
+        orders.append(_whole_numbers("--over-poses", ",".join(parts[:3]), "Q_n,Q_d,P, such as 1,1,2"))
+        symmetries.append(_symmetry(parts[3:]))
+    numerator, denominator, windows = zip(*orders, strict=True)
+    return PoseModel(numerator, denominator, windows, symmetry=tuple(symmetries))
+
+
+def _symmetry(parts: list[str]) -> PoseSymmetry:
+    """mirror@90deg, any number of them, and at most one period@360deg."""
+    from hil.identification import PoseSymmetry
+
+    found: dict[str, list[float]] = {"mirror": [], "period": []}
+    for part in parts:
+        kind, _, place = part.strip().partition("@")
+        unit = next((unit for unit in POSE_UNITS if place.endswith(unit)), None)
+        try:
+            value = float(place.removesuffix(unit or "")) * POSE_UNITS[unit or ""]
+            found[kind].append(value)
+        except (KeyError, ValueError):
+            raise typer.BadParameter(f"--over-poses {part}: must be mirror@90deg or period@360deg, in deg or m") from None
+    if len(found["period"]) > 1:
+        raise typer.BadParameter("--over-poses: one period at most")
+    return PoseSymmetry(tuple(found["mirror"]), found["period"][0] if found["period"] else None)
 
 
 def _whole_numbers(option: str, text: str, form: str) -> tuple[int, int, int]:

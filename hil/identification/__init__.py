@@ -10,6 +10,7 @@ from hil.identification.local_fast import PoseModel, fast_local, nd_local
 from hil.identification.local_model import LocalModel
 from hil.identification.local_robust import robust_local
 from hil.identification.modal_model import ModalFrfModel, fit_modal_model
+from hil.identification.poses import PoseSymmetry
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.identification.result import Distortion, FrequencyResponse
 from hil.identification.selection import Candidate, Selection, select_local_model
@@ -29,6 +30,7 @@ __all__ = [
     "ModalFrfModel",
     "PeriodicRecords",
     "PoseModel",
+    "PoseSymmetry",
     "Selection",
     "arbitrary_local",
     "design_excitation",

@@ -18,7 +18,7 @@ from hil.identification.local_fast import ONE_POSE, PoseModel, local_orders
 from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
 from hil.identification.local_regression import check_told, local_regression
-from hil.identification.poses import multi_indices, pose_windows, varying_directions
+from hil.identification.poses import PoseWindow, multi_indices, pose_windows, varying_directions
 from hil.identification.result import FrequencyResponse
 from hil.identification.spectra import record_spectra
 
@@ -83,7 +83,7 @@ def arbitrary_local(
     if len(bins) == 0:
         raise IdentificationError(f"no bin of {step_Hz:.4g} Hz spacing between {band_Hz[0]:.4g} and {band_Hz[1]:.4g} Hz")
     coordinates = _scheduling(records_of_poses)
-    windows = pose_windows(coordinates, over_poses.windows, over_poses.border)
+    windows = pose_windows(coordinates, over_poses.windows, over_poses.border, over_poses.symmetry)
     z_parts, w_parts = [], []
     for records in records_of_poses:
         measured = (records.outputs,) if records.inputs is None else (records.outputs, records.inputs)
@@ -93,7 +93,7 @@ def arbitrary_local(
     responses = []
     for records, window in zip(records_of_poses, windows, strict=True):
         orders = local_orders(model, over_poses, window)
-        fits = _fit(z[window.poses], w[window.poses], window.offsets, bins, model, *orders, n_y=records.outputs.shape[2])
+        fits = _fit(z[window.poses], w[window.poses], window, bins, model, *orders, n_y=records.outputs.shape[2])
         responses.append(_response(records, bins, T, fits, model))
     return tuple(responses)
 
@@ -101,7 +101,7 @@ def arbitrary_local(
 def _fit(
     z: np.ndarray,
     w: np.ndarray,
-    pose_offsets: np.ndarray,
+    neighbours: PoseWindow,
     bins: np.ndarray,
     model: LocalModel,
     numerator: tuple[int, ...],
@@ -119,16 +119,12 @@ def _fit(
     psi /= np.abs(psi).max(axis=1, keepdims=True)
     B = len(bins)
     rows = (np.arange(per_line)[None, :, None] * available + window[:, None, :]).reshape(B, -1)
-    coordinates = np.empty((B, k, R, 2 * n + 1, 1 + pose_offsets.shape[1]))
-    coordinates[..., 0] = psi[:, None, None, :]
-    coordinates[..., 1:] = pose_offsets[None, :, None, None, :]
-    coordinates = coordinates.reshape(B, rows.shape[1], -1)
     own_transient = np.zeros((B, per_line, 2 * n + 1, per_line, model.transient + 1))
     for record in range(per_line):
         own_transient[:, record, :, record] = psi[:, :, None] ** np.arange(model.transient + 1)
     return local_regression(
         rows,
-        coordinates,
+        *neighbours.coordinates(psi, R),
         numerator,
         denominator,
         w.reshape(-1, n_u),

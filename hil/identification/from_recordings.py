@@ -12,6 +12,7 @@ from hil.identification.arbitrary import ArbitraryRecords
 from hil.identification.errors import IdentificationError
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.recording import Recording
+from hil.recording.ticks import on_every_tick
 
 PlantInput = Literal["command", "measured"]
 ACCELERATIONS = ("imu_x", "imu_y", "imu_z")
@@ -43,6 +44,7 @@ def records_from(
     """
     if not recordings:
         raise IdentificationError("no recordings given")
+    recordings = [on_every_tick(recording) for recording in recordings]
     details = [_details(recording, index) for index, recording in enumerate(recordings)]
     for key in ("period_samples", "start_pose", "excited_lines", "settle_periods"):
         _same(details, key)
@@ -85,6 +87,7 @@ def arbitrary_records(
     """Arrange recordings of one pose as records of any excitation, as long as the shortest; parameters and errors as `records_from`."""
     if not recordings:
         raise IdentificationError("no recordings given")
+    recordings = [on_every_tick(recording) for recording in recordings]
     machine_axes = recordings[0].axes
     chosen_axes, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
     rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)

@@ -22,7 +22,7 @@ from hil.identification.local_fit import LocalFits
 from hil.identification.local_model import LocalModel, half_width
 from hil.identification.local_regression import check_told, local_regression
 from hil.identification.local_robust import even_odd
-from hil.identification.poses import PoseBorder, PoseWindow, multi_indices, pose_windows, varying_directions
+from hil.identification.poses import PoseBorder, PoseSymmetry, PoseWindow, multi_indices, pose_windows, varying_directions
 from hil.identification.records import PeriodicRecords
 from hil.identification.result import FrequencyResponse
 from hil.identification.spectra import period_spectra
@@ -38,12 +38,14 @@ class PoseModel:
     numerator : Q_z, orders of the response's numerator. denominator : those of the denominator, used where the model's N_d is above 0.
     windows : p_i, levels to either side.
     border : what happens at the edges of the range, see `hil.identification.poses.pose_windows`.
+    symmetry : of the machine along each parameter; none, or one per parameter.
     """
 
     numerator: tuple[int, ...] = (1,)
     denominator: tuple[int, ...] = (1,)
     windows: tuple[int, ...] = (2,)
     border: PoseBorder = "adaptive"
+    symmetry: tuple[PoseSymmetry, ...] = ()
 
 
 ONE_POSE = PoseModel((), (), ())
@@ -88,13 +90,13 @@ def nd_local(
     model = model or LocalModel()
     coordinates = scheduling(records_of_poses)
     over_poses = over_poses or PoseModel(*((value,) * coordinates.shape[1] for value in (1, 1, 2)))
-    windows = pose_windows(coordinates, over_poses.windows, over_poses.border)
+    windows = pose_windows(coordinates, over_poses.windows, over_poses.border, over_poses.symmetry)
     poses = [prepare(records, model) for records in records_of_poses]
     z, w = np.stack([pose.z for pose in poses]), np.stack([pose.w for pose in poses])  # (poses, R, L, n)
     responses = []
     for pose, window in zip(poses, windows, strict=True):
         orders = local_orders(model, over_poses, window)
-        fits = fit_pose(z[window.poses], w[window.poses], window.offsets, pose.records, model, *orders)
+        fits = fit_pose(z[window.poses], w[window.poses], window, pose.records, model, *orders)
         responses.append(_response(pose, fits, model, orders[0], len(window.poses)))
     return tuple(responses)
 
@@ -112,7 +114,7 @@ def local_orders(model: LocalModel, over_poses: PoseModel, window: PoseWindow) -
 def fit_pose(
     z: np.ndarray,
     w: np.ndarray,
-    pose_offsets: np.ndarray,
+    neighbours: PoseWindow,
     records: PeriodicRecords,
     model: LocalModel,
     numerator: tuple[int, ...],
@@ -132,11 +134,15 @@ def fit_pose(
     psi /= np.abs(psi).max(axis=1, keepdims=True)
     block = np.arange(k * R) * len(lines)
     rows = (block[None, :, None] + window[:, None, :]).reshape(L, -1)
-    coordinates = np.empty((L, k, R, 2 * n + 1, 1 + pose_offsets.shape[1]))
-    coordinates[..., 0] = psi[:, None, None, :]
-    coordinates[..., 1:] = pose_offsets[None, :, None, None, :]
-    coordinates = coordinates.reshape(L, rows.shape[1], -1)
-    return local_regression(rows, coordinates, numerator, denominator, w.reshape(-1, n_u), z.reshape(-1, n_z), n_y=records.n_outputs)
+    return local_regression(
+        rows,
+        *neighbours.coordinates(psi, R),
+        numerator,
+        denominator,
+        w.reshape(-1, n_u),
+        z.reshape(-1, n_z),
+        n_y=records.n_outputs,
+    )
 
 
 def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.identification.errors import IdentificationError
 from hil.identification.local_fit import LocalFits, local_fits
-from hil.identification.poses import monomials
+from hil.identification.poses import symmetric_monomials
 
 CENTRED = 1e-6  # offsets are scaled to 1: a mean below it counts as none
 
@@ -17,6 +17,7 @@ CENTRED = 1e-6  # offsets are scaled to 1: a mean below it counts as none
 def local_regression(
     rows: np.ndarray,
     coordinates: np.ndarray,
+    centre: np.ndarray,
     numerator: tuple[int, ...],
     denominator: tuple[int, ...],
     w: np.ndarray,
@@ -29,11 +30,13 @@ def local_regression(
     Parameters
     ----------
     rows : (B, n) rows of w and z in each window.
-    coordinates : (B, n, 1 + m) offset of each row from the centre: line, scheduling parameters.
+    coordinates : (B, n, i, 1 + m) offset of each row from the centre: line, scheduling parameters, of each of its images in the window.
+    centre : (i, 1 + m) the centre's own.
     numerator, denominator : 1 + m orders each.
     w, z, extra, n_y : as in `hil.identification.local_fit.local_fits`.
     """
-    return fits_with_true_residuals(rows, monomials(coordinates, numerator), monomials(coordinates, denominator), w, z, extra, n_y)
+    over_rows, below = (symmetric_monomials(coordinates, centre, orders) for orders in (numerator, denominator))
+    return fits_with_true_residuals(rows, over_rows, below, w, z, extra, n_y)
 
 
 def fits_with_true_residuals(

@@ -114,11 +114,11 @@ def select_local_model(records_of_poses: Sequence[PeriodicRecords], candidates: 
 def _foretold(poses: list[PoseSpectra], coordinates: np.ndarray, candidate: Candidate, noise: list[np.ndarray]) -> np.ndarray:
     """(poses, L, n_y) mean square over records of the foretold error of y - G u, in units of its noise variance."""
     model, over_poses = candidate.model, candidate.over_poses
-    windows = pose_windows(coordinates, over_poses.windows, over_poses.border)
+    windows = pose_windows(coordinates, over_poses.windows, over_poses.border, over_poses.symmetry)
     z, w = np.stack([pose.z for pose in poses]), np.stack([pose.w for pose in poses])
     squares = []
     for here, (pose, window) in enumerate(zip(poses, windows, strict=True)):
-        fits = fit_pose(z[window.poses], w[window.poses], window.offsets, pose.records, model, *local_orders(model, over_poses, window))
+        fits = fit_pose(z[window.poses], w[window.poses], window, pose.records, model, *local_orders(model, over_poses, window))
         squares.append(_at_centre(pose, fits, noise[here]))
     return np.stack(squares)
 

@@ -43,6 +43,7 @@ def test_recordings_of_two_poses_give_two_responses(folder):
         (("--method", "robust_lrm", "--orders", "2,1,1"), "robust_lrm"),
         (("--method", "fast_lpm", "--select"), "fast_lpm"),
         (("--method", "nd_lpm", "--orders", "3,2,0", "--over-poses", "1,0,1"), "nd_lpm"),
+        (("--method", "nd_lrm", "--orders", "3,2,1", "--over-poses", "1,1,1,mirror@10deg"), "nd_lrm"),
     ],
 )
 def test_every_family_of_methods_agrees_with_the_average(folder, options, method, tmp_path):
@@ -81,6 +82,7 @@ def test_a_designed_multisine_excites_what_the_responses_ask_for(folder, tmp_pat
         (("--method", "arbitrary_lpm"), "needs the band"),
         (("--over-poses", "1,1,1"), "works pose by pose"),
         (("--band", "1"), "must be LOW:HIGH"),
+        (("--method", "nd_lrm", "--over-poses", "1,1,1,mirror@90"), "mirror@90: must be mirror@90deg"),
     ],
 )
 def test_options_that_do_not_go_together_are_one_line(folder, arguments, says, capsys, tmp_path):
