@@ -39,9 +39,12 @@ loops and drives are known no better."""
 FILL = 1e-4
 """White noise added per channel, as a share of its variance, when its autoregressive filter is fitted: bounds the filter's gain."""
 
-STEEP_LINES = 3
-STEEP = 1.5
-"""S(f) is raised where this many neighbouring lines have more than this times the power it gives them."""
+NEAREST_LINES = 4
+"""Lines per repeat from which the power of left-out repeats is taken, at least."""
+
+LEFT_OUT_GRID = 100
+LEAST_POWER = 0.5
+"""Whitening is not made finer than this on the word of the left-out repeats."""
 
 GRID_LINES = 400
 """Frequencies on which S(f)^(-1/2) is kept, equally spaced on a scale that is linear below 1 Hz and logarithmic above."""
@@ -155,10 +158,11 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     grid = _grid(rate_Hz, max(len(row) for row in rows))
     spectra, freedom = _smoothed(lines, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
     floors = floor**2 * (filters**2).sum(axis=1)
-    roots = np.stack([_inverse_root(s + np.diag(floors)) for s in spectra])
-    roots /= np.sqrt(_steepness(roots, grid, lines, frequencies))[:, :, None]
-    shrink = np.sqrt(np.clip((freedom - len(channels)) / freedom, 0.1, 1.0))  # the mean of an inverse sample covariance is too large
-    return NoiseModel(kind, std, rate_Hz, filters, grid, roots * shrink[:, None, None], float(freedom.min()))
+    roots = _whitening(spectra, freedom, floors)
+    power = _power_of_left_out(deviations, filters, floors, rate_Hz, grid)
+    if power is None:
+        power = np.maximum(_power(roots, grid, lines, frequencies), 1.0)
+    return NoiseModel(kind, std, rate_Hz, filters, grid, roots / np.sqrt(power)[:, :, None], float(freedom.min()))
 
 
 def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], machine: Machine) -> NoiseModel:
@@ -255,21 +259,67 @@ def _smoothed(
     return spectra, freedom
 
 
-def _steepness(roots: np.ndarray, grid: np.ndarray, lines: Sequence[np.ndarray], frequencies: Sequence[np.ndarray]) -> np.ndarray:
-    """(G, C) power of the whitened lines nearest to every grid frequency, where it is above 1.
+def _whitening(spectra: np.ndarray, freedom: np.ndarray, floors: np.ndarray) -> np.ndarray:
+    """(G, C, C) S^(-1/2), scaled so that its square's mean is the inverse covariance: that of a sample covariance is too large."""
+    count = len(floors)
+    roots = np.stack([_inverse_root(s + np.diag(floors)) for s in spectra])
+    return roots * np.sqrt(np.clip((freedom - count) / freedom, 0.1, 1.0))[:, None, None]
 
-    Where a spectrum is steep (a slow disturbance) its average over neighbours is too small for the lowest of them.
+
+def _power_of_left_out(
+    deviations: Sequence[np.ndarray], filters: np.ndarray, floors: np.ndarray, rate_Hz: float, grid: np.ndarray
+) -> np.ndarray | None:
+    """(G, C) power of every repeat, whitened with the others' S: 1 where the averaged S holds; None where no group has three repeats.
+
+    An average over neighbours is wrong where a spectrum is steep or made of lines; a repeat that had no part in it shows by how much.
     """
+    count = len(filters)
+    whitened, places = [], []
+    for rows in deviations:
+        repeats = len(rows)
+        if repeats < 3:
+            continue
+        lines = np.stack([np.fft.rfft(filter_channels(filters, row), axis=0) for row in rows]) / np.sqrt(rows.shape[1] - FILTER_ORDER)
+        place = np.fft.rfftfreq(rows.shape[1] - FILTER_ORDER, 1.0 / rate_Hz)
+        for left_out in range(repeats):
+            others = np.delete(lines, left_out, axis=0) + lines[left_out] / (repeats - 1.0)  # about their own mean
+            others *= np.sqrt((repeats - 1.0) / repeats * (repeats - 1.0) / (repeats - 2.0))
+            free = (repeats - 2.0) / (repeats - 1.0)
+            coarse = grid[:: max(1, len(grid) // LEFT_OUT_GRID)]
+            spectra, freedom = _smoothed(list(others), [place] * (repeats - 1), coarse, free, FREEDOM_PER_CHANNEL * count)
+            roots = _whitening(spectra, freedom, floors)
+            nearest = np.rint(np.interp(place, coarse, np.arange(len(coarse)))).astype(int)
+            whitened.append((roots[nearest] @ lines[left_out][:, :, None])[:, :, 0])
+            places.append(place)
+    if not whitened:
+        return None
+    return np.maximum(_mean_power(whitened, places, grid), LEAST_POWER)
+
+
+def _power(roots: np.ndarray, grid: np.ndarray, lines: Sequence[np.ndarray], frequencies: Sequence[np.ndarray]) -> np.ndarray:
+    """(G, C) power of whitened lines near every grid frequency."""
+    whitened = []
+    for line, place in zip(lines, frequencies, strict=True):
+        nearest = np.rint(np.interp(place, grid, np.arange(len(grid)))).astype(int)
+        whitened.append((roots[nearest] @ line[:, :, None])[:, :, 0])
+    return _mean_power(whitened, frequencies, grid)
+
+
+def _mean_power(whitened: Sequence[np.ndarray], frequencies: Sequence[np.ndarray], grid: np.ndarray) -> np.ndarray:
+    """(G, C) mean square of lines near every grid frequency: of the nearest few where the spectrum may be steep, of more further up."""
     place = np.concatenate(frequencies)
     order = np.argsort(place, kind="stable")
-    place, line = place[order], np.concatenate(lines)[order]
-    nearest = len(frequencies) * STEEP_LINES
-    found = np.ones(roots.shape[:2])
+    place, power = place[order], np.abs(np.concatenate(whitened)[order]) ** 2
+    sums = np.vstack([np.zeros(power.shape[1]), np.cumsum(power, axis=0)])
+    least = len(frequencies) * NEAREST_LINES
+    found = np.ones((len(grid), power.shape[1]))
     for g, f in enumerate(grid):
-        low = int(np.clip(np.searchsorted(place, f) - nearest // 2, 0, max(0, len(place) - nearest)))
-        whitened = line[low : low + nearest] @ roots[g].T
-        found[g] = (np.abs(whitened) ** 2).mean(axis=0)
-    return np.where(found > STEEP, found, 1.0)
+        low, high = np.searchsorted(place, [f * (1.0 - RELATIVE_WIDTH), f * (1.0 + RELATIVE_WIDTH)])
+        if high - low < least:
+            low = int(np.clip(np.searchsorted(place, f) - least // 2, 0, max(0, len(place) - least)))
+            high = min(low + least, len(place))
+        found[g] = (sums[high] - sums[low]) / (high - low)
+    return found
 
 
 def _inverse_root(s: np.ndarray) -> np.ndarray:
