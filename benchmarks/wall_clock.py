@@ -6,7 +6,8 @@
 The scheduler that was granted stands in the result: figures without SCHED_FIFO say more about the machine's other work than about the loop.
 The machine file's overrun limit is lifted, so that a stall of the host is counted instead of ending the run.
 `work_time` runs from the SYNC until the loop is ready to wait again; `answer_time` is the part of it spent waiting for the devices'
-answers.
+answers. `host` is what the computer does to a loop that has no bus: `computing` is how long 300 us of computing take at each tick, under
+the same scheduler, a minute before the run; `stolen_share` is the processor time that the hypervisor gave to others during the run.
 """
 
 from __future__ import annotations
@@ -19,11 +20,50 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
+import numpy as np
+
+from hil.clock import WallClock
 from hil.machine import load_machine
+from hil.realtime import real_time
 
 ISOCENTER = [sys.executable, "-m", "hil"]
+COMPUTING_S = 300e-6
+RATE_Hz = 256.0
+FLOOR_S = 60.0
+GAP_S = 1e-6  # between two looks at the clock of a loop that nobody interrupts
+
+
+def host_floor(seconds: float) -> dict[str, float]:
+    """Lateness of ticks, and time that `COMPUTING_S` of computing takes at each [us], with no bus and nobody else in the loop."""
+    clock = WallClock()
+    lateness, computing = np.zeros(round(seconds * RATE_Hz)), np.zeros(round(seconds * RATE_Hz))
+    with real_time():
+        clock.start_ticks(1.0 / RATE_Hz)
+        for k in range(len(lateness)):
+            lateness[k] = clock.wait_tick()
+            now_s = last_s = clock.tick_began_s
+            computed_s = 0.0
+            while computed_s < COMPUTING_S:  # a gap between two looks at the clock is time in which something else ran
+                now_s, before_s = time.perf_counter(), now_s
+                computed_s += min(now_s - before_s, GAP_S)
+            computing[k] = now_s - last_s
+    table: dict[str, float] = {}
+    for name, values in {"lateness": lateness, "computing": computing}.items():
+        p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
+        table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
+    return table
+
+
+def processor_times() -> tuple[int, int]:
+    """Processor time stolen by the hypervisor, and all there was, since the computer was started; zeros where it does not say."""
+    try:
+        times = [int(cell) for cell in Path("/proc/stat").read_text().split("\n")[0].split()[1:9]]
+    except (OSError, ValueError):
+        return 0, 0
+    return times[7], sum(times)
 
 
 def measure(bus: str, seconds: float) -> dict[str, object]:
@@ -31,6 +71,8 @@ def measure(bus: str, seconds: float) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         machine = Path(folder) / "carm.toml"
         machine.write_text(re.sub(r"(?m)^overrun_ticks = \d+", "overrun_ticks = 10000", load_machine("carm").text), encoding="utf-8")
+        floor = host_floor(FLOOR_S)
+        stolen, all_of_it = processor_times()
         emulator = subprocess.Popen([*ISOCENTER, "emulate", str(machine), "--bus", bus], stdout=subprocess.PIPE, text=True)
         try:
             assert emulator.stdout is not None and emulator.stdout.readline(), "the emulator did not start"
@@ -41,6 +83,7 @@ def measure(bus: str, seconds: float) -> dict[str, object]:
         finally:
             emulator.terminate()
             emulator.wait()
+        stolen, all_of_it = (after - before for after, before in zip(processor_times(), (stolen, all_of_it), strict=True))
     return {
         "bus": bus,
         "seconds": seconds,
@@ -48,6 +91,7 @@ def measure(bus: str, seconds: float) -> dict[str, object]:
         "processors": os.cpu_count(),
         "load_average": os.getloadavg(),
         "kernel": platform.release(),
+        "host": floor | {"stolen_share": stolen / max(all_of_it, 1)},
         "timing": run["recordings"][0]["timing"],
     }
 
