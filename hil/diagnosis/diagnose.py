@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.candidates import Candidate, candidates
+from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.estimates import effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.motion import Motion
 from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed
-from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
@@ -95,7 +93,7 @@ def diagnose(
     """
     began = time.monotonic()
     report("simulating", 0.0)
-    train = mismatch(machine, recordings)
+    train = with_bounded_noise(mismatch(machine, recordings), jobs, report)
     sets = {TRAIN: train}
     if held_out:
         sets[HELD_OUT] = mismatch(machine, held_out, channels=train.channels, noise=train.noise)
@@ -104,17 +102,8 @@ def diagnose(
         tuning = retune(runs)
         measured = runs.measured()
         noise = float(len(measured))
-
-        def candidates_of(found: Fitted | None) -> Sequence[Candidate]:
-            values = tuning.values if found is None else tuning.at(found.offset)
-            rows = runs.rows(Trial(values, () if found is None else found.settings))
-            assert rows is not None
-            largest = max(range(len(rows)), key=lambda g: len(rows[g]))
-            group = replace(train.groups[largest], simulated=rows[largest])
-            return candidates(Motion(machine, values, group, train.channels), train.channels)
-
         judged = HeldOut(runs, tuning) if runs.has_held_out else None
-        selection = select(runs, tuning, judged, noise, candidates_of, report)
+        selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
         hypotheses = _weigh(runs, tuning, judged, selection)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None

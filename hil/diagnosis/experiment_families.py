@@ -1,4 +1,4 @@
-"""Experiments as points of a unit cube, so that one search runs over scans, jogs and multisines of every axis within the machine's limits."""
+"""Experiments as points of a unit cube: one search runs over scans, jogs and multisines of every axis within the machine's limits."""
 
 from __future__ import annotations
 

@@ -48,12 +48,15 @@ class Selection:
         Sets as large as the chosen one that were fitted, the chosen one among them.
     screened : tuple of Screened
         The first screening.
+    closest : Fitted or None
+        The set that comes closest to the training recordings, whether or not it passed.
     """
 
     chosen: Fitted | None
     gates: tuple[Gate, ...]
     hypotheses: tuple[Fitted, ...]
     screened: tuple[Screened, ...]
+    closest: Fitted | None
 
 
 def select(
@@ -84,6 +87,7 @@ def select(
     gates: list[Gate] = []
     hypotheses: tuple[Fitted, ...] = ()
     first: list[Screened] = []
+    closest: Fitted | None = None
     present = tuning
     base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
     for size in range(MOST_EFFECTS):
@@ -109,11 +113,12 @@ def select(
         fits = in_order(fits, base, noise_energy, len(measured))
         gate = _gate(runs, present, held_out, chosen, fits[0], screened, residual, base - noise_energy, len(found))
         gates.append(gate)
+        closest = min(fits, key=lambda fit: fit.cost)
         if not gate.passed:
             break
         chosen, hypotheses = fits[0], tuple(fits)
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
-    return Selection(chosen, tuple(gates), hypotheses, tuple(first))
+    return Selection(chosen, tuple(gates), hypotheses, tuple(first), closest)
 
 
 def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]:

@@ -1,0 +1,75 @@
+"""Noise without repeats: bounded by what the closest known physics leaves of the residual.
+
+The residual of the nominal machine is mismatch and noise together, and where the mismatch is spread over frequency no bound taken from it
+sees past it. So the known effects are fitted first, whether or not they would pass, and the bound is taken from what the closest of them
+leaves, as a regression's variance is taken from its residual. Where nothing is missing, no effect takes much away and the bound stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.candidates import Candidate, candidates
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.mismatch import Mismatch
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.noise import assumed_noise
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.retune import Tuning, retune
+from hil.diagnosis.selection import select
+
+ROUNDS = 2
+"""A lower bound lets smaller effects be fitted, which lower it again."""
+
+WORTH_A_ROUND = 0.9
+"""Factor on every channel's bound above which a further round changes nothing."""
+
+
+def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], Sequence[Candidate]]:
+    """Candidates with start values from the longest training group, given the effects found so far."""
+    train = runs.sets[TRAIN]
+
+    def found_beside(found: Fitted | None) -> Sequence[Candidate]:
+        values = tuning.values if found is None else tuning.at(found.offset)
+        rows = runs.rows(Trial(values, () if found is None else found.settings))
+        assert rows is not None
+        largest = max(range(len(rows)), key=lambda g: len(rows[g]))
+        group = replace(train.groups[largest], simulated=rows[largest])
+        return candidates(Motion(train.machine, values, group, train.channels), train.channels)
+
+    return found_beside
+
+
+def with_bounded_noise(train: Mismatch, jobs: int, report: Callable[[str, float], None]) -> Mismatch:
+    """The same recordings with the bound on their noise; unchanged where repeats or periods gave it.
+
+    Parameters
+    ----------
+    train : Mismatch
+    jobs : int
+    report : callable
+        Told what is being done, and how far the whole is.
+    """
+    if train.noise.kind != "assumed":
+        return train
+    for _ in range(ROUNDS):
+        report("bounding the noise", 0.01)
+        with FreeRuns({TRAIN: train}, train.noise, jobs) as runs:
+            tuning = retune(runs)
+            selection = select(runs, tuning, None, float(len(tuning.predicted)), candidates_for(runs, tuning), lambda what, share: None)
+            closest = selection.closest
+            trial = Trial(tuning.values) if closest is None else Trial(tuning.at(closest.offset), closest.settings)
+            rows = runs.rows(trial)
+        if rows is None:
+            return train
+        residuals = [group.mean - simulated for group, simulated in zip(train.groups, rows, strict=True)]
+        noise = assumed_noise(residuals, train.channels, train.machine)
+        settled = np.all(noise.std > WORTH_A_ROUND * train.noise.std)
+        if np.any(noise.std < train.noise.std):
+            train = replace(train, noise=noise)
+        if settled:
+            break
+    return train
