@@ -165,7 +165,7 @@ class SampleLoop:
         self._added = np.zeros(axes)  # excitation and what the observer adds
 
     def run(self, plan: Signals, sink: Sink | None = None, progress: Callable[[int], None] | None = None) -> LoopTiming:
-        """Walk through a plan, a row per tick.
+        """Walk through a plan, a row per tick; what it holds for ticks that are lost is left out.
 
         Raises
         ------
@@ -175,6 +175,7 @@ class SampleLoop:
             The link lost a device; it has stopped the motors.
         """
         rows = len(plan.reference)
+        k = -1  # tick of the plan: those that are lost are lost to it, too
         observer = self.observer if sink is not None else None
         if observer is not None:
             observer.restart(rows)
@@ -184,33 +185,36 @@ class SampleLoop:
         done = 0
         notes: tuple[str, ...] = ()
         try:
-            for k in range(rows):
+            while k + 1 < rows:
                 sample = self.link.exchange(self.command)
-                tail_s = self.clock.idle_began_s - handed_over_s if k else 0.0
+                lost = self.clock.missed - missed_seen
+                missed_seen += lost
+                k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
+                if k >= rows:
+                    break
+                tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
                 excitation = plan.excitation[k]
                 if observer is not None:
                     observer.step(sample, self.command)
                     excitation = np.add(excitation, observer.effort, out=self._added)
                     if sample.imu_fault and not notes:
-                        notes = (f"row {k}: {sample.imu_fault}; the observer goes on with encoders and model",)
+                        notes = (f"row {done}: {sample.imu_fault}; the observer goes on with encoders and model",)
                 reason = self._step(sample, plan, k, excitation)
-                lost = self.clock.missed - missed_seen
-                missed_seen += lost
                 if lost > self.overrun_ticks:
                     reason = reason or f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 handed_over_s = time.perf_counter()
-                lateness[k] = sample.lateness_s
-                work[k] = handed_over_s - self.clock.tick_began_s + tail_s
-                answer[k] = sample.arrived_s - self.clock.tick_began_s
-                done = k + 1
+                lateness[done] = sample.lateness_s
+                work[done] = handed_over_s - self.clock.tick_began_s + tail_s
+                answer[done] = sample.arrived_s - self.clock.tick_began_s
+                done += 1
                 if sink is not None:
-                    timing_s = (lateness[k], work[k], answer[k]) if self.timed else _UNTIMED
+                    timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
                     self.layout.fill(self._row, k, sample, plan, self.command, timing_s)
                     if observer is not None:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
                 if reason:
-                    kept = f"row {k}: {reason}; the motors were stopped and {done} rows are kept"
+                    kept = f"row {done - 1}: {reason}; the motors were stopped and {done} rows are kept"
                     raise LoopAborted(kept if sink is not None else f"{reason}; the motors were stopped before anything was recorded")
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)

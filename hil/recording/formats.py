@@ -10,6 +10,7 @@ from hil.errors import RecordingError
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
 from hil.recording.model import Recording
+from hil.recording.ticks import gap_words
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
@@ -50,6 +51,13 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
         return recording
     if part.exists():
         warnings.warn(f"{path}: an unfinished recording of the same name is beside it: {part.name}", RecordingWarning, stacklevel=2)
+    recording = _read(path, machine, names)
+    if words := gap_words(recording):
+        warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=2)
+    return recording
+
+
+def _read(path: Path, machine: Machine | None, names: dict[str, str] | None) -> Recording:
     match path.suffix.lower():
         case ".csv":
             return read_csv(path, machine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,7 +115,7 @@ class Recording:
 
     @cached_property
     def sample_rate_Hz(self) -> float:
-        """Rows per second, from the time channel.
+        """Rows per second, from the time channel; ticks per second where a run of the bench skipped some.
 
         Raises
         ------
@@ -125,14 +126,22 @@ class Recording:
             raise RecordingError(f"{self.rows} rows have no sample rate; two or more do")
         steps = np.diff(self.time)
         step = float(np.median(steps))
-        uneven = np.flatnonzero(np.abs(steps - step) > UNEQUAL_STEP * step)
+        ticks = self.ticks
+        uneven = np.flatnonzero(np.abs(steps - step * np.diff(ticks)) > UNEQUAL_STEP * step)
         if uneven.size:
             row = int(uneven[0])
             raise RecordingError(
                 f"rows are not equally spaced: {steps[row]:.6g} s between rows {row} and {row + 1}, elsewhere {step:.6g} s"
                 f" ({uneven.size} such steps); rows were lost"
             )
-        return round((self.rows - 1) / float(self.time[-1] - self.time[0]), 6)
+        return round(float(ticks[-1]) / float(self.time[-1] - self.time[0]), 6)
+
+    @cached_property
+    def ticks(self) -> np.ndarray:
+        """(N,) tick of each row, from 0: the row number, but for runs of the bench, whose time counts ticks and leaves skipped ones out."""
+        if self.rows < 2 or "bench" not in self.metadata:
+            return np.arange(self.rows)
+        return np.rint((self.time - self.time[0]) / np.median(np.diff(self.time))).astype(np.int64)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -163,7 +172,7 @@ class Recording:
 
     @property
     def period_slices(self) -> tuple[slice, ...]:
-        """Rows of each whole period after the settling ones.
+        """Rows of each whole period after the settling ones; a period in which ticks were skipped is none.
 
         Raises
         ------
@@ -174,10 +183,12 @@ class Recording:
         settle = self.experiment.get("settle_periods", 0)
         if not isinstance(samples, int) or not isinstance(settle, int) or samples <= 0 or settle < 0:
             raise RecordingError("not periodic: metadata experiment needs period_samples above 0 and settle_periods from 0, whole numbers")
-        count = self.rows // samples - settle
-        if count < 1:
+        last = int(self.ticks[-1]) + 1 if self.rows else 0
+        edges = np.searchsorted(self.ticks, np.arange(settle * samples, last + 1, samples)).tolist()
+        whole = tuple(slice(a, b) for a, b in itertools.pairwise(edges) if b - a == samples)
+        if not whole:
             raise RecordingError(f"{self.rows} rows hold no whole period of {samples} rows after {settle} settling ones")
-        return tuple(slice((settle + p) * samples, (settle + p + 1) * samples) for p in range(count))
+        return whole
 
     def periods(self) -> tuple[Recording, ...]:
         """The recording split into its periods after settling, time running on."""
@@ -187,8 +198,8 @@ class Recording:
         """(P, period_samples) values of one channel, a row per period after settling."""
         return np.stack([self[name][rows] for rows in self.period_slices])
 
-    def part(self, rows: slice) -> Recording:
-        """The same recording over some of its rows."""
+    def part(self, rows: slice | np.ndarray) -> Recording:
+        """The same recording over some of its rows: a slice, or (N,) whether each is taken."""
         return Recording({name: Channel(channel.unit, channel.values[rows]) for name, channel in self.channels.items()}, self.metadata)
 
     def with_metadata(self, **tables: Any) -> Recording:

@@ -9,6 +9,7 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.machine import AxisUnits, Machine
 from hil.recording import Channel, Recording, recording_metadata
+from hil.recording.ticks import on_every_tick
 from hil.simulation.simulator import Inputs, Outputs, Simulator
 from virtual_bus.settings import EffectSetting
 
@@ -46,9 +47,11 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     BadAnswer
         The simulation diverged.
     """
-    inputs = inputs_of(machine, recording)
+    whole = on_every_tick(recording)
+    inputs = inputs_of(machine, whole)
     outputs = Simulator(machine).run(inputs, effects=(*machine.plant.effects, *effects))
-    return as_recording(machine.with_effects((*machine.plant.effects, *effects)), recording, inputs, outputs)
+    simulated = as_recording(machine.with_effects((*machine.plant.effects, *effects)), whole, inputs, outputs)
+    return simulated if whole is recording else simulated.part(recording.ticks)
 
 
 def inputs_of(machine: Machine, recording: Recording) -> Inputs:

@@ -1,0 +1,60 @@
+"""A run's ticks that are not in its recording: the loop skipped them, or their rows found no room. Time tells which."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.recording.model import Channel, Recording
+
+PLANNED = ("reference_", "excitation_", "feedforward_")
+
+
+def gap_words(recording: Recording) -> str:
+    """What is missing, in one line; '' where nothing is."""
+    steps = np.diff(recording.ticks)
+    gaps = np.flatnonzero(steps > 1)
+    if not gaps.size:
+        return ""
+    row = int(gaps[0])
+    ticks = int((steps - 1).sum())
+    missing = f"{ticks} tick{' is' if ticks == 1 else 's are'} missing in {gaps.size} place{'' if gaps.size == 1 else 's'}"
+    return f"{missing}, first after row {row} ({recording.time[row]:.6g} s): the drives held their command there"
+
+
+def on_every_tick(recording: Recording) -> Recording:
+    """A row for every tick: the plan's channels filled, everything measured missing.
+
+    The excitation is that of the same tick in another period, where there is one; reference and feedforward are smooth, and interpolated.
+    """
+    ticks = recording.ticks
+    rows = int(ticks[-1]) + 1
+    if rows == recording.rows:
+        return recording
+    period = recording.experiment.get("period_samples")
+    every = np.arange(rows)
+    channels = {}
+    for name, channel in recording.channels.items():
+        values = np.full(rows, np.nan)
+        values[ticks] = channel.values
+        if name == "time":
+            values = recording.time[0] + every / recording.sample_rate_Hz
+            values[ticks] = channel.values
+        elif name.startswith(PLANNED):
+            missing = np.isnan(values)
+            missing[ticks] = False  # what was no number stays none
+            if name.startswith("excitation_") and isinstance(period, int) and 0 < period < rows:
+                values[missing] = _elsewhere(values, missing, period)[every[missing] % period]
+                missing &= np.isnan(values)
+            values[missing] = np.interp(every[missing], ticks, channel.values)
+        channels[name] = Channel(channel.unit, values)
+    return Recording(channels, recording.metadata)
+
+
+def _elsewhere(values: np.ndarray, missing: np.ndarray, period: int) -> np.ndarray:
+    """(period,) the first value there is at each tick of the period; NaN where it is missing in all."""
+    found = np.full(period, np.nan)
+    for start in range(0, len(values), period):
+        part = values[start : start + period]
+        use = np.isnan(found[: len(part)]) & ~missing[start : start + period]
+        found[: len(part)][use] = part[use]
+    return found
