@@ -85,3 +85,5 @@ def _each(task: Callable[[int], Any], numbers: Iterable[int], jobs: int, what: s
             else:
                 progress.console.print(f"case {number}: {type(problem).__name__}: {problem}")
             progress.advance(bar)
+            if not progress.console.is_terminal:
+                print(f"{what}: case {number}, {sum(done.done() for done in waiting)} of {len(numbers)}", flush=True)

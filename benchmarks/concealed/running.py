@@ -87,7 +87,7 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
             subprocess.run(step, capture_output=True, check=False)
         if compared.exists():
             table = json.loads(compared.read_text(encoding="utf-8"))
-            errors[name] = {channel["name"]: channel["rms"] for channel in table["channels"]}
+            errors[name] = {channel: row["rms"] for channel, row in table["channels"].items()}
     return {"held_out_rms": errors}
 
 

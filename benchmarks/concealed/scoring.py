@@ -166,19 +166,23 @@ def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
     return rows
 
 
+def _met(bar: dict[str, Any]) -> str:
+    return "–" if not bar["n"] else "yes" if bar["met"] else "no"
+
+
 def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list[Judgement]) -> str:
     lines = ["| bar | measured | 95 % interval | cases | asked | met |", "|---|---|---|---|---|---|"]
     for bar in bars:
         if "bins" in bar:
             value, interval = " ".join(f"{each['right']:.2f}/{each['confidence']:.2f}" for each in bar["bins"]), "right/said per bin"
         elif "ci95" in bar:
-            value = f"{100 * bar['value']:.1f} %" if bar["n"] else "-"
+            value = f"{100 * bar['value']:.1f} %" if bar["n"] else "–"
             interval = f"{100 * bar['ci95'][0]:.1f} to {100 * bar['ci95'][1]:.1f} %" + (
                 f", upper {100 * bar['upper_bound']:.1f} %" if "upper_bound" in bar else ""
             )
         else:
-            value, interval = f"{bar['value']:.2f}", ""
-        lines.append(f"| {bar['bar']} | {value} | {interval} | {bar['n']} | {bar['asked']} | {'yes' if bar['met'] else 'no'} |")
+            value, interval = f"{bar['value']:.2f}" if bar["n"] else "–", ""
+        lines.append(f"| {bar['bar']} | {value} | {interval} | {bar['n']} | {bar['asked']} | {_met(bar)} |")
     lines += [
         "",
         "| stratum | condition | cases | alarms | name asked | right | confidently wrong | verdicts |",
@@ -188,5 +192,6 @@ def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list
         verdicts = ", ".join(f"{verdict} {count}" for verdict, count in row["verdicts"].items())
         cells = [row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")]
         lines.append("| " + " | ".join(map(str, [*cells, verdicts])) + " |")
-    lines += ["", f"{len(judged)} cases; median {np.median([each.seconds for each in judged]):.1f} s each"]
+    if judged:
+        lines += ["", f"{len(judged)} cases; {np.median([each.seconds for each in judged]):.1f} s each in the median"]
     return "\n".join(lines)
