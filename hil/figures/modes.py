@@ -33,6 +33,8 @@ def modes_figure(model: ModalFrfModel, *, angle: bool = True, title: str = "") -
     frequency.set_ylabel("natural frequency [Hz]")
     damping.set_ylabel("damping ratio [%]")
     damping.set_yscale("log")
+    damping.yaxis.set_major_formatter("{x:g}")
+    damping.yaxis.set_minor_formatter("{x:g}")
     damping.set_xlabel("pose [°]" if angle else "pose")
     for axes in (frequency, damping):
         axes.grid(alpha=0.3, linewidth=0.5)
