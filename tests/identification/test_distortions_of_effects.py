@@ -1,4 +1,4 @@
-"""Claims about which unexcited lines an effect of the emulated C-arm reaches: odd effects odd lines, even ones even lines, none by chance."""
+"""Claims about which unexcited lines an effect of the emulated C-arm reaches: odd effects odd lines, even ones even lines."""
 
 import numpy as np
 import pytest
