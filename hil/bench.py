@@ -397,7 +397,7 @@ def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> Ro
     return RowLayout(
         [AxisColumns(units.axis, units.position, units.effort) for units in machine.units],
         1.0 / machine.sample_rate_Hz,
-        imu=bool(plant.imus) and machine.bus is not None and machine.bus.imu is not None,
+        imu=machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else "",
         link=any(encoder.channel.startswith("link_") for encoder in plant.encoders),
         temperature=machine.bus is not None and machine.bus.io is not None and bool(machine.bus.io.temperature_registers),
         observed=observed,

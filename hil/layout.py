@@ -13,7 +13,11 @@ from drivers.interface import Sample
 if TYPE_CHECKING:
     from hil.loop import Signals
 
-IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
+
+def imu_channels(name: str) -> tuple[str, ...]:
+    """A recording's six channels of an IMU: imu_x ... gyro_z for the one called `imu`, else its name in front."""
+    gyro = "gyro" if name == "imu" else f"{name}_gyro"
+    return tuple(f"{name}_{axis}" for axis in "xyz") + tuple(f"{gyro}_{axis}" for axis in "xyz")
 
 
 @dataclass(frozen=True)
@@ -37,9 +41,11 @@ class RowLayout:
     ----------
     axes : sequence of AxisColumns
     period_s : float
-        Sample period; time is row number times period.
-    imu, link, temperature : bool
-        Which optional sensors the machine has.
+        Sample period; time is tick number times period.
+    imu : str
+        Name of the IMU on the bench's line; "" without one.
+    link, temperature : bool
+        Which other optional sensors the machine has.
     observed : sequence of (name, unit)
         What an observer adds: the last columns, at `RowLayout.observed`.
     """
@@ -49,7 +55,7 @@ class RowLayout:
         axes: Sequence[AxisColumns],
         period_s: float,
         *,
-        imu: bool,
+        imu: str,
         link: bool,
         temperature: bool,
         observed: Sequence[tuple[str, str]] = (),
@@ -75,7 +81,7 @@ class RowLayout:
                 continue
             self._add(group, [(name_of(axis), unit_of(axis)) for axis in self.axes])
         if imu:
-            self._add("imu", [(name, "m/s^2" if name.startswith("imu") else "rad/s") for name in IMU_CHANNELS])
+            self._add("imu", list(zip(imu_channels(imu), ("m/s^2",) * 3 + ("rad/s",) * 3, strict=True)))
             self._add("imu_time", [("imu_time", "s")])
             self._add("imu_counter", [("imu_counter", "")])
         self._add("sync_lateness", [("sync_lateness", "s")])

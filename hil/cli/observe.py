@@ -63,7 +63,9 @@ def live_observer(path: Path | None, damping: float, machine: Machine, bus: str,
         law = ModalDamping(observer, DampingSettings(damping))
         answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
     units = [units.effort for units in machine.units] if law is not None else []
-    with contextlib.closing(LiveObserver(observer, str(path), law, units, "" if bus.startswith("lockstep:") else bus)) as live:
+    imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
+    shown = "" if bus.startswith("lockstep:") else bus
+    with contextlib.closing(LiveObserver(observer, str(path), law, units, imu=imu, bus_url=shown)) as live:
         yield live
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor
 from hil.errors import UnusableInput
+from hil.layout import imu_channels
 from hil.machine import Machine
 from virtual_bus.settings import Body
 
@@ -69,18 +70,12 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
                 sensor_end_m=end(imu.body, imu.position_m),
                 rotation=to_detector @ placed[imu.body][1] @ imu.orientation,
                 lag_s=1.0 / (2.0 * np.pi * bandwidth) if bandwidth > 0.0 else 0.0,
-                channels=sensor_channels(imu.name),
+                channels=imu_channels(imu.name),
             )
         )
     if not sensors or machine.plant.imus[0].body != geometry.detector_body:
         raise UnusableInput(f"{machine.name}: no IMU on {geometry.detector_body}; without one an observer sees no more than the encoders")
     return chain, tuple(sensors), end(geometry.source_body, geometry.source_position_m), to_detector @ geometry.isocenter_m
-
-
-def sensor_channels(name: str) -> tuple[str, ...]:
-    """A recording's six channels of an IMU: imu_x ... gyro_z for the one called `imu`, else its name in front."""
-    gyro = "gyro" if name == "imu" else f"{name}_gyro"
-    return tuple(f"{name}_{axis}" for axis in "xyz") + tuple(f"{gyro}_{axis}" for axis in "xyz")
 
 
 def _placed(bodies: tuple[Body, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:

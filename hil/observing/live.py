@@ -10,6 +10,7 @@ import numpy as np
 from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
+from hil.layout import imu_channels
 from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
 
@@ -32,6 +33,8 @@ class LiveObserver:
         Feedback from the estimate.
     effort_units : sequence of str
         Of the drives, where there is damping.
+    imu : str
+        Name of the IMU on the bench's line, of those the model knows.
     bus_url : str
         Of the bus under which other processes find the newest estimate (`hil.observing.board`); "" keeps it here.
 
@@ -53,6 +56,8 @@ class LiveObserver:
         design: str = "",
         damping: ModalDamping | None = None,
         effort_units: Sequence[str] = (),
+        *,
+        imu: str = "imu",
         bus_url: str = "",
     ) -> None:
         self.observer, self.damping = observer, damping
@@ -69,7 +74,9 @@ class LiveObserver:
         self._observed = len(observer.channels)
         self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")
         self._row = MeasuredRow(observer.model)
-        self._read = np.full(2 * axes + 6, np.nan)
+        channels = observer.model.channels()
+        self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
+        self._imu_at = [channels.index(name) for name in imu_channels(imu) if name in channels]
         self._board = EstimateBoard(bus_url, [name for name, _ in self.channels]) if bus_url else None
         nothing = np.zeros(axes)
         observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
@@ -91,7 +98,8 @@ class LiveObserver:
         read, axes = self._read, len(command)
         read[:axes] = sample.position
         read[axes : 2 * axes] = sample.link_position
-        read[2 * axes :] = sample.imu
+        if self._imu_at:
+            read[self._imu_at] = sample.imu
         self._row.take(read)
         observer, observed = self.observer, self._observed
         observer.step_measured(self._row.values, command)

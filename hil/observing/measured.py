@@ -33,10 +33,9 @@ class MeasuredRow:
         self._last[:] = np.nan
 
     def take(self, read: np.ndarray) -> None:
-        """Take over a row as read (measurements,), shorter where the last IMUs have no line."""
+        """Take over a row as read (measurements,)."""
         values = self.values
-        values[: len(read)] = read
-        values[len(read) :] = np.nan
+        values[:] = read
         for index, last in enumerate(self._last):
             now = values[self._first + 6 * index :][:6]
             if np.array_equal(now, last):

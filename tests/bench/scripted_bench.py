@@ -83,7 +83,7 @@ def still(rows: int) -> Signals:
 
 
 def layout() -> RowLayout:
-    return RowLayout([AxisColumns(axis, "rad", "A") for axis in AXES], PERIOD_S, imu=True, link=True, temperature=True)
+    return RowLayout([AxisColumns(axis, "rad", "A") for axis in AXES], PERIOD_S, imu="imu", link=True, temperature=True)
 
 
 def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoop:
