@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from hil.errors import UnusableInput
+from hil.imaging.pixels import without_dead_pixels
 
 SHADOW = 0.5
 """A pixel belongs to a bullet's core where it is darker than this share of the way from the background to a bullet's middle."""
@@ -54,7 +55,7 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
         The image is saturated, empty or not of two dimensions.
     """
     image = _usable(image)
-    clean = _without_dead_pixels(image)
+    clean = without_dead_pixels(image)
     wide = 2 * int(np.ceil(4.0 * radius_pixels)) + 1
     coarse = 4
     background = ndimage.zoom(
@@ -102,22 +103,6 @@ def _usable(image: np.ndarray) -> np.ndarray:
     if values.max() <= 0.0 or np.median(values) < 20.0:
         raise UnusableInput(f"the image is dark (median {np.median(values):g} counts); a calibration needs a few hundred photons a pixel")
     return values
-
-
-NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
-
-
-def _without_dead_pixels(image: np.ndarray) -> np.ndarray:
-    """Pixels far outside the range of their eight neighbours are replaced by the neighbours' median."""
-    low = ndimage.minimum_filter(image, footprint=NEIGHBOURS)
-    high = ndimage.maximum_filter(image, footprint=NEIGHBOURS)
-    beyond = np.maximum(low - image, image - high)
-    rows, columns = np.nonzero(beyond > 5.0 * np.sqrt(np.maximum(low, 1.0)))
-    clean = image.copy()
-    for row, column in zip(rows, columns, strict=True):
-        around = image[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
-        clean[row, column] = np.median(around)
-    return clean
 
 
 def _moments(weights: np.ndarray, slices: tuple[slice, slice]) -> tuple[np.ndarray, float]:

@@ -1,0 +1,93 @@
+"""isocenter reconstruct: a volume from a scan's images and the geometry of each exposure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from hil.cli.options import MachineArgument, load
+from hil.cli.output import Answer, JsonOption, progress
+from hil.errors import UnusableInput
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(
+        short_help="A volume from a scan's images.",
+        help="A volume from a scan's images, with the nominal geometry or a calibrated one, and how sharp thin wires are in it."
+        "\n\nExample:  isocenter reconstruct carm wire_scan --lookup roll.lookup.npz -o reconstruction",
+    )(reconstruct)
+
+
+def reconstruct(
+    machine_name: MachineArgument,
+    scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for volume.mha and figures.")],
+    lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Calibrated geometry; nominal without.")] = None,
+    size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
+    spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
+    hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
+    json_to: JsonOption = None,
+) -> None:
+    """Read, reconstruct, judge, draw."""
+    from hil.calibration.lookup import read_look_up
+    from hil.figures.reconstruction import volume_figure, wires_figure
+    from hil.imaging.nominal import nominal_beam
+    from hil.imaging.scan_folder import read_scan
+    from hil.imaging.scenes import scene
+    from hil.reconstruction.cone_beam import line_integrals, write_volume
+    from hil.reconstruction.cone_beam import reconstruct as make
+    from hil.reconstruction.quality import wire_quality
+    from virtual_bus.xray.objects import Rod
+
+    if spacing <= 0.0:
+        raise UnusableInput(f"--spacing {spacing:g}: must be positive")
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    scan = read_scan(scan_folder)
+    if np.isnan(scan.positions).any():
+        raise UnusableInput(f"{scan_folder}: exposures.csv has no axis positions; the geometry goes by position")
+    beam = nominal_beam(machine, scan.positions)
+    source = "nominal geometry"
+    if lookup is not None:
+        beam, source = beam.moved(read_look_up(lookup).at(scan.positions)), f"geometry from {lookup.name}"
+    images = np.empty((len(scan), scan.detector.rows, scan.detector.columns), dtype=np.float32)
+    with progress(answer.console) as bars:
+        task = bars.add_task("reading", total=len(scan))
+        for k in range(len(scan)):
+            images[k] = line_integrals(scan.frame(k))
+            bars.update(task, completed=k + 1)
+        bars.update(bars.add_task("reconstructing", total=None))
+        volume = make(images, scan.detector, beam, size, 1e-3 * spacing, hann)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_volume(volume, out / "volume.mha")
+        volume_figure(volume, f"{scan_folder.name}, {source}").savefig(out / "volume.png", dpi=130)
+    except OSError as error:
+        raise UnusableInput(f"{out}: cannot be written: {error.strerror or error}") from None
+    answer.say(f"{out}: volume.mha of {size}^3 voxels of {spacing:g} mm, volume.png; {len(scan)} projections, {source}")
+    name = str(scan.notes.get("scene", ""))
+    judged = {}
+    if name.startswith("wires"):
+        rods = [item for item in scene(name) if isinstance(item, Rod)]
+        judged = {f"wire {axis}": wire_quality(volume, rod.start_m, rod.end_m) for axis, rod in zip("xyz", rods, strict=True)}
+        wires_figure(judged, f"{scan_folder.name}, {source}").savefig(out / "wires.png", dpi=130)
+        for wire, quality in judged.items():
+            answer.say(
+                f"  {wire}: peak {quality.mean_peak_1_m:.1f} 1/m, widths"
+                f" {1e3 * quality.widths_m[0]:.2f} and {1e3 * quality.widths_m[1]:.2f} mm,"
+                f" {1e3 * np.linalg.norm(quality.offset_m):.2f} mm from its place, artefacts {quality.artefact:.1%} of the peak"
+            )
+    answer.write(
+        {
+            "geometry": source,
+            "projections": len(scan),
+            "wires": {
+                wire: {"peak_1_m": q.mean_peak_1_m, "widths_m": q.widths_m, "offset_m": q.offset_m, "artefact": q.artefact}
+                for wire, q in judged.items()
+            },
+        }
+    )

@@ -1,0 +1,56 @@
+"""Figures of a reconstruction: slices, projections of the largest value, and the cross sections of wires."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.reconstruction.cone_beam import Volume
+from hil.reconstruction.quality import WireQuality
+
+PLANES = (("z", 0, "x", "y"), ("y", 1, "x", "z"), ("x", 2, "y", "z"))
+"""Direction looked along, its index in the array (z, y, x), and the picture's axes."""
+
+
+def volume_figure(volume: Volume, title: str) -> Figure:
+    """Three slices through the middle over three largest-value projections; the volume's own frame, millimetres."""
+    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
+    panels = figure.subplots(2, 3)
+    half = 0.5e3 * volume.values.shape[0] * volume.spacing_m
+    high = float(np.percentile(volume.values, 99.95))
+    for column, (name, index, across, up) in enumerate(PLANES):
+        middle = np.take(volume.values, volume.values.shape[index] // 2, axis=index)
+        for row, (picture, kind) in enumerate(((middle, f"slice {name} = 0"), (volume.values.max(axis=index), f"largest along {name}"))):
+            panel = panels[row, column]
+            shown = panel.imshow(picture, cmap="gray", origin="lower", extent=(-half, half, -half, half), vmin=0.0, vmax=high)
+            panel.set_title(kind, fontsize=10)
+            panel.set_xlabel(f"{across} [mm]")
+            panel.set_ylabel(f"{up} [mm]")
+    figure.colorbar(shown, ax=panels, label="attenuation [1/m]", shrink=0.7)
+    figure.suptitle(title)
+    return figure
+
+
+def wires_figure(qualities: Mapping[str, WireQuality], title: str) -> Figure:
+    """Cross section of each wire, and its profiles through the peak."""
+    figure = Figure(figsize=(3.8 * len(qualities), 7.0), layout="constrained")
+    panels = figure.subplots(2, len(qualities), squeeze=False)
+    for column, (name, quality) in enumerate(qualities.items()):
+        half = 0.5e3 * (quality.section.shape[0] - 1) * quality.spacing_m
+        picture, profile = panels[0, column], panels[1, column]
+        picture.imshow(quality.section, cmap="gray", origin="lower", extent=(-half, half, -half, half))
+        picture.set_title(f"{name}: peak {quality.mean_peak_1_m:.0f} 1/m", fontsize=10)
+        picture.set_xlabel("across [mm]")
+        picture.set_ylabel("across [mm]")
+        row, at = np.unravel_index(np.argmax(quality.section), quality.section.shape)
+        along = np.linspace(-half, half, quality.section.shape[0])
+        profile.plot(along, quality.section[row, :], color="#0072B2", label=f"width {1e3 * quality.widths_m[1]:.2f} mm")
+        profile.plot(along, quality.section[:, at], color="#D55E00", linestyle="--", label=f"width {1e3 * quality.widths_m[0]:.2f} mm")
+        profile.set_xlabel("across [mm]")
+        profile.set_ylabel("attenuation [1/m]")
+        profile.legend(fontsize=8)
+        profile.grid(alpha=0.3)
+    figure.suptitle(title)
+    return figure

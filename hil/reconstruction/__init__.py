@@ -1,0 +1,1 @@
+"""Reconstruction from projections, and what it says of the geometry it was made with."""

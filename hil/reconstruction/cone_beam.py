@@ -1,0 +1,234 @@
+"""Cone-beam reconstruction over a circular scan with the geometry of each exposure, by RTK's FDK (thesis Appendix B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.geometry import ConeBeam
+from hil.imaging.pixels import without_dead_pixels
+
+FEWEST = 20
+"""Projections below which streaks are all there is."""
+
+LEAST_ARC_deg = 150.0
+"""Arc below which a circular scan misses more than FDK with short-scan weights can hide; 180 plus the fan angle is complete."""
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A reconstructed volume.
+
+    Attributes
+    ----------
+    values : (n, n, n) float32 array
+        Attenuation [1/m]; index order z, y, x of the volume's own frame.
+    spacing_m : float
+    rotation : (3, 3) array
+        Columns: the volume's x, y, z in the phantom's frame. y is the scan's axis.
+    """
+
+    values: np.ndarray
+    spacing_m: float
+    rotation: np.ndarray
+
+    def sample(self, points_m: np.ndarray) -> np.ndarray:
+        """(...,) values at points (..., 3) of the phantom's frame, linear between voxels; 0 outside."""
+        own = np.asarray(points_m) @ self.rotation / self.spacing_m + (np.array(self.values.shape[::-1]) - 1) / 2.0
+        return map_coordinates(self.values, np.moveaxis(own[..., ::-1], -1, 0), order=1, mode="constant")
+
+
+def line_integrals(image: np.ndarray, open_beam: float | None = None) -> np.ndarray:
+    """-log of counts over the open beam's, dead pixels repaired; the open beam is the image's 98th percentile unless given."""
+    counts = np.maximum(without_dead_pixels(np.asarray(image, dtype=float)), 1.0).astype(np.float32)
+    return np.log(np.float32(open_beam if open_beam is not None else np.percentile(counts, 98.0))) - np.log(counts)
+
+
+def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
+    """The axis (3,) that the panel's normals turn about, and the arc [rad] they cover.
+
+    Raises
+    ------
+    UnusableInput
+        The exposures do not turn about one axis.
+    """
+    normals = beam.rotation[:, :, 2]
+    _, spread, directions = np.linalg.svd(normals, full_matrices=False)
+    axis = directions[2]
+    if spread[2] > 0.2 * spread[1]:
+        raise UnusableInput("the exposures do not turn about one axis; a cone-beam reconstruction needs a circular scan")
+    first = normals[0] - (normals[0] @ axis) * axis
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    angles = np.unwrap(np.arctan2(normals @ second, normals @ first))
+    return axis, float(np.ptp(angles))
+
+
+def reconstruct(
+    projections: np.ndarray, detector: Detector, beam: ConeBeam, size: int = 128, spacing_m: float = 1e-3, hann: float = 0.0
+) -> Volume:
+    """Feldkamp, Davis and Kress with short-scan weights, every projection with its own geometry.
+
+    Exposures at standstill before, between and after sweeps are left out.
+
+    Parameters
+    ----------
+    projections : (N, rows, columns) array
+        Line integrals.
+    detector : Detector
+        Without skew.
+    beam : ConeBeam
+        Of the N exposures.
+    size : int
+        Voxels along each edge.
+    spacing_m : float
+    hann : float
+        Cut-off of the Hann window on the ramp filter, relative to Nyquist; 0: none.
+
+    Raises
+    ------
+    UnusableInput
+        Too few projections, too short an arc, no circular scan, or shapes that do not belong together.
+    """
+    projections = np.ascontiguousarray(projections, dtype=np.float32)
+    if projections.shape != (len(beam), detector.rows, detector.columns):
+        raise UnusableInput(f"projections {projections.shape}; {len(beam)} exposures of {detector.rows} x {detector.columns} pixels differ")
+    if len(beam) < FEWEST:
+        raise UnusableInput(f"{len(beam)} projections; a reconstruction needs {FEWEST} at least, 100 to be of use")
+    axis, arc = scan_axis(beam)
+    if np.degrees(arc) < LEAST_ARC_deg:
+        raise UnusableInput(f"the scan covers {np.degrees(arc):.0f} degrees; a reconstruction needs {LEAST_ARC_deg:.0f} at least")
+    chosen = _moving(beam, axis)
+    projections, beam = projections[chosen], beam[chosen]
+    to_volume = _turned_to_y(axis)
+    turned = beam.referred_to(np.zeros(3), to_volume)
+    u, v = turned.rotation[:, :, 0], turned.rotation[:, :, 1]
+    pitch_u, pitch_v = detector.pitch_m, detector.pitch_m * detector.aspect
+    if np.abs(u[:, 1]).mean() > np.abs(v[:, 1]).mean():  # the ramp filter runs across the axis: swap the panel's directions
+        projections = np.ascontiguousarray(np.swapaxes(projections, 1, 2))
+        u, v, pitch_u, pitch_v = v, u, pitch_v, pitch_u
+    projections = projections * _short_scan_weights(turned, u, pitch_u, projections.shape[2], arc)
+    frames = np.stack([turned.source_in_phantom_m, turned.detector_in_phantom_m, u, v], axis=1)
+    values = _fdk(*_with_dark_ends(projections, frames), (pitch_u, pitch_v), size, spacing_m, hann)
+    return Volume(values, spacing_m, to_volume)
+
+
+def _moving(beam: ConeBeam, axis: np.ndarray) -> np.ndarray:
+    """Exposures to use: those at standstill before and after a sweep, and those in which it turns back, see nothing new."""
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    normals = beam.rotation[:, :, 2]
+    angle = np.unwrap(np.arctan2(normals @ np.cross(axis, first), normals @ first))
+    if angle[-1] < angle[0]:
+        angle = -angle
+    least = 0.3 * np.ptp(angle) / len(angle)
+    chosen = [0]
+    for k in range(1, len(angle)):
+        if angle[k] - angle[chosen[-1]] > least:
+            chosen.append(k)
+    return np.array(chosen)
+
+
+def _short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: int, arc: float) -> np.ndarray:
+    """(N, 1, columns) weights of a scan of less than a turn: lines that are measured twice share 2, those measured once have 2.
+
+    Parker (1982), with the half overlap delta = (arc - pi) / 2 in place of the fan's half angle, so that arcs between half a turn and half
+    a turn plus the fan lose nothing that was measured; an arc below half a turn has no line twice. RTK expects the whole turn: hence the 2.
+    """
+    source = beam.source_in_phantom_m
+    beta = np.unwrap(np.arctan2(source[:, 0], source[:, 2]))
+    sense = np.sign(beta[-1] - beta[0])
+    beta = sense * (beta - beta[0])
+    delta = 0.5 * (arc - np.pi)
+    if delta <= 0.0:
+        return np.full((len(beta), 1, columns), 2.0, dtype=np.float32)
+    depth = -beam.source_m[:, 2]
+    along = (np.arange(columns) - (columns - 1) / 2.0) * pitch_m
+    tangent = np.cross([0.0, 1.0, 0.0], source)
+    sign = sense * np.sign(np.sum(u * tangent, axis=1))
+    gamma = np.clip(sign[:, None] * np.arctan(along[None, :] / depth[:, None]), -delta, delta)
+    turn = beta[:, None]
+    weight = np.ones_like(gamma)
+    rising, falling = turn < 2.0 * (delta - gamma), turn > np.pi - 2.0 * gamma
+    with np.errstate(divide="ignore", invalid="ignore"):
+        up = np.sin(0.25 * np.pi * turn / (delta - gamma)) ** 2
+        down = np.sin(0.25 * np.pi * (np.pi + 2.0 * delta - turn) / (delta + gamma)) ** 2
+    weight = np.where(rising, np.nan_to_num(up), weight)
+    weight = np.where(falling, np.nan_to_num(down), weight)
+    return (2.0 * weight[:, None, :]).astype(np.float32)
+
+
+def _turned_to_y(axis: np.ndarray) -> np.ndarray:
+    """(3, 3) frame whose y is the scan's axis and whose z is nearest to the present z."""
+    y = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    z = np.array([0.0, 0.0, 1.0]) if abs(y[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    z = z - (z @ y) * y
+    z /= np.linalg.norm(z)
+    return np.column_stack([np.cross(y, z), y, z])
+
+
+def _with_dark_ends(projections: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A projection of nothing one step before the first and after the last.
+
+    RTK weights a projection by the angle to its neighbours around the whole turn; without these the first and last would stand for all of
+    the turn that was not scanned.
+    """
+    angle = np.unwrap(np.arctan2(frames[:, 0, 0], frames[:, 0, 2]))
+    step = (angle[-1] - angle[0]) / (len(angle) - 1)
+    before = Rotation.from_rotvec([0.0, -step, 0.0]).apply(frames[0])
+    after = Rotation.from_rotvec([0.0, step, 0.0]).apply(frames[-1])
+    nothing = np.zeros((1, *projections.shape[1:]), dtype=np.float32)
+    return np.concatenate([nothing, projections, nothing]), np.concatenate([before[None], frames, after[None]])
+
+
+def _fdk(
+    projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float, hann: float
+) -> np.ndarray:
+    """(size, size, size) attenuation [1/m] by RTK, which counts millimetres; frames (N, 4, 3) are source, panel, its u and v."""
+    try:
+        import itk
+        from itk import RTK as rtk
+    except ImportError:
+        raise UnusableInput("reconstruction needs RTK: pip install 'isocenter[imaging]'") from None
+    image_type = itk.Image[itk.F, 3]
+    point, vector = itk.Point[itk.D, 3], itk.Vector[itk.D, 3]
+    geometry = rtk.ThreeDCircularProjectionGeometry.New()
+    for k, (source, panel, u, v) in enumerate(frames):
+        if not geometry.AddProjection(point(1e3 * source), point(1e3 * panel), vector(u), vector(v)):
+            raise UnusableInput(f"exposure {k}: RTK does not take its geometry")
+    _, rows, columns = projections.shape
+    stack = itk.image_from_array(projections)
+    stack.SetSpacing([1e3 * pitch_m[0], 1e3 * pitch_m[1], 1.0])
+    stack.SetOrigin([-0.5e3 * (columns - 1) * pitch_m[0], -0.5e3 * (rows - 1) * pitch_m[1], 0.0])
+    empty = rtk.ConstantImageSource[image_type].New()
+    empty.SetSpacing([1e3 * spacing_m] * 3)
+    empty.SetOrigin([-0.5e3 * (size - 1) * spacing_m] * 3)
+    empty.SetSize([size] * 3)
+    empty.SetConstant(0.0)
+    fdk = rtk.FDKConeBeamReconstructionFilter[image_type].New()
+    fdk.SetInput(0, empty.GetOutput())
+    fdk.SetInput(1, stack)
+    fdk.SetGeometry(geometry)
+    fdk.GetRampFilter().SetTruncationCorrection(0.0)
+    fdk.GetRampFilter().SetHannCutFrequency(hann)
+    fdk.Update()
+    return np.array(itk.array_from_image(fdk.GetOutput())) * np.float32(1e3)
+
+
+def write_volume(volume: Volume, path: Path) -> None:
+    """As MetaImage (.mha), in millimetres, its directions those of the phantom's frame; 3D Slicer and ITK-SNAP open it."""
+    import itk
+
+    image = itk.image_from_array(volume.values)
+    spacing = 1e3 * volume.spacing_m
+    image.SetSpacing([spacing] * 3)
+    corner = -0.5 * spacing * (np.array(volume.values.shape[::-1]) - 1)
+    image.SetOrigin([float(value) for value in volume.rotation @ corner])
+    image.SetDirection(itk.matrix_from_array(np.ascontiguousarray(volume.rotation)))
+    itk.imwrite(image, str(path))
