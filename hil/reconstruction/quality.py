@@ -73,7 +73,7 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray) -> Wire
     places = start_m + np.linspace(ENDS, 1.0 - ENDS, SLICES)[:, None] * axis
     sections = volume.sample(places[:, None, None, :] + across[None])
     mean = sections.mean(axis=0)
-    row, column = np.unravel_index(np.argmax(mean), mean.shape)
+    row, column = (int(index) for index in np.unravel_index(np.argmax(mean), mean.shape))
     widths = np.array([_width(mean[:, column], row), _width(mean[row, :], column)]) * step
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
     return WireQuality(
