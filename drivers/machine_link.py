@@ -6,119 +6,19 @@ Life of a machine: `start` (boot, identity, configuration, operational), `home`,
 
 from __future__ import annotations
 
-import time
-from typing import TYPE_CHECKING
-
-import can
-import canopen
 import numpy as np
 
-from drivers.canopen import cia402, motion
+from drivers.canopen import motion
 from drivers.canopen.cia402 import Mode, State
-from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.commissioning import commission_axis
-from drivers.canopen.configuration import configure_node
-from drivers.canopen.cyclic import CyclicExchange, drives
-from drivers.canopen.eds import load_object_dictionary
-from drivers.canopen.identity import check_identity
-from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
-from drivers.canopen.sdo import SdoNode
-from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
-from drivers.canopen.supervision import Supervision, refuse_second_bench
-from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError, MotionRefused
-from drivers.interface import Clock, Sample
-from drivers.settings import BusSettings, Node
-
-if TYPE_CHECKING:
-    from drivers.modbus.io import Io
-    from drivers.serial.imu import ImuDriver
-
-FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
-RESET_PATIENCE_S = 0.1  # for a node's boot-up when the bench leaves: none is missed if it does not come
-IMU_RETRY_S = 2e-4  # a packet at 921600 baud takes three times as long
-PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
-OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
+from drivers.errors import MotionRefused
+from drivers.ticking_machine import TickingMachine
 
 
-class CanMachine:
-    """A machine on a CAN bus, real or emulated.
-
-    Parameters
-    ----------
-    settings : BusSettings
-    bus : can.BusABC
-        Open bus; it stays the caller's.
-    clock : Clock
-        Wall time, or virtual time in lockstep.
-    imu : ImuDriver, optional
-        Driver of the detector's IMU; configured by `start`.
-    io : Io, optional
-        Driver of brakes, hold-to-run, door and temperatures. Without one the machine has no brakes the bench could command.
-
-    Raises
-    ------
-    ConfigurationRefused
-        The settings' nodes and PDOs do not make a machine the loop can run.
+class CanMachine(TickingMachine):
+    """A ticking machine and the phases in which it ticks by itself: homing, enabling, brakes; each is watched, and each stops the motors
+    when it refuses. Parameters as for `TickingMachine`.
     """
-
-    def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None = None, io: Io | None = None) -> None:
-        self.settings = settings
-        self.clock = clock
-        self.period_s = settings.sync_period_s
-        self.network = PolledNetwork(bus, clock)
-        self.supervision = Supervision(self.network, settings.nodes)
-        self._cyclic = CyclicExchange(self.network, settings, self.supervision)
-        self.scalings = settings.scalings
-        self.axes = tuple(scaling.axis for scaling in settings.scalings)
-        self.drives = tuple(drives(settings))
-        self.inputs = tuple(self._cyclic.inputs)
-        self.sample = Sample(len(self.axes))
-        self.watch = MotionWatch(settings.motions, settings.scalings, clock, self.period_s)
-        self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
-        self.stop_trouble: list[str] = []  # what went wrong in the last stop
-        self.stopping = False  # from the first step of a stop to its last: whoever handles signals must not break it off
-        self._imu, self._io = imu, io
-        self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
-        self._nodes: dict[int, SdoNode] = {}
-        self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
-        self._armed = [False] * len(self.axes)
-        self._ticking = False
-        self._ours = False  # nobody else runs this machine: only then may anything be sent, even to stop it
-        self._io_lost = ""
-        self._standstill = self._new_standstill()
-        self._zeros = np.zeros(len(self.axes))
-
-    def start(self) -> None:
-        """Boot every node, check who it is, configure it, make it operational, and see every TPDO once. Drives stay disabled.
-
-        Raises
-        ------
-        NodeAbsent, DuplicateNode, WrongIdentity, ConfigurationRefused, DeviceFault, BusTimeout, BusError
-        """
-        if self._ticking:
-            self.stop()
-        with self._stopping_on_error():
-            self._ours = False
-            self.watch.forget()
-            self.network.stop_heartbeat()
-            refuse_second_bench(self.network, self.settings.master_node_id, self.settings.master_heartbeat_period_s)
-            self._ours = True
-            if self._imu is not None:
-                self._imu.configure(self.clock.wait)
-            self.supervision.boot(self.settings.nodes)
-            notes: list[str] = []
-            for node in self.settings.nodes:
-                notes += self._configure(node)
-            self.notes = tuple(notes)
-            for node in self.settings.nodes:
-                self.network.command_nmt(NMT_START, node.node_id)
-            self.supervision.await_operational(self.settings.nodes)
-            if self.settings.master_heartbeat_period_s > 0.0:
-                self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
-            self._ticking = True
-            self.resume_ticks()
-            self._await_first_answers()
 
     def home(
         self, holding_effort: np.ndarray | None = None, windup: np.ndarray | None = None, *, check_first_move: bool = True
@@ -145,9 +45,9 @@ class CanMachine:
             A check failed, or the permission to move was taken back: hold-to-run, door, I/O.
         DeviceFault, HeartbeatLost, BusError
         """
-        holding = self._zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
+        holding = self.zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
         found: list[str] = []
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             self._check_permission()
             for axis, homing in enumerate(self.settings.homings):
                 alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
@@ -170,14 +70,14 @@ class CanMachine:
             Hold-to-run is not pressed or the door is open.
         DeviceFault, BusTimeout, HeartbeatLost, BusError
         """
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             self._check_permission()
             axes = range(len(self.axes))
             for axis in axes:
                 motion.reset_fault(self, axis)
                 motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
             self.watch.stand()
-            motion.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self._zeros))
+            motion.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self.zeros))
 
     def release_brakes(self, hold: motion.Hold) -> None:
         """Hold the enabled axes, open all brakes, wait for their feedback.
@@ -193,239 +93,21 @@ class CanMachine:
             A brake's feedback does not follow, or the permission to move was taken back: hold-to-run, door, I/O.
         DeviceFault, HeartbeatLost, BusError
         """
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             self.watch.stand()
             motion.open_brakes(self, range(len(self.axes)), hold)
 
     def close_brakes(self, hold: motion.Hold) -> None:
         """Close all brakes while the drives still hold, then disable the drives: the way back of `enable` and `release_brakes`."""
-        with self._stopping_on_error():
+        with self.stopping_on_error():
             axes = range(len(self.axes))
             self.watch.settle()
             motion.close_brakes(self, axes, hold)
             motion.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
 
-    def exchange(self, command: np.ndarray) -> Sample:
-        """Send `command` (n_axes,), wait for the next tick, return what was latched at its SYNC. See `drivers.interface.MachineLink`.
-
-        Raises
-        ------
-        DeviceFault
-            An enabled drive left operation enabled, or a node left the NMT state operational.
-        HeartbeatLost
-            A node fell silent.
-        MotionRefused
-            The command holds a value that is no number.
-        BusError
-            The bus failed.
-        """
-        sample = self.sample
-        try:
-            if not self._ticking:
-                raise BusError("the machine is not started, or was stopped; start it first")
-            overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
-            self._poll(sample, overdue_s)
-            for axis, source in enumerate(self.inputs):
-                if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
-                    self._explain_fault(axis)
-            if self.supervision.left_operational:
-                raise DeviceFault("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
-            self.supervision.check_one(self.clock.now())
-        except BaseException:
-            self.stop()
-            raise
-        sample.arrived_s = time.perf_counter()
-        return sample
-
-    def stop(self) -> None:
-        """Quick stop, brakes closed, voltage off, nodes pre-operational; from any state, any number of times, never raising.
-
-        What failed on the way is in `stop_trouble`; every later step was tried all the same. A machine that another bench was found to run,
-        or that was never started, is not touched: neither its bus nor its I/O.
-        """
-        outer, self.stopping = self.stopping, True
-        try:
-            if self._ours:
-                self._bring_to_rest()
-        finally:
-            self.stopping = outer
-
-    def close(self) -> None:
-        """Stop, and let every node forget the bench: a reset of communication ends their watch over its heartbeat. Never raises."""
-        outer, self.stopping = self.stopping, True
-        try:
-            self.stop()
-            self.network.stop_heartbeat()
-            attempts = Attempts()
-            if self._ours:
-                for node in self.settings.nodes:
-                    attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
-            self._ours = False  # from here on somebody else may take it
-            self.stop_trouble += attempts.trouble
-            for sdo in self._nodes.values():
-                sdo.close()
-            self._nodes = {}
-        finally:
-            self.stopping = outer
-
-    def set_controlword(self, axis: int, controlword: int) -> None:
-        """Controlword of an axis' drive from the next tick on."""
-        self._cyclic.outputs[axis].controlword = controlword
-
-    def arm(self, axis: int, armed: bool) -> None:
-        """From now on leaving operation enabled is a fault (or no more)."""
-        self._armed[axis] = armed
-
-    def command_brakes(self, open_: dict[str, bool]) -> None:
-        """Ask for brakes to open or close; axes without a brake are left out."""
-        known = {axis: value for axis, value in open_.items() if self.settings.io is not None and axis in self.settings.io.brake_coils}
-        if self._io is not None and known:
-            self._io.command_brakes(known)
-
-    def has_brake(self, axis: int) -> bool:
-        """Whether the I/O commands a brake of this axis and reports its feedback."""
-        io = self.settings.io
-        return self._io is not None and io is not None and self.axes[axis] in io.brake_coils and self.axes[axis] in io.brake_feedback_inputs
-
-    def io_is_fresh(self) -> bool:
-        """Whether the I/O's newest state is young enough to be believed; a state that is too old says closed and released of everything."""
-        io = self.settings.io
-        return io is None or self.sample.io_age_s <= io.stale_after_s
-
-    def refusal(self) -> str:
-        """Why nothing may move by the newest state of hold-to-run, door and I/O, in words; '' when it may, or nothing watches."""
-        sample, io = self.sample, self.settings.io
-        if self._io is None or io is None:
-            return ""
-        if not self.io_is_fresh():
-            return (
-                f"the I/O has not answered for {sample.io_age_s:.2f} s, {io.stale_after_s:.2f} s are allowed: "
-                "nobody knows of hold-to-run, door and brakes; check its line and supply"
-            )
-        if not sample.hold_to_run:
-            return "hold-to-run is not pressed; press and hold it"
-        if not sample.door_closed:
-            return "the door is open; close it"
-        return ""
-
-    def sdo(self, axis: int) -> SdoNode:
-        """Object dictionary of an axis' drive."""
-        return self._nodes[self.drives[axis].node_id]
-
-    def resume_ticks(self) -> None:
-        """Ticks start anew, e.g. after SDO traffic took longer than a period."""
-        self.clock.start_ticks(self.settings.sync_period_s)
-
-    def _configure(self, node: Node) -> tuple[str, ...]:
-        if node.node_id in self._nodes:
-            self._nodes[node.node_id].close()
-        if node.node_id not in self._dictionaries:
-            self._dictionaries[node.node_id] = load_object_dictionary(node.eds, node.node_id)
-        sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, self._dictionaries[node.node_id])
-        check_identity(sdo, node)
-        scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
-        notes = configure_node(sdo, node, self.settings, scaling)
-        if node.role == "encoder":
-            check_alarms(sdo)
-        return notes
-
-    def _await_first_answers(self) -> None:
-        for _ in range(FIRST_ANSWERS_TICKS):
-            self.exchange(self._zeros)
-            if not self._cyclic.missing:
-                return
-        raise BusTimeout(
-            f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
-        )
-
     def _check_permission(self) -> None:
         """One tick, and what must be true before anything moves."""
-        self.exchange(self._zeros)
+        self.exchange(self.zeros)
         refusal = self.refusal()
         if refusal:
             raise MotionRefused(refusal)
-
-    def _before_sync(self) -> None:
-        if self._imu is not None:
-            self._imu.before_sync()
-
-    def _poll(self, sample: Sample, overdue_s: float) -> None:
-        if self._imu is not None:
-            arrived = self._imu.poll(sample)
-            while not arrived and self._imu_triggered and self.clock.now() < overdue_s:
-                self.clock.wait(IMU_RETRY_S)
-                arrived = self._imu.poll(sample)
-        if self._io is not None:
-            self._io.poll_due(self.clock.now())
-            self._io.update(sample)
-
-    def _explain_fault(self, axis: int) -> None:
-        """Raise what made a drive leave operation enabled, with the EMCY that may still be in the queue."""
-        for _ in range(PENDING_FRAMES):
-            if not self.network.pump(0.0):
-                break
-        node = self.drives[axis]
-        emergency = self.supervision.last_emergency(node.node_id) or "no EMCY"
-        raise DeviceFault(
-            f"{node.name} (node {node.node_id}): left operation enabled: "
-            f"{cia402.describe_statusword(self.inputs[axis].statusword)}; {emergency}"
-        )
-
-    def _stopping_on_error(self) -> _StopOnError:
-        return _StopOnError(self)
-
-    def _bring_to_rest(self) -> None:
-        self.supervision.stand_down()
-        self._armed = [False] * len(self.axes)
-        self._io_lost = ""
-        attempts = Attempts()
-        if self._ticking:
-            cyclic = self._cyclic
-            self._standstill = self._new_standstill()
-            bring_to_rest(
-                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._axis_at_rest
-            )
-        else:
-            attempts.make("closing the brakes", self._close_all_brakes)
-        self._ticking = False
-        for node in self.settings.nodes:
-            attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
-        self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
-
-    def _tick_at_rest(self) -> None:
-        """A tick on the way to a stop: the I/O may be lost, the drives are stopped all the same."""
-        self._cyclic.run(self._zeros.tolist(), self.sample, self._before_sync)
-        self._standstill.update(self.sample.position)
-        if self._io is None or self._io_lost:
-            return
-        try:
-            self._io.poll_due(self.clock.now())
-            self._io.update(self.sample)
-        except DriverError as error:
-            self._io_lost = str(error)
-
-    def _close_all_brakes(self) -> None:
-        self.command_brakes({axis: False for axis in self.axes})
-
-    def _axis_at_rest(self, axis: int, powered: bool) -> bool:
-        """By the brake's feedback, as far as it is to be believed; without one by the position, unless there is no voltage to hold with."""
-        if self.has_brake(axis):
-            return self.io_is_fresh() and not self.sample.brakes_open[axis]
-        return not powered or self._standstill.of(axis)
-
-    def _new_standstill(self) -> Standstill:
-        return Standstill(np.array([scaling.position_resolution for scaling in self.scalings]), self.period_s)
-
-
-class _StopOnError:
-    """Whatever leaves the block as an error has stopped the motors first."""
-
-    def __init__(self, machine: CanMachine) -> None:
-        self._machine = machine
-
-    def __enter__(self) -> None:
-        """Nothing to prepare."""
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:
-            self._machine.stop()
