@@ -19,6 +19,9 @@ ACCELERATION_WINDOW_s = 0.08
 HIGHEST_EFFORT_Hz = 25.0
 """Above it the missing effort is tapered off: the inverse of a plant from force to position grows with the square of frequency."""
 
+HIGHEST_SHARE = 0.12
+"""Of the sample rate, for machines that are sampled faster than loops of that bandwidth ask for: they were, to see more."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -98,7 +101,7 @@ class Motion:
             response = _response(system, frequencies)[:, pick][:, :, seen]
             lines = np.fft.rfft(extended, axis=0)
             inverse = np.linalg.solve(response, lines[:, :, None])[:, :, 0]
-            inverse *= _taper(frequencies, min(HIGHEST_EFFORT_Hz, 0.2 * machine.sample_rate_Hz))[:, None]
+            inverse *= _taper(frequencies, highest_seen_Hz(HIGHEST_EFFORT_Hz, machine.sample_rate_Hz))[:, None]
             missing[:, seen] += np.fft.irfft(inverse, len(extended), axis=0)[:rows]
         return missing * self.gains
 
@@ -183,6 +186,11 @@ class Motion:
 
 
 _IMU = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
+
+
+def highest_seen_Hz(at_least: float, sample_rate_Hz: float) -> float:
+    """Highest frequency that is looked at: this one, more where the sample rate is high, less where it is low."""
+    return max(min(at_least, 0.2 * sample_rate_Hz), HIGHEST_SHARE * sample_rate_Hz)
 
 
 def _odd_extension(values: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from hil.diagnosis.motion import Motion
+from hil.diagnosis.motion import Motion, highest_seen_Hz
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
 from virtual_bus.effects.places import joint_at
 from virtual_bus.effects.registry import effects, initial_guess
@@ -145,7 +145,7 @@ def _orders(
 def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
     """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort."""
     lowest = 2.0 * np.pi / typical.travel * 0.75
-    highest = 2.0 * np.pi * HIGHEST_ORDER_Hz / typical.speed
+    highest = 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / typical.speed
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:800]
     every = max(1, len(values) // 3000)
@@ -265,7 +265,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "end_stop": _stops,
     "base_motion": _lines,
     "structural_mode": _modes,
-    "backlash": _several("b", lambda f, r, t: [0.05 * t.deflection, 0.3 * t.deflection, t.deflection]),
+    "backlash": _several("b", lambda f, r, t: [share * t.deflection for share in (0.0015, 0.006, 0.025, 0.1, 0.4)]),
     "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.1, -0.05)]),
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
     "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s]),
