@@ -1,0 +1,87 @@
+"""Diagnosis of recordings that other people measured: `python benchmarks/real_recordings.py [SET...] [--out DIR] [--json FILE]`.
+
+For every set: verdict, what is named and how sure, held-out free-run error per channel before and after, in NRMSE and in the channel's own
+unit, and the rms. Writes benchmarks/results/real_recordings.json unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from real_data import DATA, REAL_SETS, RealSet
+
+from hil.cli.output import plain
+from hil.diagnosis.align import suspicions
+from hil.diagnosis.diagnose import Outcome, diagnose
+from hil.diagnosis.files import write_diagnosis
+from hil.diagnosis.free_run import HELD_OUT, TRAIN
+
+RESULTS = Path(__file__).resolve().parent / "results" / "real_recordings.json"
+STAGES = ("nominal", "retuned", "extended")
+
+
+def errors(outcome: Outcome, which: str) -> dict[str, dict[str, float]]:
+    """Rms per channel and stage, in the channel's unit, over all groups."""
+    found = outcome.train if which == TRAIN else outcome.held_out
+    assert found is not None
+    table = {}
+    for c, name in enumerate(found.channels):
+        rms = {}
+        for stage in STAGES:
+            residual = np.concatenate(
+                [(group.mean - rows)[:, c] for group, rows in zip(found.groups, outcome.stages[which][stage], strict=True)]
+            )
+            rms[stage] = float(np.sqrt(np.mean(residual**2)))
+        table[f"{name} [{found.units[c]}]"] = rms
+    return table
+
+
+def entry(name: str, data: RealSet, outcome: Outcome) -> dict[str, object]:
+    """What the results hold of one set."""
+    document = outcome.diagnosis.document()
+    found = {key: document[key] for key in ("verdict", "reason", "findings", "hypotheses", "retuned", "noise", "unexplained_share")}
+    return {
+        **found,
+        "channels_nrmse_held_out": document["fit"]["channels"],
+        "removed_share": document["fit"]["removed_share"],
+        "removed_share_from_nominal": document["fit"]["removed_share_from_nominal"],
+        "rms_train": errors(outcome, TRAIN),
+        "rms_held_out": errors(outcome, HELD_OUT),
+        "suspicions": list(suspicions(outcome.train)),
+        "train": list(data.train),
+        "held_out": list(data.held_out),
+        "seconds": document["seconds"],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sets", nargs="*", choices=[*REAL_SETS, []], help="which sets; all by default")
+    parser.add_argument("--out", type=Path, help="folder for the reports, one folder a set")
+    parser.add_argument("--json", type=Path, default=RESULTS, help="results file; sets that are not run keep theirs")
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    if not DATA.is_dir():
+        raise SystemExit(f"{DATA} is not here: these recordings are not part of the project")
+    results = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
+    for name in arguments.sets or REAL_SETS:
+        data = REAL_SETS[name]()
+        outcome = diagnose(data.machine, data.train, data.held_out, jobs=arguments.jobs)
+        results[name] = entry(name, data, outcome)
+        if arguments.out is not None:
+            write_diagnosis(outcome, data.machine, arguments.out / name)
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(json.dumps(plain(results), indent=1) + "\n")
+        print(f"{name}: {outcome.diagnosis.verdict}: {outcome.diagnosis.reason} ({outcome.diagnosis.seconds:.0f} s)")
+        for finding in outcome.diagnosis.findings:
+            numbers = ", ".join(f"{key} = {e.value:.4g} {e.unit}" for key, e in finding.parameters.items())
+            print(f"  {finding.effect}, confidence {finding.confidence:.2f}: {numbers}")
+        for channel, rms in errors(outcome, HELD_OUT).items():
+            print(f"  held-out rms of {channel}: " + ", ".join(f"{stage} {value:.4g}" for stage, value in rms.items()))
+
+
+if __name__ == "__main__":
+    main()
