@@ -24,6 +24,11 @@ STEPS = 7
 ENOUGH = 1e-3
 """Relative decrease of the cost, or decrease below 0.5 in units of noise, at which a fit has ended."""
 
+POLISHING_ROUNDS = 5
+POLISHING_STEPS = 3
+POLISHED_GAIN = 1.0
+"""Decrease of the cost by which a round of polishing calls for another."""
+
 STEP_SHARE = 0.03
 """Difference for sensitivities, as a share of a parameter's size."""
 
@@ -92,11 +97,15 @@ def refit(
 
 
 def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted) -> Fitted:
-    """Fit on, with the tuned numbers' sensitivities taken where the effects are."""
-    at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
-    at = linearised(runs, at, fitted.settings)
-    (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)])
-    return fitted if again is None or again.cost > fitted.cost else again
+    """Fit on, with the tuned numbers' sensitivities taken where the effects are, as long as that helps."""
+    for _ in range(POLISHING_ROUNDS):
+        at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
+        at = linearised(runs, at, fitted.settings)
+        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS)
+        if again is None or again.cost > fitted.cost - POLISHED_GAIN:
+            return fitted if again is None or again.cost > fitted.cost else again
+        fitted = again
+    return fitted
 
 
 def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitted | None]]) -> list[Fitted | None]:

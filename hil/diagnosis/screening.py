@@ -29,6 +29,10 @@ NONLINEAR_STRENGTH = ("imax", "fc", "b", "q", "sign", "share", "K", "D")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
 
 
+AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"), ("mgr", "phi"), ("J12", "phi"))
+"""Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """The best start of one candidate.
@@ -60,14 +64,18 @@ def screen(
     """
     projection = Projection.of(tuning)
     left = projection.left_of_residual(residual)
-    tries = [(candidate, start) for candidate in found for start in candidate.starts]
+    tries = [
+        (candidate, values) for candidate in found for start in candidate.starts for values in _with_quadrature(candidate.effect, start)
+    ]
     best: dict[EffectAt, Screened] = {}
     for _ in range(2):
+        earlier: tuple[np.ndarray, np.ndarray] | None = None  # values and response of the try before
         answers = runs.run([Trial(tuning.values, (*present, candidate.setting(values))) for candidate, values in tries])
         again = []
         for (candidate, values), answer in zip(tries, answers, strict=True):
             if answer is None:
                 again.append((candidate, _rescaled(candidate.effect, values, 0.2)))
+                earlier = None
                 continue
             response = projection.left(answer - tuning.predicted)
             energy = float(response @ response)
@@ -76,6 +84,11 @@ def screen(
             known = best.get(candidate.effect)
             if known is None or score > known.score:
                 best[candidate.effect] = Screened(candidate.effect, values, response.astype(np.float32), score)
+            if earlier is not None and _are_in_quadrature(candidate.effect, earlier[0], values):
+                again.append((candidate, _turned(candidate.effect, earlier[0], earlier[1], response, left)))
+            earlier = values, response
+            if _pair(candidate.effect) is not None:
+                continue
             if amplitude > 0.0 and not 1.0 / RESCALED_BEYOND < amplitude < RESCALED_BEYOND:
                 again.append((candidate, _rescaled(candidate.effect, values, amplitude)))
             elif amplitude < 0.0 and (flipped := _flipped(candidate.effect, values, -amplitude)) is not None:
@@ -97,14 +110,53 @@ def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray
 
 def _flipped(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
     """The same effect with the opposite sign, where its strengths may have it or a phase gives it."""
-    parameters = effects()[effect.effect].parameters
-    phases = [k for k, p in enumerate(parameters) if p.unit == "phase" and not p.is_strength]
-    signed = [k for k, p in enumerate(parameters) if p.is_strength and p.low < 0.0]
+    signed = [k for k, p in enumerate(effects()[effect.effect].parameters) if p.is_strength and p.low < 0.0]
     scaled = _rescaled(effect, values, factor)
-    if scaled is None or not (phases or signed):
+    if scaled is None or not signed:
         return None
-    if signed:
-        scaled[signed] *= -1.0
-    else:
-        scaled[phases] = (scaled[phases] + 2.0 * np.pi) % (2.0 * np.pi) - np.pi
+    scaled[signed] *= -1.0
     return scaled
+
+
+def _pair(effect: EffectAt) -> tuple[int, int] | None:
+    """Which parameters are amplitude and phase of the effect's first harmonic, in proportion to which it acts; None where it has none."""
+    names = [p.name for p in effects()[effect.effect].parameters]
+    return next(((names.index(a), names.index(p)) for a, p in AMPLITUDE_AND_PHASE if a in names and p in names), None)
+
+
+def _with_quadrature(effect: EffectAt, start: np.ndarray) -> list[np.ndarray]:
+    """A start, and a quarter of a cycle further where the effect has a phase: both together show every phase."""
+    pair = _pair(effect)
+    if pair is None:
+        return [start]
+    further = start.copy()
+    further[pair[1]] = _wrapped(further[pair[1]] + 0.5 * np.pi)
+    return [start, further]
+
+
+def _are_in_quadrature(effect: EffectAt, one: np.ndarray, other: np.ndarray) -> bool:
+    pair = _pair(effect)
+    if pair is None or len(one) != len(other):
+        return False
+    same = np.delete(one, pair[1]), np.delete(other, pair[1])
+    return np.array_equal(*same) and abs(_wrapped(other[pair[1]] - one[pair[1]] - 0.5 * np.pi)) < 1e-9
+
+
+def _turned(effect: EffectAt, values: np.ndarray, one: np.ndarray, quarter: np.ndarray, left: np.ndarray) -> np.ndarray | None:
+    """Amplitude and phase that two responses a quarter of a cycle apart say the residual has."""
+    pair = _pair(effect)
+    assert pair is not None
+    gram = np.array([[one @ one, one @ quarter], [one @ quarter, quarter @ quarter]])
+    if np.linalg.det(gram) <= 1e-9 * gram[0, 0] * gram[1, 1]:
+        return None
+    along, across = np.linalg.solve(gram, [one @ left, quarter @ left])
+    size = float(np.clip(np.hypot(along, across), 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
+    turned = values.copy()
+    parameter = effects()[effect.effect].parameters[pair[0]]
+    turned[pair[0]] = np.clip(values[pair[0]] * size, parameter.low, parameter.high)
+    turned[pair[1]] = _wrapped(values[pair[1]] + np.arctan2(across, along))
+    return turned
+
+
+def _wrapped(phase: float) -> float:
+    return float((phase + np.pi) % (2.0 * np.pi) - np.pi)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,8 +17,10 @@ UNKNOWN_LEFT = 0.4
 """Share of the explainable mismatch which the best set of known effects leaves, from which it has no name: development cases with a right
 name leave less."""
 
-STILL_SIGNIFICANT = 1.5
-"""|residual|^2 over its noise, from which what is left is above the noise for certain."""
+STILL_SIGNIFICANT = 0.02
+STILL_SIGNIFICANT_DEVIATIONS = 4.0
+"""Excess of |residual|^2 over its noise, as a share of the noise (which is known no better) and in its standard deviations, from which what
+is left is above the noise for certain."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     found = any(gate.passed for gate in standing.gates)
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
-    structured = standing.best_misfit > STILL_SIGNIFICANT * standing.noise
+    certain = max(STILL_SIGNIFICANT * standing.noise, STILL_SIGNIFICANT_DEVIATIONS * math.sqrt(2.0 * standing.noise))
+    structured = left > certain
     if structured and left > UNKNOWN_LEFT * explainable and (found or any(gate.significant for gate in standing.gates)):
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found:

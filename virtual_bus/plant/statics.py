@@ -10,6 +10,7 @@ from virtual_bus.plant.drives import DRIVE_STATES
 
 DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
 TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
+UNBALANCED = 1e-6  # share of the largest static effort that may stay where a spring gives none
 MAX_ITERATIONS = 50
 LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
 
@@ -47,10 +48,15 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
     q[held] = axis_positions
     for _ in range(MAX_ITERATIONS):
         gradient = static_stiffness(plant, model, q)[np.ix_(free, free)]
+        effort = static_effort(plant, model, q)[free]
         try:
-            step = -np.linalg.solve(gradient, static_effort(plant, model, q)[free])
+            step = -np.linalg.solve(gradient, effort)
         except np.linalg.LinAlgError:
             step = np.full(len(free), np.nan)
+        if not np.isfinite(step).all() and (model["stiffness"][0][free] > 0.0).all():
+            step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position there
+            if np.abs(gradient @ step + effort).max() > UNBALANCED * np.abs(static_effort(plant, model, q)).max(initial=1.0):
+                step[:] = np.nan
         if not np.isfinite(step).all():
             break
         largest = float(np.abs(step).max(initial=0.0))
