@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,11 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     tuned = named and all(effect["tuned"] for effect in effects)
     detectability = truth.get("raw_detectability" if tuned else "detectability", 0.0)
     separation = min((min([*one["distances"].values(), one["detectability"]]) for one in each), default=0.0)
-    asked = bool(effects) and truth["condition"] not in HIDDEN_FROM_NAMING and all(one["separable"] for one in each)
+    asked = (
+        bool(effects)
+        and truth["condition"] not in HIDDEN_FROM_NAMING
+        and all(one["separable"] or effect["tuned"] for one, effect in zip(each, effects, strict=True))
+    )
     if tuned:
         asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= 5.0
     alarm = verdict not in (*QUIET, "none")
@@ -99,7 +104,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         wrong=wrong,
         confident=verdict == "explained",
         ambiguous=verdict == "ambiguous",
-        holds_truth=named and all(any(_accepts(effect, other) for other in possible) for effect in effects),
+        holds_truth=named and all(effect["tuned"] or any(_accepts(effect, other) for other in possible) for effect in effects),
         confidence=max((float(finding.get("confidence", 0.0)) for finding in findings[:1]), default=0.0),
         covered=tuple(_coverage(findings, effects)),
         channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,
@@ -114,13 +119,12 @@ def _accepts(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
 
 
 def _matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bool:
-    """Every effect has a finding of its own, and no finding is left over."""
-    if len(findings) != len(effects):
-        return False
-    if len(effects) == 1:
-        return _accepts(effects[0], findings[0])
-    (a, b), (x, y) = effects, findings
-    return (_accepts(a, x) and _accepts(b, y)) or (_accepts(a, y) and _accepts(b, x))
+    """Every finding is an effect of its own, and what has no finding is a number of the machine file, left to re-tuning."""
+    return len(findings) <= len(effects) and any(
+        all(_accepts(effect, finding) for effect, finding in zip(order, findings, strict=False))
+        and all(effect["tuned"] for effect in order[len(findings) :])
+        for order in permutations(effects)
+    )
 
 
 def _coverage(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> Iterable[bool]:

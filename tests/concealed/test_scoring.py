@@ -104,3 +104,15 @@ def test_removed_share_and_overlap():
     assert judged.overlap["time"] == pytest.approx(2.0 / 6.0)
     assert judged.overlap["frequency"] == pytest.approx(np.log2(50.0) / np.log2(100.0))
     assert judged.overlap["position"] == pytest.approx(1.0)
+
+
+def test_of_a_pair_a_changed_number_may_be_left_to_retuning_and_the_other_must_be_named():
+    from concealed.judging import judge
+
+    friction = truth()["effects"][0]
+    payload = {**friction, "kind": "payload", "accepted": ["payload"], "accepted_at": ["c_arc"], "tuned": True, "compare": {}}
+    pair = truth(stratum="pair", condition="equal", effects=[payload, friction], each=truth()["each"] * 2)
+    assert judge(answer("explained", [finding("coulomb_friction", "roll")]), pair).right
+    assert judge(answer("explained", [finding("coulomb_friction", "roll"), finding("payload", "c_arc")]), pair).right
+    assert not judge(answer("explained", [finding("payload", "c_arc")]), pair).right
+    assert not judge(answer("retuned", []), pair).right
