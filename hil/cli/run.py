@@ -9,42 +9,13 @@ import typer
 from typer.core import TyperGroup
 
 from hil.cli.design import designed
-from hil.cli.observe import DampingOption, ObserverOption, live_observer
-from hil.cli.options import (
-    BusOption,
-    EffectsOption,
-    ImuOption,
-    IoOption,
-    MachineOption,
-    NominalPeriodOption,
-    PoseOption,
-    RealTimeOption,
-    can_be_written,
-    edge_scale,
-    keep_earlier,
-    load,
-    parse_pose,
-    read_effects,
-)
-from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.options import MachineOption, NominalPeriodOption, PoseOption, edge_scale, load, parse_pose
+from hil.cli.running import RunOptions, run_and_tell
+from hil.cli.shared import takes
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
     from hil.machine import Machine
-
-OutOption = Annotated[
-    Path,
-    typer.Option(
-        "-o",
-        "--out",
-        metavar="REC",
-        help="Recording to write (.mf4 or .csv); of several, each gets its realisation and experiment in its name.",
-    ),
-]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of phases, and in lockstep of the emulator's noise.")]
-FrameLogOption = Annotated[Path | None, typer.Option("--frame-log", metavar="FILE", help="Write every CAN frame as candump does (.log).")]
-TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="In lockstep: what only the emulator knows (.csv).")]
-NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockstep: the emulated sensors' noise.")]
 
 
 class ExperimentGroup(TyperGroup):
@@ -72,10 +43,10 @@ app = typer.Typer(
     "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4"
     "\n\nThen, dense where that response changes:  isocenter run multisine -m carm --design carm.frf.npz --period 40 -o dense.mf4",
 )
+@takes(RunOptions)
 def multisine(
     machine_name: MachineOption,
-    out: OutOption,
-    bus: BusOption = "lockstep:",
+    run: RunOptions,
     pose: PoseOption = "",
     axes: Annotated[str, typer.Option("--axes", metavar="A,B", help="Excited axes; all unless given.")] = "",
     experiments: Annotated[str, typer.Option("--experiments", help="orthogonal (all axes at once, mixed) or single.")] = "orthogonal",
@@ -102,17 +73,6 @@ def multisine(
     jog_frequency: Annotated[
         float | None, typer.Option("--jog-frequency", metavar="HZ", help="Jog frequency; line 1 of the period unless given.")
     ] = None,
-    seed: SeedOption = 0,
-    effects: EffectsOption = None,
-    imu: ImuOption = "",
-    io: IoOption = "",
-    noise: NoiseOption = True,
-    frame_log: FrameLogOption = None,
-    truth: TruthOption = None,
-    real_time: RealTimeOption = True,
-    observer: ObserverOption = None,
-    damping: DampingOption = 0.0,
-    json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Jog, Multisine
@@ -154,9 +114,9 @@ def multisine(
         realisations=realisations,
         phases=_one_of(phases, ("random", "optimised"), "--phases"),
         jog=jog,
-        seed=seed,
+        seed=run.seed,
     )
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to, notes)
+    run_and_tell(machine, experiment, run, notes)
 
 
 @app.command(
@@ -164,9 +124,10 @@ def multisine(
     help="A jerk-limited sweep of one axis at constant speed, as an acquisition makes it."
     "\n\nExample:  isocenter run scan -m carm -b lockstep: --axis roll --from -90 --to 90 --speed 30 -o scan.mf4",
 )
+@takes(RunOptions)
 def scan(
     machine_name: MachineOption,
-    out: OutOption,
+    run: RunOptions,
     axis: Annotated[str, typer.Option("--axis", help="Axis that sweeps.")],
     start: Annotated[float, typer.Option("--from", help="Start, degrees (mm).")],
     stop: Annotated[float, typer.Option("--to", help="End, degrees (mm).")],
@@ -174,19 +135,7 @@ def scan(
     sweeps: Annotated[int, typer.Option("--sweeps", help="1: there; 2: there and back; and so on.")] = 1,
     dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Standstill before and after each sweep.")] = 1.0,
     shaper: Annotated[Path | None, typer.Option("--shaper", metavar="FILE", help="Shape the reference: a file of isocenter shape.")] = None,
-    bus: BusOption = "lockstep:",
     pose: PoseOption = "",
-    seed: SeedOption = 0,
-    effects: EffectsOption = None,
-    imu: ImuOption = "",
-    io: IoOption = "",
-    noise: NoiseOption = True,
-    frame_log: FrameLogOption = None,
-    truth: TruthOption = None,
-    real_time: RealTimeOption = True,
-    observer: ObserverOption = None,
-    damping: DampingOption = 0.0,
-    json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Scan
@@ -200,30 +149,19 @@ def scan(
         from hil.shaping.shaper_file import read_shaper
 
         experiment = Shaped(experiment, read_shaper(shaper))
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to)
+    run_and_tell(machine, experiment, run)
 
 
 @app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
+@takes(RunOptions)
 def jog(
     machine_name: MachineOption,
-    out: OutOption,
+    run: RunOptions,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Degrees (mm).")] = 2.0,
     axes: Annotated[str, typer.Option("--axes", metavar="A,B", help="Axes that jog; all unless given.")] = "",
     period: NominalPeriodOption = 20.0,
     periods: Annotated[int, typer.Option("--periods", help="Periods kept.")] = 2,
-    bus: BusOption = "lockstep:",
     pose: PoseOption = "",
-    seed: SeedOption = 0,
-    effects: EffectsOption = None,
-    imu: ImuOption = "",
-    io: IoOption = "",
-    noise: NoiseOption = True,
-    frame_log: FrameLogOption = None,
-    truth: TruthOption = None,
-    real_time: RealTimeOption = True,
-    observer: ObserverOption = None,
-    damping: DampingOption = 0.0,
-    json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Jog, JogOnly
@@ -231,152 +169,38 @@ def jog(
     machine = load(machine_name)
     shape = Jog(amplitude_rad=amplitude * edge_scale(machine, machine.axes[0]), line=1, axes=_names(axes))
     experiment = JogOnly(jog=shape, pose=parse_pose(pose, machine), period_s=period, periods=periods)
-    _run(machine, experiment, out, bus, seed, imu, io, noise, frame_log, truth, real_time, observer, damping, effects, json_to)
+    run_and_tell(machine, experiment, run)
 
 
 @app.command(
     help="Hold a pose: noise, drift, holding effort.\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4"
 )
+@takes(RunOptions)
 def static(
     machine_name: MachineOption,
-    out: OutOption,
+    run: RunOptions,
     seconds: Annotated[float, typer.Option("--seconds", help="How long.")] = 10.0,
-    bus: BusOption = "lockstep:",
     pose: PoseOption = "",
-    seed: SeedOption = 0,
-    effects: EffectsOption = None,
-    imu: ImuOption = "",
-    io: IoOption = "",
-    noise: NoiseOption = True,
-    frame_log: FrameLogOption = None,
-    truth: TruthOption = None,
-    real_time: RealTimeOption = True,
-    observer: ObserverOption = None,
-    damping: DampingOption = 0.0,
-    json_to: JsonOption = None,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Static
 
     machine = load(machine_name)
-    _run(
-        machine,
-        Static(seconds, parse_pose(pose, machine)),
-        out,
-        bus,
-        seed,
-        imu,
-        io,
-        noise,
-        frame_log,
-        truth,
-        real_time,
-        observer,
-        damping,
-        effects,
-        json_to,
-    )
+    run_and_tell(machine, Static(seconds, parse_pose(pose, machine)), run)
 
 
 @app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
+@takes(RunOptions)
 def from_file(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Experiment file (TOML).")],
     machine_name: MachineOption,
-    out: OutOption,
-    bus: BusOption = "lockstep:",
-    seed: SeedOption = 0,
-    effects: EffectsOption = None,
-    imu: ImuOption = "",
-    io: IoOption = "",
-    noise: NoiseOption = True,
-    frame_log: FrameLogOption = None,
-    truth: TruthOption = None,
-    real_time: RealTimeOption = True,
-    observer: ObserverOption = None,
-    damping: DampingOption = 0.0,
-    json_to: JsonOption = None,
+    run: RunOptions,
 ) -> None:
     """Plan and run."""
     from hil.experiments import read_experiment
 
     machine = load(machine_name)
-    _run(
-        machine,
-        read_experiment(path, machine),
-        out,
-        bus,
-        seed,
-        imu,
-        io,
-        noise,
-        frame_log,
-        truth,
-        real_time,
-        observer,
-        damping,
-        effects,
-        json_to,
-    )
-
-
-def _run(
-    machine: Machine,
-    experiment: Experiment,
-    out: Path,
-    bus: str,
-    seed: int,
-    imu: str,
-    io: str,
-    noise: bool,
-    frame_log: Path | None,
-    truth: Path | None,
-    real_time: bool,
-    observer: Path | None,
-    damping: float,
-    effects: Path | None,
-    json_to: str | None,
-    notes: tuple[str, ...] = (),
-) -> None:
-    from hil.bench import BenchOptions, open_bench, recording_paths
-
-    plans = experiment.plans(machine)
-    answer = Answer(json_to)
-    for note in dict.fromkeys((*notes, *(note for plan in plans for note in plan.notes))):
-        answer.say(note)
-    paths = recording_paths(out, plans)
-    can_be_written(*paths, frame_log, truth)
-    emulated = None if effects is None else machine.with_effects(read_effects(effects, machine))
-    options = BenchOptions(bus, imu, io, seed, noise, frame_log, truth, emulated, real_time)
-    lockstep = bus.startswith("lockstep:")
-    records: list[dict[str, Any]] = []
-    with (
-        live_observer(observer, damping, machine, bus, answer) as watching,
-        open_bench(machine, options, plans[0].start_pose, watching) as bench,
-    ):
-        with progress(answer.console, live=lockstep) as bars:
-            for plan, path in zip(plans, paths, strict=True):
-                if kept := keep_earlier(path):
-                    answer.say(kept)
-                if not lockstep:
-                    answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
-                task = bars.add_task(path.name, total=plan.rows)
-                timing = bench.run(plan, path, follower(bars, task))
-                bars.update(task, completed=plan.rows)
-                for note in timing.notes:
-                    answer.say(f"{path}: {note}")
-                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": timing.notes})
-        scheduling = str(bench.scheduling)
-    answer.say(f"{machine.name} on {bus} ({scheduling})")
-    for record in records:
-        timing_table = record["timing"]
-        line = f"{record['recording']}: {timing_table['ticks']} rows"
-        if not lockstep:
-            line += (
-                f", {timing_table['missed']} ticks missed, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
-                f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
-            )
-        answer.say(line)
-    answer.write({"machine": machine.name, "hash": machine.hash, "bus": bus, "scheduler": scheduling, "recordings": records})
+    run_and_tell(machine, read_experiment(path, machine), run)
 
 
 def _names(text: str) -> tuple[str, ...]:

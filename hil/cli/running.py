@@ -1,0 +1,103 @@
+"""What every experiment's command does with its plans: on which bus, how, and what is said about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.observe import DampingOption, ObserverOption, live_observer
+from hil.cli.options import (
+    BusOption,
+    EffectsOption,
+    ImuOption,
+    IoOption,
+    RealTimeOption,
+    can_be_written,
+    keep_earlier,
+    read_effects,
+)
+from hil.cli.output import Answer, JsonOption, follower, progress
+
+if TYPE_CHECKING:
+    from hil.experiments import Experiment
+    from hil.machine import Machine
+
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--out",
+        metavar="REC",
+        help="Recording to write (.mf4 or .csv); of several, each gets its realisation and experiment in its name.",
+    ),
+]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of phases, and in lockstep of the emulator's noise.")]
+FrameLogOption = Annotated[Path | None, typer.Option("--frame-log", metavar="FILE", help="Write every CAN frame as candump does (.log).")]
+TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="In lockstep: what only the emulator knows (.csv).")]
+NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockstep: the emulated sensors' noise.")]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Where an experiment is run, on what, and where it goes."""
+
+    out: OutOption
+    bus: BusOption = "lockstep:"
+    seed: SeedOption = 0
+    effects: EffectsOption = None
+    imu: ImuOption = ""
+    io: IoOption = ""
+    noise: NoiseOption = True
+    frame_log: FrameLogOption = None
+    truth: TruthOption = None
+    real_time: RealTimeOption = True
+    observer: ObserverOption = None
+    damping: DampingOption = 0.0
+    json_to: JsonOption = None
+
+
+def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, notes: tuple[str, ...] = ()) -> None:
+    """Plan an experiment, run it, record it, say how it went."""
+    from hil.bench import BenchOptions, open_bench, recording_paths
+
+    plans = experiment.plans(machine)
+    answer = Answer(run.json_to)
+    for note in dict.fromkeys((*notes, *(note for plan in plans for note in plan.notes))):
+        answer.say(note)
+    paths = recording_paths(run.out, plans)
+    can_be_written(*paths, run.frame_log, run.truth)
+    emulated = None if run.effects is None else machine.with_effects(read_effects(run.effects, machine))
+    options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, run.truth, emulated, run.real_time)
+    lockstep = run.bus.startswith("lockstep:")
+    records: list[dict[str, Any]] = []
+    with (
+        live_observer(run.observer, run.damping, machine, run.bus, answer) as watching,
+        open_bench(machine, options, plans[0].start_pose, watching) as bench,
+    ):
+        with progress(answer.console, live=lockstep) as bars:
+            for plan, path in zip(plans, paths, strict=True):
+                if kept := keep_earlier(path):
+                    answer.say(kept)
+                if not lockstep:
+                    answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
+                task = bars.add_task(path.name, total=plan.rows)
+                timing = bench.run(plan, path, follower(bars, task))
+                bars.update(task, completed=plan.rows)
+                for note in timing.notes:
+                    answer.say(f"{path}: {note}")
+                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": timing.notes})
+        scheduling = str(bench.scheduling)
+    answer.say(f"{machine.name} on {run.bus} ({scheduling})")
+    for record in records:
+        timing_table = record["timing"]
+        line = f"{record['recording']}: {timing_table['ticks']} rows"
+        if not lockstep:
+            line += (
+                f", {timing_table['missed']} ticks missed, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
+                f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
+            )
+        answer.say(line)
+    answer.write({"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling, "recordings": records})
