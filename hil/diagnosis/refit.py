@@ -29,7 +29,7 @@ POLISHING_STEPS = 3
 POLISHED_GAIN = 1.0
 """Decrease of the cost by which a round of polishing calls for another."""
 
-STEP_SHARE = 0.03
+STEP_SHARE = 0.01
 """Difference for sensitivities, as a share of a parameter's size."""
 
 SMALLEST_SHARE = 1e-7
@@ -39,7 +39,7 @@ NOT_FITTED = ("seed", "side", "sign", "share", "length")
 """Parameters that only take some values: they stay where screening put them."""
 
 LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
-PHASE_STEP = 0.05
+PHASE_STEP = 0.02
 
 Answers = list[np.ndarray | None]
 
@@ -197,11 +197,7 @@ def _normal_equations(tuned: np.ndarray, added: np.ndarray, residual: np.ndarray
 def _bounded_step(
     hessian: np.ndarray, gradient: np.ndarray, damping: float, offset: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    count = len(offset)
-    diagonal = np.diag(hessian).copy()
-    diagonal[:count] = 0.0  # the prior damps these already
-    scale = np.maximum(diagonal, 1e-12)
-    damped = hessian + np.diag(np.concatenate([np.zeros(count), damping * scale[count:] + 1e-9]))
+    damped = hessian + np.diag(damping * np.diag(hessian) + 1e-9)
     root = np.linalg.cholesky(damped).T
     target = np.linalg.solve(root.T, gradient)
     bound = LARGEST_CHANGE / PRIOR

@@ -24,8 +24,8 @@ PRIOR = 0.1
 LARGEST_CHANGE = 0.15
 """As a share of the nominal value."""
 
-DIFFERENCE = 0.25
-"""Of sensitivities, in units of PRIOR: large against rounding, small against the curvature of a tenth."""
+DIFFERENCE = 0.01
+"""Of quick sensitivities, in units of PRIOR: one-sided ones of a tenth and more make directions look determined that are not."""
 
 FINE_DIFFERENCE = 0.05
 """Of those that intervals are computed from."""
