@@ -1,0 +1,38 @@
+"""Generated modules are named by the sources compiled into them: no file with compiled functions may be left out of the name."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from pathlib import Path
+
+import pytest
+
+from virtual_bus.effects.dispatch import dispatch_sources
+from virtual_bus.plant.compiled import DEPENDENCIES
+from virtual_bus.sensors.measure import sensor_sources
+
+VIRTUAL_BUS = Path(__file__).parents[2] / "virtual_bus"
+NAMED_BY = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources() + sensor_sources()
+
+
+def has_compiled_functions(file: Path) -> bool:
+    functions = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.FunctionDef)]
+    return any(isinstance(mark, ast.Name) and mark.id.startswith("compiled") for function in functions for mark in function.decorator_list)
+
+
+COMPILED = [
+    file
+    for folder in ("plant", "sensors", "effects")
+    for file in sorted((VIRTUAL_BUS / folder).glob("*.py"))
+    if has_compiled_functions(file)
+]
+
+
+def test_there_are_such_files() -> None:
+    assert len(COMPILED) >= 10
+
+
+@pytest.mark.parametrize("file", COMPILED, ids=lambda file: f"{file.parent.name}/{file.name}")
+def test_an_edit_of_this_file_gives_generated_modules_another_name(file: Path) -> None:
+    assert file.read_text(encoding="utf-8") in NAMED_BY
