@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.linalg
 from observed_models import DenseModel, small_model, small_noise
+from ring_down import ratio_of, rung, rung_ratio
 
 from controllers.damping import DampingSettings, ModalDamping
 from controllers.errors import DesignError
 from controllers.observers.modal_observer import ModalObserver
-from hil.bench import BenchOptions, open_bench
 from hil.errors import UnusableInput
-from hil.experiments import Static
 from hil.machine import Machine
 from hil.machine.closed_loop import LinearLoop
 from hil.observing import ObserverDesign, observe
 from hil.observing.damping import DampedLoop, DampedPose, accept_damping
 from hil.observing.live import LiveObserver
-from hil.recording import Recording, read_recording
 from virtual_bus.physics import Physics
 
 REST = np.zeros(2)
-PULSED_ROW, PULSE_ROWS, PULSE_A = 3 * 256, 16, 2.0
 STATES = 24
 
 
@@ -39,33 +34,6 @@ def small_law(ratio: float = 0.1, modes: int = 4, mode: int = 0) -> ModalDamping
     observer = ModalObserver(small_model(modes=modes), small_noise(modes=modes))
     observer.linearised(REST)
     return ModalDamping(observer, DampingSettings(ratio, mode))
-
-
-def rung(machine: Machine, live: LiveObserver, path: Path, pulse_A: float = PULSE_A) -> Recording:
-    """Six seconds at rest; the propeller's drive pushes there and back once, at the pace of its gear's mode."""
-    plan = Static(6.0, {}).plans(machine)[0]
-    excitation = plan.excitation.copy()
-    excitation[PULSED_ROW : PULSED_ROW + PULSE_ROWS, 0] = pulse_A
-    excitation[PULSED_ROW + PULSE_ROWS : PULSED_ROW + 2 * PULSE_ROWS, 0] = -pulse_A
-    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, live) as bench:
-        bench.run(dataclasses.replace(plan, excitation=excitation), path)
-    return read_recording(path)
-
-
-def pencil_poles(values: np.ndarray, order: int) -> np.ndarray:
-    """Poles of a sum of damped sinusoids by the matrix pencil of Hua and Sarkar 1990: (order,) in z."""
-    columns = len(values) // 3
-    hankel = scipy.linalg.hankel(values[: len(values) - columns], values[len(values) - columns - 1 :])
-    _, _, right = np.linalg.svd(hankel, full_matrices=False)
-    kept = right[:order].T
-    return np.linalg.eigvals(np.linalg.pinv(kept[:-1]) @ kept[1:])
-
-
-def ratio_of(poles: np.ndarray, near_Hz: float, rate_Hz: float = 256.0) -> float:
-    """Damping ratio of the pole nearest to a frequency."""
-    s = np.log(poles[poles.imag > 0.0]) * rate_Hz
-    nearest = s[np.argmin(np.abs(np.abs(s) / (2.0 * np.pi) - near_Hz))]
-    return float(-nearest.real / abs(nearest))
 
 
 @pytest.mark.parametrize("wanted", [0.05, 0.15])
@@ -118,10 +86,7 @@ def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, d
     found = {}
     for wanted in (0.0, 0.1):
         live = damped_live(design, wanted) if wanted else LiveObserver(design.observer())
-        pushed, still = (rung(machine, live, tmp_path / f"{wanted}_{push}.mf4", push) for push in (PULSE_A, 0.0))
-        after = slice(PULSED_ROW + 2 * PULSE_ROWS + 8, PULSED_ROW + 2 * PULSE_ROWS + 8 + 120)
-        answer = pushed["gyro_x"][after] - still["gyro_x"][after]
-        found[wanted] = ratio_of(pencil_poles(answer, 6), 8.4)
+        found[wanted] = rung_ratio(machine, live, tmp_path)
         expected = DampedLoop(machine, physics, live.observer, live.damping, REST).damping_ratio(8.3)
         assert found[wanted] == pytest.approx(expected, abs=0.02)
     assert found[0.1] > 2.0 * found[0.0]
