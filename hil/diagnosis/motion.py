@@ -123,6 +123,15 @@ class Motion:
                     return k
         return int(np.argmax(np.abs(self.missing_effort).sum(axis=0)))
 
+    def _springs_of_axis(self, at: str, axis: int) -> bool:
+        """Is the spring at a place that of the driven joint itself, as in a mass on a spring that is pushed?"""
+        return spring_at(at, self.machine.plant) == self.machine.plant.drives[axis].joint
+
+    def _rest(self, axis: int) -> float:
+        """Rest position of the driven joint's spring."""
+        tree = self.machine.plant.tree
+        return tree.joints[tree.joint_index(self.machine.plant.drives[axis].joint)].rest_position
+
     def stiffness(self, at: str) -> float:
         """Of the sprung joint at a place; 0 where there is none."""
         settings = self.machine.plant
@@ -143,6 +152,9 @@ class Motion:
         if coupled:
             n = self.machine.axis_index(next_axis(self.machine.axes[k], self.machine.plant))
             other = group.position[:, n], group.speed[:, n], self.acceleration[:, n]
+        elif stiffness > 0.0 and self._springs_of_axis(at, k):
+            deflection = group.position[:, k] - self._rest(k)
+            other = deflection, group.speed[:, k], self.acceleration[:, k]
         elif stiffness > 0.0:
             deflection = -self.drive_effort[:, k] / stiffness
             other = deflection, np.gradient(deflection, group.time_s), np.zeros_like(deflection)
