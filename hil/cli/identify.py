@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import load
+from hil.cli.options import load, parse_band
 from hil.cli.output import Answer, JsonOption
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def identify(
         model=_model(orders),
         over_poses=_over_poses(over_poses or []),
         select=select,
-        band_Hz=_band(band),
+        band_Hz=parse_band("--band", band) if band else None,
         plant_input=_plant_input(plant_input),
     )
     answer = Answer(json_to)
@@ -151,16 +151,6 @@ def _whole_numbers(option: str, text: str, form: str) -> tuple[int, int, int]:
         raise typer.BadParameter(f"{option} {text}: must be three whole numbers {form}")
     first, second, third = map(int, parts)
     return first, second, third
-
-
-def _band(text: str) -> tuple[float, float] | None:
-    if not text:
-        return None
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise typer.BadParameter(f"--band {text}: must be LOW:HIGH in Hz, such as 0.5:40") from None
-    return low, high
 
 
 def _plant_input(text: str):  # type: ignore[no-untyped-def]  # one of two literals

@@ -68,7 +68,7 @@ def parse_pose(text: str, machine: Machine) -> dict[str, float]:
     Raises
     ------
     ExperimentError
-        Not of that form, or no such axis.
+        Not of that form, no such axis, or one twice.
     """
     pose = {}
     for part in filter(None, text.split(",")):
@@ -83,8 +83,44 @@ def parse_pose(text: str, machine: Machine) -> dict[str, float]:
             raise ExperimentError(f"--pose {text}: {part!r} is not AXIS=NUMBER, such as roll=30")
         if axis not in machine.axes:
             raise ExperimentError(f"--pose {text}: {machine.name} has no axis {axis!r}; it has {', '.join(machine.axes)}")
+        if axis in pose:
+            raise ExperimentError(f"--pose {text}: {axis} stands in it twice; say where it is once")
         pose[axis] = value * edge_scale(machine, axis)
     return pose
+
+
+def parse_band(option: str, text: str) -> tuple[float, float]:
+    """`0.5:40` as (low, high) [Hz].
+
+    Raises
+    ------
+    UnusableInput
+        Not of that form, or not ascending.
+    """
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not -math.inf < low < high < math.inf:
+        raise UnusableInput(f"{option} {text}: must be LOW:HIGH in Hz, ascending, such as 0.5:40")
+    return low, high
+
+
+def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
+    """`1,3,5`, each from 1.
+
+    Raises
+    ------
+    UnusableInput
+        Not of that form.
+    """
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        numbers = (0,)
+    if min(numbers) < 1:
+        raise UnusableInput(f"{option} {text}: must be whole numbers from 1, such as 1,3,5")
+    return numbers
 
 
 def not_an_input(out: Path, *inputs: Path) -> None:

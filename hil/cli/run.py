@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from hil.cli.design import designed
-from hil.cli.options import MachineOption, NominalPeriodOption, PoseOption, edge_scale, load, parse_pose
+from hil.cli.options import MachineOption, NominalPeriodOption, PoseOption, edge_scale, load, parse_band, parse_pose, parse_whole_numbers
 from hil.cli.running import RunOptions, run_and_tell
 from hil.cli.shared import takes
 
@@ -221,10 +221,4 @@ def _one_of(value: str, allowed: tuple[str, ...], option: str) -> Any:
 def _lines(band: str, lines: str, every_line: bool) -> Any:
     from controllers.lines import Band
 
-    try:
-        if lines:
-            return tuple(int(line) for line in lines.split(","))
-        low, high = (float(part) for part in band.split(":"))
-    except ValueError:
-        raise typer.BadParameter(f"--lines {lines}: must be whole numbers" if lines else f"--band {band}: must be LOW:HIGH in Hz") from None
-    return Band(low, high, odd=not every_line)
+    return parse_whole_numbers("--lines", lines) if lines else Band(*parse_band("--band", band), odd=not every_line)

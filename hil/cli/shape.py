@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.options import EffectsOption, MachineArgument, PoseOption, edge_scale, load, parse_pose
+from hil.cli.options import (
+    EffectsOption,
+    MachineArgument,
+    PoseOption,
+    edge_scale,
+    load,
+    parse_band,
+    parse_pose,
+    parse_whole_numbers,
+)
 from hil.cli.output import Answer, JsonOption
 
 if TYPE_CHECKING:
@@ -61,7 +70,7 @@ def shape(
     aim = _aim(period, harmonics, longest)
     subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
     answer.say(f"{axis} of {machine.name}, {aim.kind}, from {source}")
-    band = _band(quiet)
+    band = parse_band("--quiet", quiet)
     candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
     designs = candidates.designs
     chosen = candidates.named(take) if take else designs[0]
@@ -91,16 +100,11 @@ def shape(
 
 
 def _aim(period: float, harmonics: str, longest: float) -> Aim:
-    from hil.errors import UnusableInput
     from hil.shaping.aim import periodic, sweep
 
     if period == 0.0:
         return sweep(longest) if longest else sweep()
-    try:
-        numbers = [int(part) for part in harmonics.split(",")]
-    except ValueError:
-        raise UnusableInput(f"--harmonics {harmonics}: must be whole numbers such as 1,3,5") from None
-    return periodic(period, numbers, longest or None)
+    return periodic(period, parse_whole_numbers("--harmonics", harmonics), longest or None)
 
 
 def _subjects(
@@ -131,16 +135,6 @@ def _subjects(
     low, high = positions[[0, -1]] / edge_scale(machine, schedule)
     source = f"the machine file's closed loop at {len(poses)} poses, {schedule} {low:g} to {high:g}"
     return [subject_at(machine, each, axis, output) for each in poses], positions.tolist(), source
-
-
-def _band(text: str) -> tuple[float, float]:
-    from hil.errors import UnusableInput
-
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise UnusableInput(f"--quiet {text}: must be LOW:HIGH in Hz") from None
-    return low, high
 
 
 def _left_out_lines(design: Design) -> list[str]:
