@@ -15,6 +15,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from scipy import special
 
 from hil.identification import LocalModel, PoseModel, fast_local, nd_local, periodic_records
 from hil.machine import load_machine
@@ -105,19 +106,15 @@ def summary(draws: list[dict[str, np.ndarray]]) -> dict:
         report[f"{name}: reported total over noise variance"] = round(
             float(np.median([np.median(d[f"{name} total"] / d[f"{name} noise"]) for d in draws])), 2
         )
-        report[f"2D-{name}: reported total over variance over draws, inner poses"] = round(
-            float(
-                np.exp(
-                    np.mean(
-                        np.log(
-                            np.mean([d[f"2D-{name} total"] for d in draws], axis=0)[inner]
-                            / np.stack([d[f"2D-{name} G"] for d in draws]).var(axis=0, ddof=1)[inner]
-                        )
-                    )
-                )
-            ),
-            2,
-        )
+        for label in (name, f"2D-{name}"):
+            reported = np.mean([d[f"{label} total"] for d in draws], axis=0)[inner]
+            spread = np.stack([d[f"{label} G"] for d in draws]).var(axis=0, ddof=1)[inner]
+            scatter = np.exp(
+                special.digamma(len(draws) - 1) - np.log(len(draws) - 1)
+            )  # a sample variance's logarithm lies below its mean's
+            report[f"{label}: reported total over variance over draws, inner poses"] = round(
+                float(np.exp(np.mean(np.log(reported / spread))) * scatter), 2
+            )
     return report
 
 

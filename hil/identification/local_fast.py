@@ -49,6 +49,9 @@ class PoseModel:
 
 
 ONE_POSE = PoseModel((), (), ())
+ALONE = PoseWindow(np.array([0]), np.zeros((1, 1, 0)), (), 0)
+ALIKE = 1e-6  # of the largest amplitude, by which excitations of poses may differ and count as the same
+ALIKE_NOTE = "poses excited alike: the total covariance is that of their weighted mean, since distortion does not average over them"
 
 
 @dataclass(frozen=True)
@@ -96,8 +99,12 @@ def nd_local(
     responses = []
     for pose, window in zip(poses, windows, strict=True):
         orders = local_orders(model, over_poses, window)
-        fits = fit_pose(z[window.poses], w[window.poses], window, pose.records, model, *orders)
-        responses.append(_response(pose, fits, model, orders[0], len(window.poses)))
+        around = z[window.poses], w[window.poses]
+        alike = len(window.poses) > 1 and excited_alike(around[1])
+        n = lines_to_either_side(*around, pose.records, model, *orders, alike=alike)
+        fits = fit_pose(*around, window, pose.records, model, *orders, n)
+        residuals = _weighted_mean_fits(*around, window, pose.records, model, orders[0], n) if alike else fits
+        responses.append(_response(pose, fits, residuals, model, orders[0], len(window.poses)))
     return tuple(responses)
 
 
@@ -119,13 +126,16 @@ def fit_pose(
     model: LocalModel,
     numerator: tuple[int, ...],
     denominator: tuple[int, ...],
+    n: int | None = None,
 ) -> LocalFits:
-    """Local fits at every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u)."""
+    """Local fits at every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u).
+
+    n lines to either side; None takes `lines_to_either_side`.
+    """
     k, R, L, n_z = z.shape
     n_u = w.shape[3]
-    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * records.n_outputs
-    # poses excited alike do not tell the inputs apart: each pose's own lines must carry the numerator over frequency
-    n = max(half_width(model, unknowns, k * R, n_z, L), half_width(model, (1 + numerator[0]) * n_u, R, 0, L))
+    if n is None:
+        n = lines_to_either_side(z, w, records, model, numerator, denominator)
     lines, z, w, first = _with_images(records, z, w, n) if model.border == "periodic" else (records.lines, z, w, 0)
     here = first + np.arange(L)
     start = np.clip(here - n, 0, len(lines) - 2 * n - 1)
@@ -145,6 +155,43 @@ def fit_pose(
     )
 
 
+def lines_to_either_side(
+    z: np.ndarray,
+    w: np.ndarray,
+    records: PeriodicRecords,
+    model: LocalModel,
+    numerator: tuple[int, ...],
+    denominator: tuple[int, ...],
+    *,
+    alike: bool = False,
+) -> int:
+    """Half width of the window over frequency; where poses are excited `alike`, one that could carry the model for one pose as well."""
+    k, R, L, n_z = z.shape
+    n_u, n_y = w.shape[3], records.n_outputs
+    unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_y
+    # poses excited alike do not tell the inputs apart: each pose's own lines must carry the numerator over frequency
+    by_itself = (1 + numerator[0]) * n_u + (denominator[0] * n_y if alike else 0)
+    return max(half_width(model, unknowns, k * R, n_z, L), half_width(model, by_itself, R, n_z if alike else 0, L))
+
+
+def excited_alike(w: np.ndarray) -> bool:
+    """(k, R, L, n_u) spectra of poses that are the same: then distortion is the same too, but for what the pose changes."""
+    return bool(np.abs(w - w[0]).max() <= ALIKE * np.abs(w).max())
+
+
+def _weighted_mean_fits(
+    z: np.ndarray, w: np.ndarray, window: PoseWindow, records: PeriodicRecords, model: LocalModel, orders: Sequence[int], n: int
+) -> LocalFits:
+    """Fit for one pose of the weighted mean of the poses' outputs that the polynomial over the poses amounts to at its centre.
+
+    With the same w at every pose the regressors are those over frequency times those over the poses, so the estimate at the centre is that
+    of one pose from sum_q a_q z_q, a the first row of the pseudoinverse over the poses. Its residuals hold noise and distortion as they add
+    up over the poses, however correlated; (4.31) takes them for independent, and over poses distorted alike for a third of what they are.
+    """
+    mean = np.tensordot(window.weights(orders[1:]), z, axes=1)[None]
+    return fit_pose(mean, w[:1], ALONE, records, model, (orders[0],), (model.denominator,), n)
+
+
 def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """The n lines' mirror images below 0 and above f_s / 2: conjugate spectra of a real, sampled signal."""
     lines, N = records.lines, records.period_samples
@@ -154,7 +201,10 @@ def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int)
     return extended, images[0], images[1], n
 
 
-def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: tuple[int, ...], neighbours: int) -> FrequencyResponse:
+def _response(
+    pose: PoseSpectra, fits: LocalFits, residuals: LocalFits, model: LocalModel, numerator: tuple[int, ...], neighbours: int
+) -> FrequencyResponse:
+    """`residuals` are the fits that tell the total covariance: `fits` themselves, or those of the weighted mean over the poses."""
     records, steady = pose.records, pose.steady
     L, n_y, n_u = len(records.lines), records.n_outputs, records.n_inputs
     check_told(fits, records.frequencies_Hz, records.input_names)
@@ -162,11 +212,11 @@ def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: 
     to_plant = np.broadcast_to(np.eye(n_u), (L, n_u, n_u))
     if records.inputs is not None:
         to_plant = np.swapaxes(np.linalg.inv(fits.response[:, n_y:]), 1, 2)  # G_wu^-T of (3.46)
-    weight = to_plant @ fits.inverse_gram @ np.conj(np.swapaxes(to_plant, 1, 2))
+    weight, total_weight = (to_plant @ each.inverse_gram @ np.conj(np.swapaxes(to_plant, 1, 2)) for each in (fits, residuals))
     noise_z = steady.noise[:, :, :L].mean(axis=(0, 1))
-    total_z = fits.residual_products / fits.dof[:, None, None]  # (3.48), (4.31)
+    total_z = residuals.residual_products / residuals.dof[:, None, None]  # (3.48), (4.31)
     noise = kronecker(weight, output_covariance(G, noise_z))  # (3.45)
-    total = kronecker(weight, output_covariance(G, total_z))
+    total = kronecker(total_weight, output_covariance(G, total_z))
     M, E = records.realisations, records.experiments
     poses = "x".join(str(order) for order in numerator[1:])
     response = FrequencyResponse(
@@ -180,7 +230,7 @@ def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: 
         noise_covariance_z=noise_z,
         total_covariance_z=total_z,
         noise_dof=steady.dof[:L] * M * E,
-        total_dof=fits.dof.astype(float),
+        total_dof=residuals.dof.astype(float),
         method=f"fast_{model.name}" if len(numerator) == 1 else f"nd_{model.name}",
         settings={
             "realisations": M,
@@ -189,7 +239,7 @@ def _response(pose: PoseSpectra, fits: LocalFits, model: LocalModel, numerator: 
             **model.settings,
             **({"Q_z": poses, "poses": neighbours} if len(numerator) > 1 else {}),
         },
-        notes=(*records.notes, *steady.notes),
+        notes=(*records.notes, *steady.notes, *(() if residuals is fits else (ALIKE_NOTE,))),
         **labels(records),
     )
     return replace(response, even_odd=even_odd(records, steady, G))

@@ -69,6 +69,11 @@ class PoseWindow:
         centre = np.concatenate((np.zeros((i, 1)), self.offsets[self.centre]), axis=1)
         return made.reshape(len(psi), -1, i, 1 + m), centre
 
+    def weights(self, orders: Sequence[int]) -> np.ndarray:
+        """(k,) with which a least-squares polynomial over the poses weighs its values for the value at the centre."""
+        basis = symmetric_monomials(self.offsets, self.offsets[self.centre], orders)
+        return np.linalg.pinv(np.concatenate((np.ones((len(basis), 1)), basis), axis=1))[0]
+
 
 def varying_directions(poses: np.ndarray) -> np.ndarray:
     """(m,) columns of `poses` (n, all) that are not the same in all poses."""
