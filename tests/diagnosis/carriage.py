@@ -1,0 +1,83 @@
+"""The EMPS carriage in its position loop, simulated here by its own recursion: it shares nothing with the project but the CSV's names.
+
+One mass with viscous and Coulomb friction and a disturbing force of its own in every repeat. Timing: docs/notation.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.signal
+
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+
+MACHINE = load_machine("emps")
+RATE_Hz = 1000.0
+MASS_kg, DAMPING, GAIN = 95.1089, 203.5034, 35.15065
+STEPS = 8  # of the integration per sample
+
+
+def reference(duration_s: float, seed: int = 0) -> np.ndarray:
+    """To and fro at several speeds, from rest at 0."""
+    time_s = np.arange(round(duration_s * RATE_Hz)) / RATE_Hz
+    random = np.random.default_rng(seed)
+    wanted = sum(a * np.sin(2.0 * np.pi * f * time_s + random.uniform(0.0, 6.3)) for a, f in ((0.05, 0.7), (0.006, 1.6), (0.001, 3.7)))
+    gate = 0.5 - 0.5 * np.cos(np.pi * np.clip(time_s / 0.5, 0.0, 1.0))
+    return gate * wanted
+
+
+def disturbance(rows: int, rms_N: float, seed: int, corner_Hz: float = 4.0) -> np.ndarray:
+    """A slow force, another one in every repeat."""
+    b, a = scipy.signal.butter(1, corner_Hz / (0.5 * RATE_Hz))
+    white = np.random.default_rng(seed).standard_normal(rows + 4000)
+    coloured = scipy.signal.lfilter(b, a, white)[4000:]
+    return rms_N * coloured / coloured.std()
+
+
+def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, force_N=None, load_N=0.0, noise_seed=0):
+    """(position [m], command [V]) rows."""
+    rows = len(wanted)
+    force_N = np.zeros(rows) if force_N is None else force_N
+    h = 1.0 / (RATE_Hz * STEPS)
+    x, v, command = 0.0, 0.0, 0.0
+    history = [0.0, 0.0]
+    position, commands = np.zeros(rows), np.zeros(rows)
+    for k in range(rows):
+        effort = command
+        position[k] = x
+        command = 38995.821 * wanted[k] - 160720.821 * x + 121725.0 * history[0]
+        command = min(max(command, -10.0), 10.0)
+        commands[k] = command
+        history = [history[1], x]
+        push = gain * effort + force_N[k] + load_N
+        for _ in range(STEPS):  # linear part exactly to second order, friction held implicitly
+            free = (v + h * push / mass) / (1.0 + h * damping / mass)
+            slip = h * coulomb_N / mass
+            new = np.sign(free) * max(abs(free) - slip, 0.0)
+            x += 0.5 * h * (v + new)
+            v = new
+    random = np.random.default_rng(1000 + noise_seed)
+    return position + 1e-7 * random.standard_normal(rows), commands + 2e-3 * random.standard_normal(rows)
+
+
+def recording(wanted, position, command) -> Recording:
+    """As the bench would have recorded it."""
+    rows = len(wanted)
+    channels = {
+        "time": Channel("s", np.arange(rows) / RATE_Hz),
+        "reference_carriage": Channel("m", wanted),
+        "excitation_carriage": Channel("V", np.zeros(rows)),
+        "command_carriage": Channel("V", command),
+        "position_carriage": Channel("m", position),
+    }
+    return Recording(channels, recording_metadata(MACHINE, experiment={"start_pose": [0.0]}))
+
+
+def repeats(count=4, duration_s=3.0, seed=0, disturbance_N=1.0, experiment=0, **truth) -> dict[str, Recording]:
+    """Repeats of one experiment, each with its own disturbance and noise."""
+    wanted = reference(duration_s, experiment)
+    found = {}
+    for number in range(count):
+        force = disturbance(len(wanted), disturbance_N, 100 * seed + 10 * experiment + number)
+        found[f"run_{experiment}_{number}"] = recording(wanted, *run(wanted, force_N=force, noise_seed=100 * seed + number, **truth))
+    return found

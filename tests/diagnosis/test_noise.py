@@ -1,0 +1,67 @@
+"""Noise from repeats, against noise of known spectrum."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.signal
+from carriage import MACHINE, RATE_Hz
+
+from hil.diagnosis.mismatch import RepeatGroup
+from hil.diagnosis.noise import noise_model
+from hil.simulation import Inputs
+
+CHANNELS = ("command_carriage", "position_carriage")
+ROWS = 6000
+
+
+def coloured(count, seed):
+    """(R, N, 2): one disturbance in both channels, and white noise in each."""
+    random = np.random.default_rng(seed)
+    slow = scipy.signal.lfilter([1.0], [1.0, -0.98], random.standard_normal((count, ROWS + 2000)), axis=1)[:, 2000:]
+    lagged = scipy.signal.lfilter([0.05], [1.0, -0.95], slow, axis=1)
+    white = random.standard_normal((2, count, ROWS))
+    return np.stack([slow + 0.3 * white[0], 1e-6 * (lagged + 0.05 * white[1])], axis=-1)
+
+
+def group_of(noise):
+    rows = noise.shape[1]
+    still = np.zeros((rows, 1))
+    inputs = Inputs(still, still, still, None, np.zeros(1))
+    labels = tuple(f"r{number}" for number in range(len(noise)))
+    simulated = np.zeros(noise.shape[1:])
+    time_s = np.arange(rows) / RATE_Hz
+    return RepeatGroup(labels, MACHINE, inputs, (slice(0, rows),), time_s, noise, simulated, still, still, still, still)
+
+
+def test_whitened_noise_of_other_repeats_is_white_at_every_frequency():
+    model = noise_model([group_of(coloured(4, 0))], CHANNELS, MACHINE)
+    powers = []
+    for fresh in coloured(12, 1):
+        frequencies, lines = model.spectrum(fresh)
+        powers.append(np.abs(lines) ** 2)
+    power = np.mean(powers, axis=0)
+    for low, high in ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 100.0), (100.0, 500.0)):
+        band = (frequencies >= low) & (frequencies < high)
+        assert 0.7 < power[band].mean() < 1.5, (low, high)
+
+
+def test_whitened_channels_are_uncorrelated():
+    model = noise_model([group_of(coloured(4, 0))], CHANNELS, MACHINE)
+    lines = np.concatenate([model.spectrum(fresh)[1][1:-1] for fresh in coloured(6, 2)])
+    coherence = abs(np.mean(lines[:, 0] * lines[:, 1].conj())) / np.sqrt(np.prod(np.mean(np.abs(lines) ** 2, axis=0)))
+    assert coherence < 0.15
+
+
+def test_rms_is_the_noise_s_own_and_its_kind_is_said():
+    noise = coloured(4, 3)
+    model = noise_model([group_of(noise)], CHANNELS, MACHINE)
+    np.testing.assert_allclose(model.std, noise.std(axis=(0, 1)), rtol=0.15)
+    assert model.kind == "repeats"
+    assert noise_model([group_of(noise[:1])], CHANNELS, MACHINE).kind == "assumed"
+
+
+def test_whitening_is_linear_and_of_unit_variance():
+    model = noise_model([group_of(coloured(4, 0))], CHANNELS, MACHINE)
+    one, other = coloured(2, 5)
+    np.testing.assert_allclose(model.whiten(one + 2.0 * other), model.whiten(one) + 2.0 * model.whiten(other), rtol=1e-8, atol=1e-9)
+    assert 0.85 < np.mean(model.whiten(one) ** 2) < 1.15

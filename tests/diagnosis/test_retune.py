@@ -1,0 +1,58 @@
+"""Re-tuning, against a carriage whose numbers are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from carriage import DAMPING, GAIN, MACHINE, MASS_kg, repeats
+
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.retune import retune
+
+
+@pytest.fixture(scope="module")
+def runs():
+    found = mismatch(MACHINE, repeats(4, mass=1.08 * MASS_kg, damping=0.94 * DAMPING))
+    return FreeRuns({TRAIN: found}, found.noise)
+
+
+def test_numbers_of_the_truth_are_within_their_intervals(runs):
+    tuning = retune(runs)
+    # mass, damping and gain only show in their ratios: what is certain is mass over gain and damping over gain
+    values = dict(zip(tuning.names, tuning.at(tuning.offset)[tuning.indices], strict=True))
+    assert values["carriage.mass"] / values["carriage.constant"] == pytest.approx(1.08 * MASS_kg / GAIN, rel=3e-3)
+    assert values["carriage.damping"] / values["carriage.constant"] == pytest.approx(0.94 * DAMPING / GAIN, rel=0.02)
+    truth = {"carriage.mass": 1.08 * MASS_kg, "carriage.damping": 0.94 * DAMPING, "carriage.constant": GAIN}
+    for k, name in enumerate(tuning.names):
+        spread = np.sqrt(tuning.covariance[k, k]) * tuning.scale[k]
+        assert abs(values[name] - truth[name]) < 3.0 * spread, name
+
+
+def test_what_is_left_is_noise(runs):
+    tuning = retune(runs)
+    left = runs.measured() - tuning.predicted
+    assert 0.8 < np.mean(left**2) < 1.2
+
+
+def test_a_coarse_encoder_hides_no_sensitivity():
+    plant = MACHINE.plant
+    coarse = replace(MACHINE, plant=replace(plant, encoders=tuple(replace(e, resolution=1e-3) for e in plant.encoders)))
+    found = mismatch(coarse, repeats(3, duration_s=1.0))
+    sensitivity = retune(FreeRuns({TRAIN: found}, found.noise)).jacobian
+    assert (np.linalg.norm(sensitivity, axis=0) > 1.0).all()
+
+
+def test_nothing_that_retuning_imitates_is_left_after_projection(runs):
+    tuning = retune(runs)
+    projection = Projection.of(tuning)
+    column = tuning.jacobian[:, 0]
+    left = projection.left(column)
+    assert left @ left < 1.01  # the prior's own unit
+    other = np.random.default_rng(0).standard_normal(len(column))
+    weights = np.linalg.solve(tuning.jacobian.T @ tuning.jacobian + np.eye(tuning.jacobian.shape[1]), tuning.jacobian.T @ other)
+    expected = np.sum((other - tuning.jacobian @ weights) ** 2) + np.sum(weights**2)
+    assert projection.left(other) @ projection.left(other) == pytest.approx(expected)
