@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from hil.figures.modes import modes_figure
 from hil.identification import FrequencyResponse, fit_modal_model, periodic_records, read_frf, robust_bla, write_frf
@@ -130,6 +131,18 @@ def judged(responses: list[FrequencyResponse], step: int, figure: Path | None) -
     }  # fmt: skip
 
 
+def interpolated_frequencies() -> dict[str, float]:
+    """Largest error [%] halfway between 13 poses of the plant's own lowest frequency put through polynomials of order 8, by form."""
+    plant = Physics(load_machine("carm").plant, noise=False)
+    omega2 = np.array([true_modes(plant, (PROPELLER_RAD, roll))[0][0] ** 2 for roll in ROLL_RAD])
+    x, fitted, between = ROLL_RAD / ROLL_RAD[-1], slice(0, None, 4), slice(2, None, 4)
+    errors = {}
+    for name, power in (("omega^2", 1.0), ("1 / omega^2", -1.0)):
+        found = legendre.legval(x, legendre.legfit(x[fitted], omega2[fitted] ** power, 8)) ** (1.0 / power)
+        errors[name] = round(100.0 * float(np.max(np.abs(np.sqrt(found / omega2) - 1.0)[between])), 3)
+    return errors
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification_modal.json")
@@ -137,7 +150,8 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, default=None, help="modes over the poses, of the last model (.png)")
     arguments = parser.parse_args()
     responses = responses_over_poses(arguments.keep)
-    report = {name: judged(responses, step, arguments.figure) for name, step in FITTED.items()}
+    report: dict[str, dict] = {"lowest frequency of the plant, interpolated [%]": interpolated_frequencies()}
+    report |= {name: judged(responses, step, arguments.figure) for name, step in FITTED.items()}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(report, indent=1) + "\n")
     print(json.dumps(report, indent=1))

@@ -216,6 +216,17 @@ def test_any_excitation_serves_an_arbitrary_method():
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("spoilt", "message"),
+    [("outputs", "outputs have missing samples"), ("excitation", "input v is not excited in any record")],
+)
+def test_records_that_an_arbitrary_method_cannot_take_get_one_clear_line(spoilt, message):
+    arrays = {"outputs": np.ones((1, 64, 3)), "inputs": np.ones((1, 64, 2)), "excitation": np.ones((1, 64, 2))}
+    arrays[spoilt][0, :, 1] = np.nan if spoilt == "outputs" else 0.0
+    with pytest.raises(IdentificationError, match=message):
+        ArbitraryRecords(*arrays.values(), 1.0, ("a", "b", "c"), ("u", "v"), ("",) * 3, ("",) * 2)
+
+
 @pytest.mark.parametrize("initial", [0.0, 1.0])
 def test_open_loop_needs_no_measured_input(initial):
     rng = np.random.default_rng(8)
