@@ -44,5 +44,5 @@ def test_a_case_shows_recordings_and_the_nominal_machine_only(machines, tmp_path
     assert not any("coulomb" in path.read_text() for path in (tmp_path / "case").iterdir())
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert truth["effects"][0]["accepted"] == ["coulomb_friction"]
-    assert truth["detectability"] == pytest.approx(truth["effects"][0]["times_limit"] * 5.0 * (case.repeats / 3.0) ** 0.5, rel=0.5)
+    assert truth["detectability"] == pytest.approx(truth["effects"][0]["times_limit"] * 5.0, rel=0.5)
     assert sum(truth["location"]["channels"].values()) == pytest.approx(1.0)

@@ -12,9 +12,9 @@ import numpy as np
 
 from concealed.truth.catalogue import INSIDE, KINDS
 from concealed.truth.disturbances import disturbance, with_noise
-from concealed.truth.draw import Case, Hidden
+from concealed.truth.draw import Case, Hidden, numbers
 from concealed.truth.experiments import plan
-from concealed.truth.oracle import NoiseUnits, coefficients, left_over, location
+from concealed.truth.oracle import NoiseUnits, left_over, location
 from concealed.truth.plant import IMU_CHANNELS, Answer, Drive, Machine, Plant, Setup
 from concealed.truth.sensor_kinds import read
 from concealed.truth.writing import write_recording
@@ -47,6 +47,7 @@ class Workshop:
         self.case, self.machine = case, machine
         self.training, self.held_out = plan(machine, case.training), plan(machine, case.held_out)
         self._softer = machine.with_gain(case.held_out_gain)
+        self._derivatives: dict[int, list[np.ndarray]] = {}
 
     def under(self, drive: Drive) -> Machine:
         """The machine with the controller that a run was made under."""
@@ -72,6 +73,19 @@ class Workshop:
         """The case's channels as the sensors read them, without noise."""
         read_out = read(setup, answer.channels, self.machine.rate_Hz, np.random.default_rng(self.case.seed))
         return np.column_stack([read_out[name] for name in self.case.channels])
+
+    def by_numbers(self, drive: Drive) -> list[np.ndarray]:
+        """Derivatives (N, C) of the plant without effects by every number of the machine file, per share of it."""
+        if id(drive) not in self._derivatives:
+            base = self.matrix(self.setup(()), drive)
+            signals = []
+            for key in numbers(self.machine):
+                factors = self.case.factors | {key: self.case.factors.get(key, 1.0) * (1.0 + DERIVATIVE_STEP)}
+                answer = self.matrix(self.setup((), factors), drive)
+                if answer is not None and base is not None:
+                    signals.append((answer - base) / DERIVATIVE_STEP)
+            self._derivatives[id(drive)] = signals
+        return self._derivatives[id(drive)]
 
     def recorded(self, setup: Setup, drive: Drive, repeat: int) -> tuple[Answer, dict[str, np.ndarray]]:
         """A run with its own disturbances and noise, every channel of the machine; draws do not depend on the hidden physics."""
@@ -119,7 +133,7 @@ def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     base = shop.matrix(nothing, drive)
     assert base is not None, f"case {shop.case.number}: the plant without effects runs away"
     units = NoiseUnits(shop.noise(nothing, drive, base, range(100, 103)))
-    nominal = _nominal_columns(shop, (), drive, base, units)
+    nominal = [units(signal) for signal in shop.by_numbers(drive)]
     return tuple(Chosen(hidden, _strength(shop, hidden, drive, base, units, nominal)) for hidden in shop.case.hidden)
 
 
@@ -131,7 +145,7 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
         return largest
     if kind.tuned:  # a refit of the machine file's numbers takes it up by definition: there is no limit to count in
         return min(0.5 * hidden.times_limit * strength, largest)
-    wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(shop.case.repeats / 3.0)
+    wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(units.repeats / shop.case.repeats)
     safe = largest
     for _ in range(SEARCH_STEPS):
         answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive)
@@ -147,21 +161,6 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
     while shop.matrix(shop.setup((Chosen(hidden, strength),)), drive) is None:
         strength *= 0.5
     return strength
-
-
-def _nominal_columns(shop: Workshop, chosen: tuple[Chosen, ...], drive: Drive, base: np.ndarray, units: NoiseUnits) -> list[np.ndarray]:
-    """What changing each of the machine file's numbers does, in noise units."""
-    return [units(signal) for signal in _nominal_signals(shop, chosen, drive, base)]
-
-
-def _nominal_signals(shop: Workshop, chosen: tuple[Chosen, ...], drive: Drive, base: np.ndarray) -> list[np.ndarray]:
-    signals = []
-    for key in shop.case.factors:
-        factors = shop.case.factors | {key: shop.case.factors[key] * (1.0 + DERIVATIVE_STEP)}
-        answer = shop.matrix(shop.setup(chosen, factors), drive)
-        if answer is not None:
-            signals.append((answer - base) / DERIVATIVE_STEP)
-    return signals
 
 
 # ---- the oracle -------------------------------------------------------------------------------------
@@ -183,24 +182,13 @@ def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup) -> dict[st
     without = shop.setup(())
     base = {name: shop.matrix(without, drive) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
     assert base["train"] is not None and base["held_out"] is not None
-    signals = {
-        name: _nominal_signals(shop, (), drive, base[name]) for name, drive in (("train", shop.training), ("held_out", shop.held_out))
-    }
-    columns = [units(signal) for signal in signals["train"]]
-    effect = {name: clean[name] - base[name] for name in clean}
-    weights = coefficients(units(effect["train"]), columns)
-    seen = {
-        name: effect[name]
-        - sum((weight * signal for weight, signal in zip(weights, signals[name], strict=True)), np.zeros_like(effect[name]))
-        for name in effect
-    }
-    answer["detectability"] = left_over(units(effect["train"]), columns)
-    answer["raw_detectability"] = float(np.linalg.norm(units(effect["train"])))
-    held_units = NoiseUnits(held_noise[None])
-    answer["held_out_detectability"] = float(np.linalg.norm(held_units(seen["held_out"])))
-    answer["removable_rms"] = dict(zip(case.channels, np.sqrt(np.mean(seen["held_out"] ** 2, axis=0)).tolist(), strict=True))
+    columns = [units(signal) for signal in shop.by_numbers(shop.training)]
+    effect = clean["train"] - base["train"]
+    answer["detectability"] = left_over(units(effect), columns)
+    answer["raw_detectability"] = float(np.linalg.norm(units(effect)))
+    answer["held_out_raw_detectability"] = float(np.linalg.norm(NoiseUnits(held_noise[None])(clean["held_out"] - base["held_out"])))
     positions = shop.answer(setup, shop.training).q[:, [Plant(machine, setup).dof(machine.joint_of[axis]) for axis in machine.axes]]
-    answer["location"] = location(effect["train"], units, machine.rate_Hz, positions, list(case.channels), machine.axes)
+    answer["location"] = location(effect, units, machine.rate_Hz, positions, list(case.channels), machine.axes)
     answer["each"] = [_apart(shop, chosen, index, base["train"], units, columns) for index in range(len(chosen))]
     return answer
 

@@ -125,6 +125,17 @@ def perturbations(rng: np.random.Generator, machine: Machine) -> dict[str, float
     return {key: float(1.0 + rng.uniform(-PERTURBATION, PERTURBATION)) for key in keys}
 
 
+def numbers(machine: Machine) -> list[str]:
+    """Every number of the machine file that a refit may adjust: those that cases perturb, centres of mass and rotors."""
+    keys = list(perturbations(np.random.default_rng(0), machine))
+    for body in machine.table["body"]:
+        if body.get("mass_kg", 0.0) >= 0.5:
+            centre = body.get("center_of_mass_m", [0.0, 0.0, 0.0])
+            keys += [f"com_{axis}:{body['name']}" for axis, value in zip("xyz", centre, strict=True) if value]
+    rotors = [axis for axis, drive in machine.table["drives"].items() if any(key.startswith("rotor") for key in drive)]
+    return keys + [f"armature:{machine.joint_of[axis]}" for axis in rotors]
+
+
 def _strength(rng: np.random.Generator, condition: str) -> float:
     return float(rng.choice(STRENGTHS[3:] if condition in ("uncovered", "little") else STRENGTHS))
 

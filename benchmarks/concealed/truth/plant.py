@@ -26,9 +26,8 @@ IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 class Setup:
     """What differs from the machine file: factors on its numbers, and physics it does not have."""
 
-    factors: dict[str, float] = field(
-        default_factory=dict
-    )  # "mass:BODY", "inertia:BODY", "stiffness:JOINT", "damping:JOINT", "constant:AXIS"
+    factors: dict[str, float] = field(default_factory=dict)
+    """Of `mass:BODY`, `inertia:BODY`, `com_x:BODY`, `stiffness:JOINT`, `damping:JOINT`, `armature:JOINT`, `constant:AXIS`."""
     joints: list[tuple[int, str, str, list[float]]] = field(default_factory=list)  # kind, joint, other joint, parameters
     drives: dict[tuple[str, str], float] = field(default_factory=dict)  # (axis, column) -> value
     encoders: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -202,6 +201,10 @@ class Plant:
                 model.body(name).mass *= factor
             elif kind == "inertia":
                 model.body(name).inertia *= factor
+            elif kind.startswith("com_"):
+                model.body(name).ipos["xyz".index(kind[-1])] *= factor
+            elif kind == "armature":
+                model.dof_armature[model.joint(name).dofadr[0]] *= factor
             elif kind == "stiffness":
                 model.joint(name).stiffness *= factor
             elif kind == "damping":
