@@ -24,8 +24,8 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
     parser.add_argument("step", choices=("make", "run", "score", "all", "mutate"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
-    parser.add_argument("--cases", default="", help="numbers, as in 0-39 or 3,5,8; all of the set by default")
-    parser.add_argument("--strata", default="", help="null, single, pair, off; comma between them; all by default")
+    parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
+    parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "isocenter-concealed", help="folder of the cases")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
@@ -35,7 +35,7 @@ def main(arguments: list[str]) -> int:
     options.results.mkdir(parents=True, exist_ok=True)
     if options.step != "score":
         making.export_models(places)
-    numbers = _numbers(options, places)
+    numbers = _numbers(options)
     if options.step == "make":
         _each(partial(making.make, places), numbers, options.jobs, "make", lambda _number, _row: None)
     if options.step in ("run", "all"):
@@ -48,13 +48,30 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _numbers(options: argparse.Namespace, places: making.Places) -> list[int]:
+def _numbers(options: argparse.Namespace) -> list[int]:
+    """The cases asked for, in the order they were named."""
+    numbers = options.cases if options.cases is not None else list(range(making.seeds(options.seeds)[1]))
+    return [number for number in numbers if options.strata is None or making.stratum_of(number) in options.strata]
+
+
+def _ranges(text: str) -> list[int]:
+    """0-3,8 is 0, 1, 2, 3, 8."""
     numbers: list[int] = []
-    for part in options.cases.split(",") if options.cases else [f"0-{making.seeds(options.seeds)[1] - 1}"]:
+    for part in text.split(","):
         first, _, last = part.partition("-")
-        numbers += range(int(first), int(last or first) + 1)
-    wanted = set(options.strata.split(",")) if options.strata else None
-    return [number for number in numbers if wanted is None or making.stratum_of(number) in wanted]
+        try:
+            numbers += range(int(first), int(last or first) + 1)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{part!r} is no case number or range; 0-39 or 3,5,8 is right") from None
+    return numbers
+
+
+def _strata(text: str) -> set[str]:
+    """Names of strata."""
+    names = set(text.split(","))
+    if unknown := names - set(making.ORDER):
+        raise argparse.ArgumentTypeError(f"no stratum {sorted(unknown)}; there are {sorted(set(making.ORDER))}")
+    return names
 
 
 def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int) -> None:
