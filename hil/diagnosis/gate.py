@@ -24,6 +24,9 @@ from hil.diagnosis.screening import Screened
 TRAIN_LEVEL = 0.01
 """Chance that the best of all candidates passes the first question where there is nothing."""
 
+SIMULATOR_ERROR = 1e-3
+"""Energy, in units of the noise of the repeats' mean, by which a simulation of the right machine may be off: 3 % of the noise's rms."""
+
 SPECTRUM_WEIGHT = 2.0
 """What the noise spectra count for against the repeats' scatter of an effect's strength, in repeats."""
 
@@ -87,9 +90,12 @@ class Gate:
         return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]
 
 
-def needed_gain(candidates: int, freedom: int) -> float:
-    """Fall of |residual|^2 that the best of this many candidates with this many parameters reaches by chance at TRAIN_LEVEL."""
-    return float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1)))
+def needed_gain(candidates: int, freedom: int, entries: int) -> float:
+    """Fall of |residual|^2 that the best of this many candidates with this many parameters reaches by chance at TRAIN_LEVEL.
+
+    It is not less than the simulator's own errors may cost over this many entries of the residual.
+    """
+    return max(float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1))), SIMULATOR_ERROR * entries)
 
 
 def strength_scatter(runs: FreeRuns, projection: Projection, change: np.ndarray) -> float:

@@ -103,6 +103,7 @@ def retune(runs: FreeRuns) -> Tuning:
     """
     indices = tunable(runs.parameters)
     scale = np.abs(runs.nominal[indices]) * PRIOR
+    runs.correct(Trial(runs.nominal))
     predicted = runs.run_one(Trial(runs.nominal))
     if predicted is None:
         raise BadAnswer(f"{runs.machine.name}: its free run cannot be simulated; check the machine with `isocenter machine check`")
@@ -114,7 +115,12 @@ def retune(runs: FreeRuns) -> Tuning:
     tuning = linearised(runs, tuning)
     visible = np.linalg.norm(tuning.jacobian, axis=0) > INVISIBLE
     tuning = _only(tuning, visible)
-    return with_covariance(descend(runs, tuning, measured))
+    tuning = descend(runs, tuning, measured)
+    runs.correct(Trial(tuning.values))
+    predicted = runs.run_one(Trial(tuning.values))
+    if predicted is not None:
+        tuning = descend(runs, replace(tuning, predicted=predicted), measured)
+    return with_covariance(tuning)
 
 
 def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple[EffectSetting, ...] = ()) -> Tuning:

@@ -153,7 +153,7 @@ def _gate(
         deviations = held_out.deviations(*held_out.predictions([(present.offset, settings), (after.offset, after.settings)]))
     return Gate(
         gain=gain,
-        needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0)),
+        needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0), len(residual)),
         scatter=strength_scatter(runs, projection, after.predicted - present.predicted),
         held_out_deviations=deviations,
         placebo_gain=placebo_gain(runs, present, screened, residual),
