@@ -30,7 +30,7 @@ def draw_curves(curve: list[dict[str, Any]], path: Path) -> None:
     labels = [f"{row['from']:g}–{row['to']:g}" if row["to"] is not None else f"> {row['from']:g}" for row in curve]
     axis.set_xticks(range(len(curve)), labels, rotation=30)
     axis.set(xlabel="distance [standard deviations of the noise]", ylabel="share of single effects [–]", ylim=(-0.03, 1.03))
-    axis.legend(loc="lower right")
+    figure.legend(loc="outside upper center")
     axis.grid(alpha=0.3)
     figure.savefig(path)
     plt.close(figure)

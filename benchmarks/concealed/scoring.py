@@ -23,7 +23,10 @@ EDGES = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, np.inf)
 
 def score(places: Places, results: Path) -> str:
     """Score every answered case of a set; write `scores_SEEDS.json` and the figure, return the tables as text."""
-    lines = (results / f"answers_{places.seeds}.jsonl").read_text(encoding="utf-8").splitlines()
+    path = results / f"answers_{places.seeds}.jsonl"
+    if not path.exists():
+        raise SystemExit(f"{path}: no answers yet; `python benchmarks/concealed run --seeds {places.seeds}` writes them")
+    lines = path.read_text(encoding="utf-8").splitlines()
     answers = {answer["number"]: answer for answer in map(json.loads, lines)}
     judged = []
     for number, answer in sorted(answers.items()):
