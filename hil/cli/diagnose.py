@@ -75,6 +75,8 @@ def _read(paths: list[Path], machine: Machine) -> dict[str, Recording]:
 
 
 def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
+    from hil.diagnosis.diagnose import NEXT_EXPERIMENT
+
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
     for finding in diagnosis.findings:
@@ -87,4 +89,8 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     where = "held-out" if diagnosis.fit.held_out is not None else "training"
     stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
     answer.say(f"misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
+    if outcome.proposal is not None:
+        proposal = outcome.proposal
+        predicted = f"{proposal.separation:.3g} standard deviations in {proposal.seconds:.3g} s"
+        answer.say(f"  {out / NEXT_EXPERIMENT} would tell them apart, by {predicted}")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

@@ -15,7 +15,8 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed
+from hil.diagnosis.naming import CAP_ASSUMED, PLAUSIBLE, Weighed, weighed
+from hil.diagnosis.next_experiment import Model, Proposal, propose
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
@@ -26,6 +27,12 @@ from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
 
 Report = Callable[[str, float], None]
+NEXT_EXPERIMENT = "next_experiment.toml"
+"""File in the answer's folder."""
+
+MOST_RIVALS = 3
+"""Hypotheses that one experiment is asked to separate."""
+
 LARGEST_TIE = 0.999
 """No hypothesis is more certain than this: what is in no catalogue always has a share."""
 
@@ -50,6 +57,8 @@ class Outcome:
         one's numbers without its effects.
     selection : Selection
     hypotheses : tuple of Weighed
+    proposal : Proposal or None
+        The experiment that would tell an ambiguous verdict's hypotheses apart.
     """
 
     diagnosis: Diagnosis
@@ -61,6 +70,7 @@ class Outcome:
     stages: Mapping[str, Mapping[str, list[np.ndarray]]]
     selection: Selection
     hypotheses: tuple[Weighed, ...]
+    proposal: Proposal | None
 
 
 def diagnose(
@@ -126,6 +136,12 @@ def diagnose(
         findings = _findings(runs, tuning, selection, hypotheses) if verdict in ("ambiguous", "explained", "unknown_physics") else ()
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, 0.5)) for finding in findings)
+        proposal = None
+        if verdict == "ambiguous":
+            report("looking for the next experiment", 0.97)
+            proposal = _next_experiment(machine, train, tuning, hypotheses)
+        if proposal is not None:
+            findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
         retuned, frozen = retuned_values(tuning, chosen)
         explainable = max(misfits[1] - noise, 0.0)
         diagnosis = Diagnosis(
@@ -143,7 +159,7 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
         )
-    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses)
+    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, proposal)
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
@@ -162,6 +178,12 @@ def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
     rows = sum(group.measured.shape[0] * len(group.time_s) for found in runs.sets.values() for group in found.groups)
     return tuple(weighed(sets, base, rows, noise, cap))
+
+
+def _next_experiment(machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...]) -> Proposal | None:
+    """What separates the likeliest set from those that are plausible beside it."""
+    rivals = [h.fitted for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE][:MOST_RIVALS]
+    return propose(machine, [Model.of(tuning, fit) for fit in rivals], train.noise, train.channels)
 
 
 def _stages(

@@ -7,16 +7,17 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hil.diagnosis.diagnose import Outcome
+from hil.diagnosis.diagnose import MOST_RIVALS, NEXT_EXPERIMENT, Outcome
 from hil.diagnosis.machine_file import retuned_text
 from hil.diagnosis.report import write_report
 from hil.errors import UnusableInput
+from hil.experiments.file_text import experiment_text
 from hil.machine import Machine
 from hil.machine.effects_file import effects_text
 
 
 def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
-    """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html.
+    """Write diagnosis.json, effects.toml, the re-tuned machine.toml, report.html, and the next experiment where there is one.
 
     Raises
     ------
@@ -30,9 +31,18 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
         (folder / "effects.toml").write_text(effects_text(outcome.effects, machine), encoding="utf-8")
         text = retuned_text(machine, outcome.tuning.parameters, outcome.values)
         (folder / "machine.toml").write_text(text, encoding="utf-8")
+        if outcome.proposal is not None:
+            (folder / NEXT_EXPERIMENT).write_text(_experiment_text(outcome, machine), encoding="utf-8")
         write_report(outcome, folder)
     except OSError as error:
         raise UnusableInput(f"{folder}: cannot be written to: {error.strerror}") from None
+
+
+def _experiment_text(outcome: Outcome, machine: Machine) -> str:
+    """The next experiment's file, with what it is for and what it should bring as comments."""
+    assert outcome.proposal is not None
+    names = [" and ".join(str(effect) for effect in h.fitted.effects) for h in outcome.hypotheses[:MOST_RIVALS] if h.fitted is not None]
+    return outcome.proposal.header(names) + experiment_text(outcome.proposal.experiment, machine)
 
 
 def _finite(value: Any) -> Any:

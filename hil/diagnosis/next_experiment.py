@@ -138,13 +138,30 @@ class Separation:
             for other, jacobian, model in zip(answers[1:], columns[1:], self._models[1:], strict=True)
         )
 
+    def of_recording(self, plan: Plan, measured: np.ndarray) -> float:
+        """The separation that a recording of a plan shows, where the first model is right: by how much the closest other one, refitted
+        locally, is further from it. Negative where another one is nearer.
+
+        Parameters
+        ----------
+        plan : Plan
+        measured : (N, C) array
+            The recording's channels.
+        """
+        recorded = self._noise.whiten(measured[_kept(plan) :])
+        squares = []
+        for model in self._models:
+            answer = self._answer(model.values, model.effects, plan)
+            squares.append(left_over(recorded - answer, self._sensitivities(model, answer, plan), model) ** 2)
+        excess = min(squares[1:]) - squares[0]
+        return float(np.sign(excess) * np.sqrt(abs(excess)))
+
     def _answer(self, values: np.ndarray, settings: tuple[EffectSetting, ...], plan: Plan) -> np.ndarray:
         still = np.zeros_like(plan.reference)
         inputs = Inputs(plan.reference, plan.excitation, still if plan.feedforward is None else plan.feedforward, None, plan.start_pose)
         outputs = self._simulator.run(inputs, values, (*self.machine.plant.effects, *settings))
         rows = simulated_matrix(self.machine, outputs, self._channels)
-        kept = int(plan.metadata.get("settle_periods", 0)) * int(plan.metadata.get("period_samples", 0))
-        return self._noise.whiten(rows[kept:])
+        return self._noise.whiten(rows[_kept(plan) :])
 
     def _sensitivities(self, model: Model, answer: np.ndarray, plan: Plan) -> np.ndarray:
         """(M, P + F): tuned numbers in units of their prior, then effect parameters in units of their own size."""
@@ -157,6 +174,11 @@ class Separation:
             moved, step = _moved(model.effects, number, name)
             columns.append((self._answer(model.values, moved, plan) - answer) / step)
         return np.column_stack(columns) if columns else np.zeros((len(answer), 0))
+
+
+def _kept(plan: Plan) -> int:
+    """First row after the settling periods."""
+    return int(plan.metadata.get("settle_periods", 0)) * int(plan.metadata.get("period_samples", 0))
 
 
 def left_over(difference: np.ndarray, jacobian: np.ndarray, model: Model) -> float:

@@ -22,7 +22,7 @@ class InNoiseUnits:
         Row of the record that `rows` begins with.
     frequencies_Hz : (K,) array
     power : (K, C) array
-        Over frequency; 1 is the noise's.
+        Over frequency, of the record tapered at its ends; 1 is the noise's.
     """
 
     rows: np.ndarray
@@ -45,7 +45,9 @@ def in_noise_units(noise: NoiseModel, signal: np.ndarray) -> InNoiseUnits:
     lines = np.fft.rfft(filtered, axis=0) / (np.sqrt(count) * _rms_of_lines(noise, count))
     rows = np.fft.irfft(lines * np.sqrt(count), count, axis=0)
     frequencies = np.fft.rfftfreq(count, 1.0 / noise.rate_Hz)
-    return InNoiseUnits(rows, len(signal) - count, frequencies, np.abs(lines) ** 2)
+    taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(count) + 0.5) / count)  # mean square 1
+    tapered = np.fft.rfft(filtered * taper[:, None], axis=0) / (np.sqrt(count) * _rms_of_lines(noise, count))
+    return InNoiseUnits(rows, len(signal) - count, frequencies, np.abs(tapered) ** 2)
 
 
 @lru_cache(maxsize=16)

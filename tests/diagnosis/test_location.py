@@ -1,0 +1,86 @@
+"""Where a mismatch is said to be, against mismatches that were put there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.location import locate
+from hil.diagnosis.mismatch import Mismatch, mismatch
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+
+MACHINE = load_machine("emps")
+RATE_Hz = MACHINE.sample_rate_Hz
+ROWS = 8000
+TIME = np.arange(ROWS) / RATE_Hz
+REFERENCE = 0.1 - 0.1 * np.cos(2.0 * np.pi * 0.5 * TIME)  # to and fro over 0.2 m, 0.31 m/s
+NOISE = {"command_carriage": 2e-3, "position_carriage": 1e-7}
+
+
+def mismatch_of(added) -> Mismatch:
+    """Four repeats of the nominal simulation with white noise and `added` (a mapping of channel to (N,) values)."""
+    from hil.simulation import simulate
+
+    experiment = {"start_pose": [0.0]}
+    still = Channel("V", np.zeros(ROWS))
+    driven = Recording(
+        {"time": Channel("s", TIME), "reference_carriage": Channel("m", REFERENCE), "excitation_carriage": still},
+        recording_metadata(MACHINE, experiment=experiment),
+    )
+    clean = simulate(MACHINE, driven)
+    repeats = {}
+    for number in range(4):
+        random = np.random.default_rng(number)
+        channels = dict(driven.channels)
+        for name, rms in NOISE.items():
+            values = clean[name] + rms * random.standard_normal(ROWS) + added.get(name, 0.0)
+            channels[name] = Channel(clean.channel(name).unit, values)
+        repeats[f"repeat {number}"] = Recording(channels, driven.metadata)
+    return mismatch(MACHINE, repeats)
+
+
+def overlap(spans, low: float, high: float) -> float:
+    """Intersection over union of intervals with one interval."""
+    inside = sum(max(0.0, min(b, high) - max(a, low)) for a, b in spans)
+    return inside / (sum(b - a for a, b in spans) + (high - low) - inside)
+
+
+def test_a_burst_is_found_in_its_channel_and_its_time():
+    envelope = np.where((TIME > 3.0) & (TIME < 4.0), np.sin(np.pi * (TIME - 3.0)) ** 2, 0.0)
+    burst = 0.05 * np.sin(2.0 * np.pi * 40.0 * TIME) * envelope
+    location = locate(mismatch_of({"command_carriage": burst}))
+    assert location.channels["command_carriage"] > 0.99
+    assert sum(location.channels.values()) == pytest.approx(1.0)
+    assert overlap(location.time_s["repeat 0"], 3.0, 4.0) > 0.8
+    assert overlap(np.log(location.frequency_hz), np.log(36.0), np.log(44.5)) > 0.5
+
+
+def test_a_mismatch_at_one_end_of_the_way_is_found_there():
+    position = REFERENCE
+    bump = 0.05 * np.sin(2.0 * np.pi * 60.0 * TIME) * (position > 0.15)
+    location = locate(mismatch_of({"command_carriage": bump}))
+    assert overlap(location.position["carriage"], 0.15, 0.2) > 0.7
+    assert location.direction["carriage"] == "both"
+
+
+def test_a_mismatch_in_one_direction_is_said_to_be_one_way():
+    speed = np.gradient(REFERENCE, TIME)
+    location = locate(mismatch_of({"command_carriage": 0.05 * np.sin(2.0 * np.pi * 60.0 * TIME) * (speed > 0.02)}))
+    assert location.direction["carriage"] == "positive"
+    assert overlap(location.speed["carriage"], 0.02, speed.max()) > 0.8
+
+
+def test_a_mismatch_that_is_everywhere_is_not_localised_in_time_or_pose():
+    location = locate(mismatch_of({"position_carriage": 2e-5 * np.sin(2.0 * np.pi * 25.0 * TIME)}))
+    assert location.channels["position_carriage"] > 0.99
+    assert location.time_s == {} and location.position == {} and location.speed == {}
+
+
+def test_what_an_effect_adds_is_located_without_the_noise():
+    found = mismatch_of({})
+    effect = np.zeros((ROWS, len(found.channels)))
+    effect[2000:2500, found.channels.index("position_carriage")] = 1e-6 * np.sin(2.0 * np.pi * 50.0 * TIME[2000:2500])
+    location = locate(found, [effect])
+    assert location.channels == {"command_carriage": 0.0, "position_carriage": 1.0}
+    assert overlap(location.time_s["repeat 3"], 2.0, 2.5) > 0.6
