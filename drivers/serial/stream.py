@@ -74,8 +74,8 @@ class SerialStream:
         return data
 
     def _arrived(self) -> int:
-        """Bytes that are there. Reading an empty line would wait on Linux: for a worker of the kernel, of ordinary priority, to have passed on
-        what came, which takes milliseconds on a loaded computer."""
+        """Bytes that are there. Reading an empty line would wait on Linux: for a kernel worker of ordinary priority to have passed on what
+        came, which takes milliseconds on a loaded computer."""
         import fcntl  # not on Windows
         import termios
 
