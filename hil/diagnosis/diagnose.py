@@ -17,6 +17,7 @@ from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
 from hil.diagnosis.naming import CAP_ASSUMED, PLAUSIBLE, Weighed, weighed
 from hil.diagnosis.next_experiment import Model, Proposal, propose
+from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
@@ -189,7 +190,7 @@ def _next_experiment(machine: Machine, train: Mismatch, tuning: Tuning, hypothes
 def _stages(
     runs: FreeRuns, tuning: Tuning, values: np.ndarray, effects: tuple[EffectSetting, ...]
 ) -> dict[str, dict[str, list[np.ndarray]]]:
-    """Simulated rows of every set at nominal, retuned and extended."""
+    """Simulated rows of every set at nominal, retuned, extended and, where there are effects, with their placebo."""
     trials = {"nominal": Trial(runs.nominal), "retuned": Trial(tuning.values), "extended": Trial(values, effects)}
     trials["without_effects"] = Trial(values)
     found: dict[str, dict[str, list[np.ndarray]]] = {}
@@ -198,6 +199,8 @@ def _stages(
         for stage, trial in trials.items():
             rows = runs.rows(trial, name)
             found[name][stage] = [np.full_like(group.simulated, np.nan) for group in runs.sets[name].groups] if rows is None else rows
+    if effects:
+        add_placebo(runs, found)
     return found
 
 
@@ -239,6 +242,9 @@ def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mappin
 
 
 def _removed(before: float | None, after: float | None, floor: float | None) -> float | None:
-    if before is None or after is None or floor is None or before <= floor:
+    if before is None or after is None or floor is None:
+        return None
+    floor = min(floor, after)  # held-out recordings may be quieter than the training ones
+    if before <= floor:
         return None
     return (before**2 - after**2) / (before**2 - floor**2)
