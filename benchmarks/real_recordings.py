@@ -14,7 +14,6 @@ import numpy as np
 from real_data import DATA, REAL_SETS, RealSet
 
 from hil.cli.output import plain
-from hil.diagnosis.align import suspicions
 from hil.diagnosis.diagnose import Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.free_run import HELD_OUT, TRAIN
@@ -50,7 +49,7 @@ def entry(name: str, data: RealSet, outcome: Outcome) -> dict[str, object]:
         "removed_share_from_nominal": document["fit"]["removed_share_from_nominal"],
         "rms_train": errors(outcome, TRAIN),
         "rms_held_out": errors(outcome, HELD_OUT),
-        "suspicions": list(suspicions(outcome.train)),
+        "suspicions": list(outcome.suspicions),
         "train": list(data.train),
         "held_out": list(data.held_out),
         "seconds": document["seconds"],

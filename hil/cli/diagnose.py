@@ -79,6 +79,8 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
 
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
+    for suspicion in outcome.suspicions:
+        answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:
         numbers = ", ".join(
             f"{name} = {e.value:.4g}{' ' + e.unit if e.unit else ''} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.estimates import effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
@@ -58,6 +59,8 @@ class Outcome:
         one's numbers without its effects.
     selection : Selection
     hypotheses : tuple of Weighed
+    suspicions : tuple of str
+        What looks like a wrong unit, a wrong sign or a gross delay.
     proposal : Proposal or None
         The experiment that would tell an ambiguous verdict's hypotheses apart.
     """
@@ -71,6 +74,7 @@ class Outcome:
     stages: Mapping[str, Mapping[str, list[np.ndarray]]]
     selection: Selection
     hypotheses: tuple[Weighed, ...]
+    suspicions: tuple[str, ...]
     proposal: Proposal | None
 
 
@@ -104,10 +108,10 @@ def diagnose(
     """
     began = time.monotonic()
     report("simulating", 0.0)
-    train = with_bounded_noise(mismatch(machine, recordings), jobs, report)
+    train = with_bounded_noise(mismatch(machine, aligned(machine, recordings)), jobs, report)
     sets = {TRAIN: train}
     if held_out:
-        sets[HELD_OUT] = mismatch(machine, held_out, channels=train.channels, noise=train.noise)
+        sets[HELD_OUT] = mismatch(machine, aligned(machine, held_out), channels=train.channels, noise=train.noise)
     with FreeRuns(sets, train.noise, jobs) as runs:
         report("re-tuning", 0.05)
         tuning = retune(runs)
@@ -160,7 +164,7 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
         )
-    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, proposal)
+    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal)
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:

@@ -91,6 +91,7 @@ def _document(outcome: Outcome) -> str:
         "noise": {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}[diagnosis.noise],
         "seconds": f"{diagnosis.seconds:.1f}",
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
+        "suspicions": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions),
         "findings": _findings(diagnosis),
         "hypotheses": _hypotheses(diagnosis),
         "location": _location(diagnosis),
