@@ -164,7 +164,9 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
         )
-    return Outcome(diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal)
+    return Outcome(
+        diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal
+    )
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
