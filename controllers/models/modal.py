@@ -7,9 +7,9 @@ The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
     motor side  m = q_r + Φ_m η,    link side  l = q_r + Φ_l η
     twist of an observed body about where q_r alone would put it: Ψ η, at the body's centre and in its frame
 
-d_r and d_i are what else pushes: gravity as a function of the pose, and as disturbances friction and hands. Centrifugal and Coriolis terms
-of the axes are in the inertial sensors' rows, those of the modes are neglected (Sec. 5.4.1). Every parameter is a trigonometric polynomial
-of the scheduling pose (`harmonics`).
+d_r and d_i are what else pushes: gravity as a function of the pose, and disturbances, friction and hands, each in a direction of its own:
+[d_r, d] = G(θ) ξ. Centrifugal and Coriolis terms of the axes are in the inertial sensors' rows, those of the modes are neglected
+(Sec. 5.4.1). Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`).
 """
 
 from __future__ import annotations
@@ -78,6 +78,8 @@ class ModalModel:
         Largest command [drive's unit].
     position_unit : tuple of str
         "rad" or "m" for each axis.
+    directions : (n_axes + modes, disturbances, basis) array, optional
+        G(θ): accelerations that a unit of each disturbance gives axes and modes. Without it every axis and mode has its own.
     """
 
     axes: tuple[str, ...]
@@ -90,6 +92,7 @@ class ModalModel:
     effort_limit: np.ndarray
     position_unit: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
+    directions: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         expected = (self.modes * self.mode_stride + self._rest_rows + self.modes, basis_size(self.harmonics))
@@ -97,6 +100,10 @@ class ModalModel:
             raise DesignError(f"modal model: coefficients have shape {self.coefficients.shape}, {expected} fits")
         if not np.isfinite(self.coefficients).all():
             raise DesignError("modal model: a coefficient is not finite")
+        if self.directions is not None:
+            coordinates, _, basis = self.directions.shape
+            if (coordinates, basis) != (len(self.axes) + self.modes, expected[1]) or not np.isfinite(self.directions).all():
+                raise DesignError(f"modal model: directions have shape {self.directions.shape}, or one of them is not finite")
 
     @property
     def mode_stride(self) -> int:
@@ -106,6 +113,21 @@ class ModalModel:
     @property
     def modes(self) -> int:
         return (len(self.coefficients) - self._rest_rows) // (self.mode_stride + 1)
+
+    @property
+    def disturbances(self) -> int:
+        """How many there are."""
+        return len(self.axes) + self.modes if self.directions is None else self.directions.shape[1]
+
+    def all_rows(self) -> np.ndarray:
+        """`coefficients`, and below them the directions by rows: all that varies with pose."""
+        size = len(self.axes) + self.modes
+        if self.directions is None:
+            directions = np.zeros((size, size, self.coefficients.shape[1]))
+            directions[:, :, 0] = np.eye(size)
+        else:
+            directions = self.directions
+        return np.vstack((self.coefficients, directions.reshape(-1, self.coefficients.shape[1])))
 
     @property
     def _rest_rows(self) -> int:

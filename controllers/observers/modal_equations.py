@@ -1,6 +1,6 @@
 """The modal model as the filters call it: one state one sample on, and what the sensors would read. (5.2), (5.3) with (5.30)-(5.35).
 
-State: [q_r, q_r', η, η', d_r, d, log frequency ratios of the adapted modes, sensor biases].
+State: [q_r, q_r', η, η', ξ, quadratures of those ξ that lie in a band, log frequency ratios of the adapted modes, sensor biases].
 
 What the sensors read is a nonlinear function (rotations, products of rates) of a few signals that are linear in the state, and biases. So a
 deviation is carried to the signals once, and only the function of the signals is asked at both of its ends.
@@ -24,9 +24,9 @@ SENSOR_SIGNALS = 12
 class Constants(NamedTuple):
     """What a compiled observer works with; nothing in it changes while it runs."""
 
-    sizes: np.ndarray  # (7,) int: axes, modes, sensors, adapted modes, states, measurements, noise sources
+    sizes: np.ndarray  # (9,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, those in a band
     harmonics: np.ndarray  # (axes,) int
-    coefficients: np.ndarray  # (rows, basis)
+    coefficients: np.ndarray  # (rows, basis): `ModalModel.all_rows`
     adapted: np.ndarray  # (modes,) int: place of the mode's log frequency ratio in the state, -1 where it is fixed
     axes: np.ndarray  # (axes, 3)
     points: np.ndarray  # (axes, 3)
@@ -34,8 +34,9 @@ class Constants(NamedTuple):
     sensors: np.ndarray  # (sensors, 16): body's centre, sensor, rotation by rows, lag
     source_and_gravity: np.ndarray  # (2, 3)
     period_s: float
-    decay: np.ndarray  # (axes + modes,) of the disturbances over a sample
-    noise_std: np.ndarray  # (noise sources,): commands, disturbances, adapted, biases
+    colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; what drives the first in the second
+    quadrature: np.ndarray  # (disturbances,) int: its place in the state, -1 where the disturbance is of first order
+    noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, biases
     measurement_std: np.ndarray  # (measurements,)
 
 
@@ -46,6 +47,7 @@ class Scheduled(NamedTuple):
     modes: np.ndarray  # (modes, 8): ω², 2ζω, discretisation over the period
     encoders: np.ndarray  # (modes, 3 axes): motor shapes, link shapes, inputs
     rigid: np.ndarray  # (axes, axes + 3): B_r, D_r, gains of acceleration on speed and position over the period
+    directions: np.ndarray  # (axes + modes, disturbances)
     acting: np.ndarray  # (2 axes + modes,): the command that acts, then what gravity pushes at this pose
     looks: np.ndarray  # (sensors, modes, 15): what a sensor sees of a mode, see `look`; then its shape at the sensor
 
@@ -121,6 +123,19 @@ def prepare(constants, pose, scheduled):
     first += n * (n + 1)
     for i in range(n + modes):
         scheduled.acting[n + i] = values[first + i]
+    first += n + modes + 6
+    for i in range(n + modes):
+        for j in range(sizes[7]):
+            scheduled.directions[i, j] = values[first + i * sizes[7] + j]
+
+
+@exactly_inlined
+def pushed(constants, scheduled, x, i):
+    """Acceleration that the disturbances of a state give coordinate i, axes before modes."""
+    push, total = 2 * (constants.sizes[0] + constants.sizes[1]), 0.0
+    for j in range(constants.sizes[7]):
+        total += scheduled.directions[i, j] * x[push + j]
+    return total
 
 
 @exactly_inlined
@@ -148,10 +163,16 @@ def transition(constants, scheduled, x, u, out):
     A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, and so the sensors see it.
     """
     n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
-    period, adapted, decay, at = constants.period_s, constants.adapted, constants.decay, scheduled.modes
+    period, adapted, colour, at = constants.period_s, constants.adapted, constants.colour, scheduled.modes
     push = 2 * n + 2 * modes
+    for j in range(constants.sizes[7]):
+        out[push + j] = colour[j, 0] * x[push + j]
+        beside = constants.quadrature[j]
+        if beside >= 0:
+            out[push + j] += colour[j, 1] * x[beside]
+            out[beside] = colour[j, 2] * x[push + j] + colour[j, 3] * x[beside]
     for i in range(n):
-        acceleration = rigid_acceleration(scheduled, n, x, u, decay[i] * x[push + i], i)
+        acceleration = rigid_acceleration(scheduled, n, x, u, pushed(constants, scheduled, out, i), i)
         out[i] = x[i] + period * x[n + i] + scheduled.rigid[i, n + 2] * acceleration
         out[n + i] = x[n + i] + scheduled.rigid[i, n + 1] * acceleration
     for i in range(modes):
@@ -160,12 +181,10 @@ def transition(constants, scheduled, x, u, out):
             ratio = np.exp(x[adapted[i]])
             p11, p12, p21, p22, g1, g2 = mode_step(at[i, 0] * ratio * ratio, at[i, 1] * ratio, period)
         position, speed = x[2 * n + i], x[2 * n + modes + i]
-        force = modal_force(scheduled, n, u, decay[n + i] * x[push + n + i], i)
+        force = modal_force(scheduled, n, u, pushed(constants, scheduled, out, n + i), i)
         out[2 * n + i] = p11 * position + p12 * speed + g1 * force
         out[2 * n + modes + i] = p21 * position + p22 * speed + g2 * force
-    for i in range(n + modes):
-        out[push + i] = decay[i] * x[push + i]
-    for i in range(push + n + modes, states):
+    for i in range(push + constants.sizes[7] + constants.sizes[8], states):
         out[i] = x[i]
 
 
@@ -176,7 +195,7 @@ def signals(constants, scheduled, x, u, out):
     Linear in x and u where no mode is adapted.
     """
     n, modes, sensors = constants.sizes[0], constants.sizes[1], constants.sizes[2]
-    encoders, looks, adapted, push = scheduled.encoders, scheduled.looks, constants.adapted, 2 * n + 2 * modes
+    encoders, looks, adapted = scheduled.encoders, scheduled.looks, constants.adapted
     for i in range(n):
         motor, link = x[i], x[i]
         for j in range(modes):
@@ -187,14 +206,14 @@ def signals(constants, scheduled, x, u, out):
         lag = constants.sensors[s, 15]
         place = 2 * n + s * (3 * n + SENSOR_SIGNALS)
         for i in range(n):
-            a = rigid_acceleration(scheduled, n, x, u, x[push + i], i)
+            a = rigid_acceleration(scheduled, n, x, u, pushed(constants, scheduled, x, i), i)
             out[place + i] = x[i] - lag * (x[n + i] - 0.5 * lag * a)
             out[place + n + i] = x[n + i] - lag * a
             out[place + 2 * n + i] = a
         acceleration, velocity, turn, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(modes):
             position, speed = x[2 * n + i], x[2 * n + modes + i]
-            force = modal_force(scheduled, n, u, x[push + n + i], i)
+            force = modal_force(scheduled, n, u, pushed(constants, scheduled, x, n + i), i)
             if adapted[i] >= 0:
                 ratio = np.exp(x[adapted[i]])
                 rows = look(scheduled.modes[i, 0] * ratio * ratio, scheduled.modes[i, 1] * ratio, lag)

@@ -59,13 +59,18 @@ def process_noise(constants, scheduled, array, first):
             array[first + k, 2 * n + modes + i] = scheduled.modes[i, 7] * gain
     for source in range(n, sources):
         array[first + source, 2 * n + 2 * modes + source - n] = std[source]
-    for i in range(n):
-        array[first + n + i, i] = rigid[i, n + 2] * std[n + i]
-        array[first + n + i, n + i] = rigid[i, n + 1] * std[n + i]
-    for i in range(modes):
-        source = 2 * n + i
-        array[first + source, 2 * n + i] = scheduled.modes[i, 6] * std[source]
-        array[first + source, 2 * n + modes + i] = scheduled.modes[i, 7] * std[source]
+    for j in range(constants.sizes[7]):
+        row = first + n + j
+        if constants.quadrature[j] >= 0:
+            array[row, constants.quadrature[j]] = constants.colour[j, 4]
+        for i in range(n):
+            push = scheduled.directions[i, j] * std[n + j]
+            array[row, i] = rigid[i, n + 2] * push
+            array[row, n + i] = rigid[i, n + 1] * push
+        for i in range(modes):
+            push = scheduled.directions[n + i, j] * std[n + j]
+            array[row, 2 * n + i] = scheduled.modes[i, 6] * push
+            array[row, 2 * n + modes + i] = scheduled.modes[i, 7] * push
 
 
 @exactly_called

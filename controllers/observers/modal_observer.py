@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import expm
 
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
@@ -103,13 +104,18 @@ class ModalObserver:
         modes = [f"mode_{i + 1}" for i in range(model.modes)]
         names = [f"position_{axis}" for axis in model.axes] + [f"speed_{axis}" for axis in model.axes]
         names += modes + [f"{mode}_speed" for mode in modes]
-        names += [f"disturbance_{axis}" for axis in model.axes] + [f"disturbance_{mode}" for mode in modes]
+        if model.directions is None:
+            names += [f"disturbance_{axis}" for axis in model.axes] + [f"disturbance_{mode}" for mode in modes]
+        else:
+            names += [f"disturbance_{i + 1}" for i in range(model.disturbances)]
+        names += [f"{names[2 * (len(model.axes) + model.modes) + j]}_quadrature" for j in in_band(self.noise)]
         names += [f"log_frequency_ratio_{modes[i]}" for i in self.adapted]
         return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
 
     def restart(self) -> None:
         """Forget everything; the next step is a first one."""
         self.memory.x[:] = 0.0
+        self.memory.x[len(self.memory.x) - len(self.noise.bias) :] = self.noise.bias
         self.memory.factor[:] = self._start
         self.memory.innovation[:] = np.nan
         self._is_first = True
@@ -210,11 +216,11 @@ class ModalObserver:
         rigid = values[model.modes * model.mode_stride :][: n * n].reshape(n, n)
         modal = np.abs(table[:, -n:]) @ model.effort_limit
         deflection = modal / table[:, 0]
-        push = np.concatenate((np.abs(rigid) @ model.effort_limit, modal))
+        push = np.concatenate((np.abs(rigid) @ model.effort_limit, modal)) if model.directions is None else noise.disturbance
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            np.full(len(self.adapted), noise.initial_adapted), noise.initial_bias,
+            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_bias,
         ))  # fmt: skip
         return np.diag(std)
 
@@ -228,46 +234,83 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
     measurements = 2 * n + 6 * sensors
     period = 1.0 / model.sample_rate_Hz
     lengths = {
-        "command": n, "disturbance": n + modes, "disturbance_time_s": n + modes, "bias_walk": 6 * sensors, "measurement": measurements,
-        "initial_bias": 6 * sensors,
+        "command": n, "disturbance": model.disturbances, "disturbance_time_s": model.disturbances, "bias_walk": 6 * sensors,
+        "measurement": measurements, "initial_bias": 6 * sensors,
     }  # fmt: skip
     for name, length in lengths.items():
         values = np.asarray(getattr(noise, name), float)
         if values.shape != (length,) or np.isnan(values).any() or (values < 0.0).any():
             raise DesignError(f"observer noise: {name} must be {length} numbers, none negative, not {values}")
+    if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
+        raise DesignError(f"observer noise: bias must be {6 * sensors} numbers or none, not {noise.bias}")
     if not (np.asarray(noise.measurement) > 0.0).all():
         raise DesignError("observer noise: measurement must be above zero for every channel; an encoder has its step / sqrt(12)")
-    time = np.asarray(noise.disturbance_time_s, float)
-    decay = np.where(np.isinf(time), 1.0, np.exp(-period / np.maximum(time, 1e-9)))
-    drive = np.where(np.isinf(time), np.sqrt(period), np.sqrt(np.maximum(1.0 - decay**2, 0.0))) * noise.disturbance
+    band = in_band(noise)
+    if len(noise.disturbance_Hz) not in (0, model.disturbances) or not (noise.disturbance_Hz >= 0.0).all():
+        raise DesignError(f"observer noise: disturbance_Hz must be {model.disturbances} numbers or none, not {noise.disturbance_Hz}")
+    colour, drive, beside = _colour(noise, period)
     root = np.sqrt(period)
-    std = np.concatenate((noise.command, drive, np.full(len(adapted), root * noise.adapted_walk), root * noise.bias_walk))
-    states = 2 * (n + modes) + n + modes + 6 * sensors + len(adapted)
+    std = np.concatenate((
+        noise.command, drive, beside[band], np.full(len(adapted), root * noise.adapted_walk), root * noise.bias_walk
+    ))  # fmt: skip
+    first_quadrature = 2 * (n + modes) + model.disturbances
+    first_adapted = first_quadrature + len(band)
+    quadrature = np.full(model.disturbances, -1, dtype=np.int64)
+    quadrature[band] = first_quadrature + np.arange(len(band))
+    states = first_adapted + len(adapted) + 6 * sensors
     chain = model.chain
     return Constants(
-        sizes=np.array([n, modes, sensors, len(adapted), states, measurements, len(std)], dtype=np.int64),
+        sizes=np.array([n, modes, sensors, len(adapted), states, measurements, len(std), model.disturbances, len(band)], dtype=np.int64),
         harmonics=np.array(model.harmonics, dtype=np.int64),
-        coefficients=np.ascontiguousarray(model.coefficients, dtype=float),
-        adapted=np.array([3 * (n + modes) + adapted.index(i) if i in adapted else -1 for i in range(modes)], dtype=np.int64),
+        coefficients=np.ascontiguousarray(model.all_rows(), dtype=float),
+        adapted=np.array([first_adapted + adapted.index(i) if i in adapted else -1 for i in range(modes)], dtype=np.int64),
         axes=np.ascontiguousarray(chain.axes, dtype=float),
         points=np.ascontiguousarray(chain.points, dtype=float),
         revolute=np.ascontiguousarray(chain.revolute, dtype=bool),
         sensors=np.array([np.concatenate((s.body_end_m, s.sensor_end_m, np.ravel(s.rotation), [s.lag_s])) for s in model.sensors]),
         source_and_gravity=np.array([model.source_end_m, chain.gravity_m_s2], dtype=float),
         period_s=period,
-        decay=decay,
+        colour=colour,
+        quadrature=quadrature,
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
 
 
+def in_band(noise: ObserverNoise) -> np.ndarray:
+    """Which disturbances lie in a band and so have two states."""
+    return np.flatnonzero(noise.disturbance_Hz)
+
+
+def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every disturbance: `Constants.colour` (5,), the noise that drives it, and what drives its quadrature beside that.
+
+    First order: ξ' = -ξ/τ. In a band: ξ' = -2ξ/τ - ωκ, κ' = ωξ, both of the same variance in steady state, so Q = σ² (I - ΦΦᵀ).
+    """
+    count = len(noise.disturbance)
+    colour, drive, beside = np.zeros((count, 5)), np.zeros(count), np.zeros(count)
+    for j, (size, time) in enumerate(zip(noise.disturbance, np.maximum(noise.disturbance_time_s, 1e-9), strict=True)):
+        if j not in in_band(noise):
+            colour[j, 0] = np.exp(-period / time)
+            drive[j] = size * (np.sqrt(period) if np.isinf(time) else np.sqrt(1.0 - colour[j, 0] ** 2))
+            continue
+        omega = 2.0 * np.pi * noise.disturbance_Hz[j]
+        step = expm(period * np.array([[-2.0 / time, -omega], [omega, 0.0]]))
+        spread = np.eye(2) - step @ step.T
+        drive[j] = size * np.sqrt(spread[0, 0])
+        colour[j, :4], colour[j, 4] = step.ravel(), size * spread[0, 1] / np.sqrt(spread[0, 0])
+        beside[j] = size * np.sqrt(max(spread[1, 1] - spread[0, 1] ** 2 / spread[0, 0], 0.0))
+    return colour, drive, beside
+
+
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, _, states, measurements, sources = (int(size) for size in constants.sizes)
+    n, modes, sensors, _, states, measurements, sources, disturbances, _ = (int(size) for size in constants.sizes)
     scheduled = Scheduled(
         values=np.zeros(len(constants.coefficients)),
         modes=np.zeros((modes, 8)),
         encoders=np.zeros((modes, 3 * n)),
         rigid=np.zeros((n, n + 3)),
+        directions=np.zeros((n + modes, disturbances)),
         acting=np.zeros(2 * n + modes),
         looks=np.zeros((sensors, modes, 15)),
     )

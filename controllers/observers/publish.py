@@ -85,19 +85,65 @@ def displacement_rows(constants, values, motor, rows):
             rows[2 * n + j, n + i] += values[i * stride + 2 + 2 * n + j]
 
 
+@exactly_called
+def quasi_static(constants, values, motor, rows, out):
+    """M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's push on modes gives it.
+
+    That shift is taken against the link sides, beyond which no sensor tells one at rest: what shapes measured in motion make of gravity's
+    push is not believed.
+    `rows` as of `displacement_rows` at `motor`.
+    """
+    n, modes = constants.sizes[0], constants.sizes[1]
+    stride = 2 + 3 * n + 6 * constants.sizes[2]
+    first = modes * stride
+    push = first + n * (n + 1)
+    for j in range(6):
+        out[j] = values[push + n + modes + j]
+    holding, left = np.zeros(n), np.zeros((n, n))  # B_r u = -d_r
+    for i in range(n):
+        holding[i] = -values[push + i]
+        for k in range(n):
+            left[i, k] = values[first + i * n + k]
+    for i in range(n):
+        if left[i, i] == 0.0:
+            return
+        for other in range(n):
+            if other != i:
+                share = left[other, i] / left[i, i]
+                holding[other] -= share * holding[i]
+                for k in range(n):
+                    left[other, k] -= share * left[i, k]
+    end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
+    bend = np.zeros(modes)
+    for i in range(modes):
+        force = values[push + n + i]
+        for k in range(n):
+            force += values[i * stride + stride - n + k] * holding[k] / left[k, k]
+        bend[i] = force / values[i * stride]
+        for j in range(3):
+            out[j] -= rows[2 * n + j, n + i] * bend[i]
+    for k in range(n):
+        shift, _ = axis_screw(constants.axes, constants.points, constants.revolute, motor, end, k)
+        wound = 0.0
+        for i in range(modes):
+            wound += (rows[n + k, n + i] - rows[k, n + i]) * bend[i]
+        for j in range(3):
+            out[j] += shift[j] * wound
+
+
 def _compile(version: int) -> Any:
     @njit(cache=True, fastmath=False, error_model="numpy")
     def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-untyped-def]
         if version < 0:
             return
         n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
-        stride = 2 + 3 * n + 6 * constants.sizes[2]
-        offset = modes * stride + n * (n + 1) + n + modes
         x, factor = memory.x, memory.factor
         count = 2 * n + 12 + GEOMETRY
         wide = 2 * n + 6
         rows = np.zeros((wide, n + modes))
         displacement_rows(constants, values, x[:n], rows)
+        offset = np.zeros(6)
+        quasi_static(constants, values, x[:n], rows, offset)
         motion = np.zeros(wide)
         deviations = np.zeros((states, wide))
         for r in range(wide):
@@ -114,8 +160,8 @@ def _compile(version: int) -> Any:
                     total += rows[r, n + i] * factor[s, 2 * n + i]
                 deviations[s, r] = total
         for r in range(wide):
-            shift = values[offset + r - 2 * n] if r >= 2 * n else 0.0  # the quasi-static part of (5.37)
-            motion[r] += shift
+            if r >= 2 * n:
+                motion[r] += offset[r - 2 * n]
             variance = 0.0
             for s in range(states):
                 variance += deviations[s, r] ** 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,10 +15,13 @@ class ObserverNoise:
     ----------
     command : (n_axes,) array
         Of what acts beside the command, white from sample to sample: quantisation, ripple [drive's unit].
-    disturbance : (n_axes + modes,) array
-        Of the disturbing accelerations d_r, d in steady state: rad/s^2 on the axes, the modes' own unit on the modes.
-    disturbance_time_s : (n_axes + modes,) array
+    disturbance : (disturbances,) array
+        In steady state, in the unit that the model's directions give each: without directions rad/s^2 on the axes and the modes' own unit
+        on the modes.
+    disturbance_time_s : (disturbances,) array
         Their correlation time: first-order coloured noise. Infinite: a random walk, with `disturbance` per sqrt(s).
+    disturbance_Hz : (disturbances,) array
+        Middle of the band in which one lies, with nothing at rest; 0: first order, strongest at rest. Empty: all are.
     bias_walk : (6 sensors,) array
         Of the sensors' biases, per sqrt(s).
     adapted_walk : float
@@ -29,6 +32,8 @@ class ObserverNoise:
         Of the biases when the observer starts.
     initial_adapted : float
         Of the log frequency ratios when it starts.
+    bias : (6 sensors,) array
+        Expected value of the biases when it starts; empty: zero.
     """
 
     command: np.ndarray
@@ -39,3 +44,5 @@ class ObserverNoise:
     initial_bias: np.ndarray
     adapted_walk: float = 0.0
     initial_adapted: float = 0.1
+    disturbance_Hz: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    bias: np.ndarray = field(default_factory=lambda: np.zeros(0))

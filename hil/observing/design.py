@@ -15,9 +15,10 @@ from hil.errors import UnusableInput
 from hil.experiments import Static
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
+from hil.observing.directions import with_directions
 from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.geometry import observed_chain
-from hil.observing.noise import starting_noise
+from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model
 from hil.observing.standing import standing_mean, with_gravity
 from hil.observing.tuning import tune
@@ -94,12 +95,15 @@ def design_observer(
     """
     if not responses:
         raise UnusableInput("an observer's model comes from frequency responses; give one or more, of different poses")
-    model, _ = fit_observed_model(machine, responses, modes)
+    model, fits = fit_observed_model(machine, responses, modes)
+    model = with_directions(model, [fit.pose for fit in fits], effort_gain(machine))
     notes = list(model.notes)
+    biases: tuple[np.ndarray, np.ndarray] | None = None
     if standing:
-        model, biases = with_gravity(model, [standing_mean(recording, model) for recording in standing])
-        notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases)}")
-    noise = starting_noise(model, machine, responses, standing, is_bias_known=bool(standing))
+        model, *found = with_gravity(model, [standing_mean(recording, model) for recording in standing])
+        biases = found[0], found[1]
+        notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases[0])}")
+    noise = starting_noise(model, machine, responses, standing, biases)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)
         noise = tuning.noise

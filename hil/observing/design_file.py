@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays |= {f"sensor_{name}": np.array([getattr(sensor, name) for sensor in model.sensors]) for name in _SENSOR}
     for name in ("axes", "source_end_m", "harmonics", "coefficients", "sample_rate_Hz", "effort_limit", "position_unit"):
         arrays[name] = np.array(getattr(model, name))
+    if model.directions is not None:
+        arrays["directions"] = model.directions
     arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
@@ -74,8 +76,11 @@ def read_design(path: str | Path) -> ObserverDesign:
             sample_rate_Hz=float(arrays["sample_rate_Hz"]),
             effort_limit=arrays["effort_limit"],
             position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
+            directions=arrays.get("directions"),
         )
-        noise = ObserverNoise(**{field.name: _plain(arrays[f"noise_{field.name}"]) for field in fields(ObserverNoise)})
+        optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
+        given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]
+        noise = ObserverNoise(**{name: _plain(arrays[f"noise_{name}"]) for name in given})
     except KeyError as missing:
         raise UnusableInput(f"{path}: not an observer design: the array {missing} is missing") from None
     except DesignError as error:

@@ -21,14 +21,18 @@ ACCELEROMETER_WALK = 1e-5
 GYRO_WALK = 1e-6
 """rad/s per sqrt(s), likewise."""
 
-UNSURE_BIAS = np.array([2e-3] * 3 + [2e-4] * 3)
-"""What is left of the biases once standing records have told them (m/s^2, rad/s)."""
+BIAS_STRAY = np.array([5e-4] * 3 + [5e-5] * 3)
+"""How far biases stray between the standing records and a run, by temperature above all: 0.05 mg, 10 deg/h (m/s^2, rad/s)."""
 
 UNKNOWN_BIAS = np.array([0.05] * 3 + [0.005] * 3)
 """What biases may be before anything is known of them."""
 
 START_TIME_s = 0.1
 """Correlation time of disturbances to start from: the tuning moves it."""
+
+SLOWEST_Hz = 1.0
+"""Around which disturbances fade that are not the drives' own: from here on down the responses are not identified either, and what pushes
+is gravity and friction, which have terms of their own. Without this, every tilt that lasts might be a bias or a push."""
 
 START_SHARE = 0.05
 """Disturbances to start from, as a share of what the drives could do: the tuning moves it."""
@@ -70,19 +74,28 @@ def starting_noise(
     machine: Machine,
     responses: Sequence[FrequencyResponse],
     records: Sequence[Recording],
-    is_bias_known: bool,
+    biases: tuple[np.ndarray, np.ndarray] | None,
 ) -> ObserverNoise:
-    """Noise before tuning: measured where it can be measured, and disturbances of a share of the drives' strength."""
-    n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
-    values = model.at(np.zeros(n))
-    table = values[: modes * model.mode_stride].reshape(modes, model.mode_stride)
-    rigid = values[modes * model.mode_stride :][: n * n].reshape(n, n)
-    strength = np.concatenate((np.abs(rigid) @ model.effort_limit, np.abs(table[:, -n:]) @ model.effort_limit))
+    """Noise before tuning: measured where it can be measured, and disturbances of a share of the drives' strength.
+
+    `biases` are the inertial sensors' and their deviations (6 sensors,), from standing records; None: not known.
+    """
+    n, sensors = len(model.axes), len(model.sensors)
+    strength = np.full(model.disturbances, float(np.max(model.effort_limit * effort_gain(machine))))
+    strength[:n] = model.effort_limit
+    known, deviation = biases if biases else (np.zeros(6 * sensors), np.tile(UNKNOWN_BIAS, sensors))
     return ObserverNoise(
         command=command_noise(machine, responses, records),
-        disturbance=START_SHARE * np.maximum(strength, 1e-3 * strength.max()),
-        disturbance_time_s=np.full(n + modes, START_TIME_s),
+        disturbance=START_SHARE * strength,
+        disturbance_time_s=np.full(model.disturbances, START_TIME_s),
+        disturbance_Hz=np.concatenate((np.zeros(n), np.full(model.disturbances - n, SLOWEST_Hz))),
         bias_walk=np.tile(np.repeat([ACCELEROMETER_WALK, GYRO_WALK], 3), sensors),
         measurement=measurement_noise(model, machine, records),
-        initial_bias=np.tile(UNSURE_BIAS if is_bias_known else UNKNOWN_BIAS, sensors),
+        initial_bias=np.hypot(deviation, np.tile(BIAS_STRAY, sensors)),
+        bias=known,
     )
+
+
+def effort_gain(machine: Machine) -> np.ndarray:
+    """Force or torque on each driven joint per unit of its drive (n_axes,)."""
+    return np.array([drive.constant * drive.ratio for drive in machine.plant.drives])

@@ -61,8 +61,8 @@ def standing_mean(recording: Recording, model: ModalModel) -> Standing:
     )
 
 
-def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray]:
-    """The model with gravity's pushes as functions of the pose, and the inertial sensors' biases (6 sensors,).
+def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray, np.ndarray]:
+    """The model with gravity's pushes as functions of the pose; the inertial sensors' biases and their deviations (6 sensors,).
 
     Gravity may depend on more axes than the modes were measured over: the model's harmonics grow to what these poses can tell. Gyro biases
     are the mean rates; an accelerometer's bias is told from tilt where the poses differ enough, else it is taken for small.
@@ -70,8 +70,12 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
     n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
     told = harmonics_for(np.array([each.motor for each in standing]))
     grown = tuple(max(pair) for pair in zip(model.harmonics, told, strict=True))
-    model = replace(model, harmonics=grown, coefficients=embedded(model.coefficients, model.harmonics, grown))
-    width = basis_size(model.harmonics)
+    width = basis_size(grown)
+    directions = model.directions
+    if directions is not None:
+        directions = embedded(directions.reshape(-1, directions.shape[2]), model.harmonics, grown).reshape(*directions.shape[:2], width)
+    coefficients = embedded(model.coefficients, model.harmonics, grown)
+    model = replace(model, harmonics=grown, coefficients=coefficients, directions=directions)
     unknowns = modes * width + 3 * sensors
     system, target = [], []
     basis = np.zeros(width)
@@ -115,7 +119,9 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
         row[modes * width + b] = 1.0 / EXPECTED_BIAS_m_s2
         system.append(row)
         target.append(0.0)
-    solution = np.linalg.lstsq(np.array(system), np.array(target), rcond=1e-12)[0]
+    table = np.array(system)
+    solution = np.linalg.lstsq(table, np.array(target), rcond=1e-12)[0]
+    spread = np.sqrt(np.diag(np.linalg.inv(table.T @ table)))[modes * width :]
     bend = solution[: modes * width].reshape(modes, width)
     # the push that bends a mode so far: ω² η = b u + d
     modal = np.array([stiffness * (bend @ b) - given for b, stiffness, given in bends])
@@ -124,8 +130,10 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
     coefficients = model.coefficients.copy()
     first = modes * model.mode_stride + n * (n + 1)
     coefficients[first : first + n + modes] = rows
-    biases = np.zeros(6 * sensors)
+    biases, deviations = np.zeros(6 * sensors), np.zeros(6 * sensors)
     for s in range(sensors):
-        biases[6 * s : 6 * s + 3] = solution[modes * width + 3 * s :][:3]
-        biases[6 * s + 3 : 6 * s + 6] = np.mean([each.inertial[6 * s + 3 : 6 * s + 6] for each in standing], axis=0)
-    return replace(model, coefficients=coefficients), biases
+        forces, rates = slice(6 * s, 6 * s + 3), slice(6 * s + 3, 6 * s + 6)
+        biases[forces], deviations[forces] = solution[modes * width + 3 * s :][:3], spread[3 * s : 3 * s + 3]
+        found = np.array([each.inertial[rates] for each in standing])
+        biases[rates], deviations[rates] = found.mean(axis=0), found.std(axis=0)
+    return replace(model, coefficients=coefficients), biases, deviations

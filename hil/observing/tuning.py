@@ -112,13 +112,14 @@ def tune(
     kind : filter to tune with; EKF and UKF agree so closely here that one serves the other.
     evaluations : how often the filter may run over the recordings.
     """
-    n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
+    n, others, sensors = len(model.axes), model.disturbances - len(model.axes), len(model.sensors)
     data = [tuple(part[:ROWS] for part in rows_of(recording, model)) for recording in recordings]
-    sizes = (1, n + modes, 2, 4)  # command; strengths; times of axes and of modes; excess of motor sides, link sides, forces, rates
+    # command; strengths; times of the drives' disturbances and of the others; excess of motor sides, link sides, forces, rates
+    sizes = (1, n + others, 2, 4)
 
     def noise(p: np.ndarray) -> ObserverNoise:
         command, strength, time, excess = np.split(np.exp(p), np.cumsum(sizes)[:-1])
-        factor = np.repeat(time, (n, modes))
+        factor = np.repeat(time, (n, others))
         per_channel = np.concatenate((np.repeat(excess[:2], n), np.tile(np.repeat(excess[2:], 3), sensors)))
         return replace(
             start,
@@ -135,9 +136,9 @@ def tune(
 
     size = sum(sizes)
     edge = np.log(LARGEST_FACTOR)
-    low = np.concatenate((np.full(size - sizes[3], -edge), np.zeros(sizes[3])))
-    high = np.concatenate((np.full(size - sizes[3], edge), np.full(sizes[3], np.log(LARGEST_EXCESS))))
-    first = np.concatenate((np.zeros(size - sizes[3]), np.full(sizes[3], np.log(2.0))))
+    low = np.concatenate((np.full(size - sizes[-1], -edge), np.zeros(sizes[-1])))
+    high = np.concatenate((np.full(size - sizes[-1], edge), np.full(sizes[-1], np.log(LARGEST_EXCESS))))
+    first = np.concatenate((np.zeros(size - sizes[-1]), np.full(sizes[-1], np.log(2.0))))
     found = _compass(cost, first, low, high, evaluations)
     tuned = noise(found)
     observer = ModalObserver(model, tuned, kind)

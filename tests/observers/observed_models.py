@@ -69,14 +69,16 @@ class DenseModel:
         self.lag = model.sensors[0].lag_s
         self.period = 1.0 / model.sample_rate_Hz
         size = n + modes
-        self.states = 3 * size + 6
+        self.G = np.eye(size) if model.directions is None else model.directions[:, :, 0]
+        self.colour, self.colour_noise = colour_of(noise, self.period)
+        self.pushes, self.after = self.G.shape[1], 2 * size + len(self.colour)
+        self.states = self.after + 6
         A = np.zeros((2 * size, 2 * size))
         A[:size, size:] = np.eye(size)
         A[size:, :size] = -np.diag(np.concatenate(([0.0, 0.0], self.stiffness)))
         A[size:, size:] = -np.diag(np.concatenate((self.D, self.damping)))
         self.A = A
         self.order = np.concatenate((np.arange(n), size + np.arange(n), n + np.arange(modes), size + n + np.arange(modes)))
-        self.decay = np.exp(-self.period / noise.disturbance_time_s)
         self.noise = noise
         self._known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -102,24 +104,25 @@ class DenseModel:
     def transition(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         size = len(self.A) // 2
         step, gain = self.held(self.period)
-        d = self.decay * x[2 * size : 3 * size]
-        return np.concatenate((step @ x[: 2 * size] + gain @ (self.forcing(u) + d), d, x[3 * size :]))
+        coloured = self.colour @ x[2 * size : self.after]
+        d = self.G @ coloured[: self.pushes]
+        return np.concatenate((step @ x[: 2 * size] + gain @ (self.forcing(u) + d), coloured, x[self.after :]))
 
     def process_covariance(self) -> np.ndarray:
         size, period, noise = len(self.A) // 2, self.period, self.noise
         _, gain = self.held(period)
         by_command = np.zeros((self.states, 2))
         by_command[: 2 * size] = gain @ np.vstack((self.B, self.inputs))
-        by_disturbance = np.zeros((self.states, size))
-        by_disturbance[: 2 * size], by_disturbance[2 * size : 3 * size] = gain, np.eye(size)
-        drive = noise.disturbance**2 * (1.0 - self.decay**2)
-        total = by_command @ np.diag(noise.command**2) @ by_command.T + by_disturbance @ np.diag(drive) @ by_disturbance.T
-        total[3 * size :, 3 * size :] += np.diag(noise.bias_walk**2 * period)
+        by_disturbance = np.zeros((self.states, len(self.colour)))
+        by_disturbance[: 2 * size, : self.pushes] = gain @ self.G
+        by_disturbance[2 * size : self.after] = np.eye(len(self.colour))
+        total = by_command @ np.diag(noise.command**2) @ by_command.T + by_disturbance @ self.colour_noise @ by_disturbance.T
+        total[self.after :, self.after :] += np.diag(noise.bias_walk**2 * period)
         return total
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         size = len(self.A) // 2
-        force = self.forcing(u) + x[2 * size : 3 * size]
+        force = self.forcing(u) + self.G @ x[2 * size : 2 * size + self.pushes]
         back, gain = self.held(-self.lag)
         past = back @ x[: 2 * size] + gain @ force
         n, modes = self.n, self.modes
@@ -148,8 +151,27 @@ class DenseModel:
         velocity = at_sensor @ (low_pass * rate)
         f = felt - np.cross(rho, felt) + at_sensor @ (low_pass * acceleration) + 2.0 * np.cross(omega, velocity)
         w = omega - np.cross(rho, omega) + turn @ (low_pass * rate)
-        bias = x[3 * size :]
+        bias = x[self.after :]
         return np.concatenate((now_q + self.motor @ now_eta, now_q + self.link @ now_eta, f + bias[:3], w + bias[3:]))
+
+
+def colour_of(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and covariance over a sample of disturbances and then quadratures, from their equations in continuous time (Van Loan)."""
+    count = len(noise.disturbance)
+    band = list(np.flatnonzero(noise.disturbance_Hz))
+    rates, density = np.zeros((count + len(band),) * 2), np.zeros((count + len(band),) * 2)
+    for j in range(count):
+        in_band = j in band
+        rates[j, j] = -(2.0 if in_band else 1.0) / noise.disturbance_time_s[j]
+        density[j, j] = -2.0 * rates[j, j] * noise.disturbance[j] ** 2
+        if in_band:
+            k = count + band.index(j)
+            rates[k, j] = 2.0 * np.pi * noise.disturbance_Hz[j]
+            rates[j, k] = -rates[k, j]
+    size = len(rates)
+    whole = expm(period * np.block([[-rates, density], [np.zeros((size, size)), rates.T]]))
+    step = whole[size:, size:].T
+    return step, step @ whole[:size, size:]
 
 
 def _rotation(axis: int, angle: float) -> np.ndarray:

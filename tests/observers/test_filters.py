@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from observed_models import DenseModel, drawn_rows, small_model, small_noise
@@ -26,6 +28,7 @@ def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measure
     reference.Q, reference.R = dense.process_covariance(), np.diag(noise.measurement**2)
     reference.P, reference.x = np.diag(observer.initial_std**2), zero.copy()
     reference.x[:2] = measured[0, :2]
+    reference.x[-len(noise.bias) or states :] = noise.bias
     found = np.zeros((len(measured), states))
     for k, z in enumerate(measured):
         u = commands[max(k - 2, 0)] if k else nothing
@@ -37,9 +40,14 @@ def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measure
     return found
 
 
+@pytest.mark.parametrize("has_places", [False, True])
 @pytest.mark.parametrize("kind", ["kf", "ekf", "ukf"])
-def test_every_filter_is_filterpys_kalman_filter_on_a_linear_machine(kind: str) -> None:
+def test_every_filter_is_filterpys_kalman_filter_on_a_linear_machine(kind: str, has_places: bool) -> None:
     model, noise = small_model(revolute=False, gravity=np.zeros(3)), small_noise()
+    if has_places:  # three disturbances, of which two lie in a band, each pushing axes and modes together
+        model = replace(model, directions=np.random.default_rng(4).normal(size=(6, 3, 1)))
+        time, middle, biases = np.array([0.1, 0.05, 0.2]), np.array([0.0, 4.0, 9.0]), np.full(6, 1e-3)
+        noise = replace(noise, disturbance=np.full(3, 0.5), disturbance_time_s=time, disturbance_Hz=middle, bias=biases)
     model.coefficients[[14 * i + j for i in range(4) for j in (9, 10, 11)]] = 0.0  # shapes that do not turn: nothing is tilted
     dense = DenseModel(model, noise)
     measured, commands, _ = drawn_rows(dense, noise, ROWS, seed=1)
