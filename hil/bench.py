@@ -53,6 +53,9 @@ BRIDGED_SHARE = 0.05
 """Of the tracking error that stops the motors: commissioning moves an axis by half a milliradian, a twentieth is 2.6 on the C-arm."""
 
 
+Beside = contextlib.AbstractContextManager[None]
+
+
 @dataclass(frozen=True)
 class BenchOptions:
     """How to reach a machine.
@@ -120,8 +123,23 @@ class Bench:
             self._see_pose()
             return self.commissioning
 
-    def run(self, plan: Plan, path: Path, progress: Callable[[int], None] | None = None) -> LoopTiming:
+    def run(
+        self,
+        plan: Plan,
+        path: Path,
+        progress: Callable[[int], None] | None = None,
+        beside: Callable[[RecorderProcess], Beside] | None = None,
+    ) -> LoopTiming:
         """Go to the plan's start pose, settle, run it and record every row into `path`.
+
+        Parameters
+        ----------
+        plan : Plan
+        path : Path
+        progress : callable, optional
+            Told the row now and then, in the loop's own process.
+        beside : callable, optional
+            On the wall clock, what is done in another process from before the session to its end; it is given the recorder.
 
         The way is planned from where the machine stood before the session; the first-move check pushes each axis a little, and a second's
         smooth bridge leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
@@ -134,8 +152,9 @@ class Bench:
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}
+        watched = contextlib.nullcontext() if beside is None or isinstance(sink, JournalSink) else beside(sink)
         try:
-            with self._session():
+            with watched, self._session():
                 self._take_hold()
                 self.wiring.link.watch.lead()
                 for leg in (self._bridge_to(way[0] if way else stay), *way):

@@ -88,7 +88,7 @@ def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], Non
 
 
 @contextmanager
-def progress(console: Console, live: bool = True) -> Iterator[Progress]:
+def progress(console: Console, live: bool = True, refresh_Hz: float = 10.0) -> Iterator[Progress]:
     """Progress bars for whatever takes longer than two seconds; drawn on a terminal, silent elsewhere.
 
     With `live` False nothing is drawn while the block runs: a drawing thread beside a sample loop on the wall clock costs it milliseconds.
@@ -101,5 +101,6 @@ def progress(console: Console, live: bool = True) -> Iterator[Progress]:
         TimeRemainingColumn(),
         console=console,
         disable=not (live and console.is_terminal),
+        refresh_per_second=refresh_Hz,
     ) as bars:
         yield bars

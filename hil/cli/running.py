@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -62,6 +63,7 @@ class RunOptions:
 def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, notes: tuple[str, ...] = ()) -> None:
     """Plan an experiment, run it, record it, say how it went."""
     from hil.bench import BenchOptions, open_bench, recording_paths
+    from hil.cli.bar import drawn_beside
 
     plans = experiment.plans(machine)
     answer = Answer(run.json_to)
@@ -84,7 +86,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                 if not lockstep:
                     answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
                 task = bars.add_task(path.name, total=plan.rows)
-                timing = bench.run(plan, path, follower(bars, task))
+                beside = None if not answer.console.is_terminal else functools.partial(drawn_beside, rows=plan.rows, name=path.name)
+                timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside)
                 bars.update(task, completed=plan.rows)
                 for note in timing.notes:
                     answer.say(f"{path}: {note}")

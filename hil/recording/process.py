@@ -55,9 +55,9 @@ class RecorderProcess:
         self.path = Path(path).absolute()
         check_writable(self.path)
         Journal.create(part_path(self.path), channels, metadata).close()
-        self._ring = Ring(len(channels), capacity_rows)
-        self._counters = self._ring.counters
-        self._rows = self._ring.rows
+        self.ring = Ring(len(channels), capacity_rows)
+        self._counters = self.ring.counters
+        self._rows = self.ring.rows
         self._capacity = capacity_rows
         self._produced = 0
         self._closed = False
@@ -115,10 +115,10 @@ class RecorderProcess:
             answer = self._end_recorder((json.dumps(tables) + "\n").encode())
             if answer.startswith("done "):
                 return int(answer.removeprefix("done "))
-            return finish_from_ring(self._ring, self.path, tables)  # the recorder was killed, or could not do it: this says why
+            return finish_from_ring(self.ring, self.path, tables)  # the recorder was killed, or could not do it: this says why
         finally:
             self._counters = self._rows = None  # type: ignore[assignment]
-            self._ring.close()
+            self.ring.close()
 
     def __enter__(self) -> Self:
         return self
@@ -127,7 +127,7 @@ class RecorderProcess:
         self.close({"ended": {"error": str(value)}} if value is not None else None)
 
     def _start(self) -> subprocess.Popen[bytes]:
-        ring = self._ring
+        ring = self.ring
         return subprocess.Popen(
             [sys.executable, "-m", "hil.recording.recorder", ring.key, str(ring.width), str(ring.capacity), str(self.path)],
             stdin=subprocess.PIPE,

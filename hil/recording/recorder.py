@@ -126,7 +126,7 @@ class _LoopProcess:
 
 def main(arguments: list[str]) -> None:
     """Record until the loop closes the recording or dies."""
-    _be_modest()
+    be_modest()
     key, width, capacity, name = arguments
     loop = _LoopProcess()
     ring = Ring(int(width), int(capacity), key)
@@ -178,7 +178,7 @@ def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
             not_before_s = now_s + RETRY_PERIOD_S
 
 
-def _be_modest() -> None:
+def be_modest() -> None:
     """Leave the end of the run to the loop, and the processor too: we may have inherited its priority and its core."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):

@@ -30,7 +30,7 @@ def test_a_machine_that_stands_says_how_well(tmp_path):
     first = np.array([recording[f"position_{axis}"][0] for axis in CARM.axes])
     assert timing.notes == ()
     assert np.array(standing["deviation"]) == pytest.approx(first - POSE, abs=1.5 * COUNTS.max())
-    assert (np.abs(standing["deviation"]) <= 2.0 * COUNTS).all() and (np.abs(standing["speed"]) < 2.0 * COUNTS).all()
+    assert (np.abs(standing["deviation"]) <= 2.0 * COUNTS).all() and (np.abs(standing["speed"]) < 5.0 * COUNTS).all()
 
 
 def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path, monkeypatch):
@@ -38,7 +38,7 @@ def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path, mo
     monkeypatch.setattr(hil.bench, "STANDING_COUNTS", 0.01)
     timing, recording = run(tmp_path)
     assert [note.split(" rad/s after")[1] for note in timing.notes] == [
-        " 16 s of standstill, 1.0e-07 is standing; recorded all the same (initial.standing)"
-    ] * 2
+        f" 16 s of standstill, {0.01 * count:.1e} is standing; recorded all the same (initial.standing)" for count in COUNTS
+    ]
     assert [note.split(":")[0] for note in timing.notes] == list(CARM.axes)
     assert f"{recording.metadata['initial']['standing']['deviation'][1]:+.1e} rad from its pose" in timing.notes[1]
