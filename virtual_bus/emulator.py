@@ -26,7 +26,7 @@ AWAKE_S = 400e-6
 SPIN_S = 150e-6
 """So long after a SYNC was expected it goes to sleep again: a sleeper is woken tens of microseconds late, and a virtual processor that has
 gone idle later still."""
-POLL_S = 0.001  # how long one look at the bus takes at most: the grain of time while nothing comes
+POLL_S = 0.001  # how long one look at the bus takes at most, and how often the other wires are looked at
 LOOK_S = 0.02
 """A look at the bus that took longer was this process standing still, not the bus: what has come meanwhile lies in the queue. No more than
 that passes as silence, so that a loaded computer does not let the machine's time run on between two frames."""
@@ -138,6 +138,10 @@ class Tick:
             self._due_s = now_s + self.period_s
             self._prepared = False
 
+    def is_near(self, now_s: float) -> bool:
+        """A SYNC is due: nothing else may take time now."""
+        return self._due_s - AWAKE_S <= now_s < self._due_s + SPIN_S
+
     def patience(self, now_s: float) -> float:
         """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning."""
         ahead_s = self._due_s - AWAKE_S - now_s
@@ -146,7 +150,7 @@ class Tick:
         if not self._prepared:
             self._prepared = True
             self.prepare()
-        return 0.0 if now_s < self._due_s + SPIN_S else POLL_S
+        return 0.0 if self.is_near(now_s) else POLL_S
 
 
 def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], polls: list[Callable[[], None]], tick: Tick | None) -> None:
@@ -154,7 +158,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
     with _stop_on_signals() as stopped, _long_lived_objects_frozen():
         device.power_on()
         on_ready()
-        last_s = time.perf_counter()
+        last_s = polled_s = time.perf_counter()
         while not stopped():
             patience_s = tick.patience(last_s) if tick is not None else POLL_S
             try:
@@ -168,7 +172,8 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
                 device.receive(message.arbitration_id, bytes(message.data))
                 if tick is not None:
                     tick.heard(message.arbitration_id, now_s)
-            elif patience_s > 0.0:  # nothing on the bus, and no SYNC is near: time for the other wires
+            if now_s - polled_s >= POLL_S and not (tick is not None and tick.is_near(now_s)):  # time for the other wires
+                polled_s = now_s
                 for poll in polls:
                     poll()
 

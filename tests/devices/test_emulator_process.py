@@ -161,3 +161,42 @@ def test_an_emulator_that_stood_still_does_not_take_that_for_silence(monkeypatch
     bus.shutdown()
     assert physics.advanced == pytest.approx(2 + periods, abs=1)
     assert physics.advanced == 2 or periods
+
+
+class BusyBus(StallingBus):
+    """A SYNC lies in the queue at every look, a period after the last: a master that is behind its time. It ends when `is_done` says so."""
+
+    def __init__(self, is_done: threading.Event) -> None:
+        super().__init__([])
+        self._is_done = is_done
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        if not self._is_done.is_set():
+            self._stalls = [(PERIOD_S, can.Message(arbitration_id=0x080, is_extended_id=False))]
+        return super().recv(timeout)
+
+
+@pytest.mark.parametrize("punctual", [True, False])
+def test_the_io_answers_however_busy_the_bus_is(monkeypatch, punctual: bool) -> None:
+    device = EmulatedIo(LAYOUT, SpinningMasses().axes)
+    machine = EmulatedMachine(SpinningMasses(), two_axis_bus(), PERIOD_S, io=device)  # type: ignore[arg-type]
+    machine.place(np.zeros(2))
+    answered, done = [], threading.Event()
+
+    def ask_for_coil(url: str) -> None:
+        host, port = url.removeprefix("tcp:").split(":")
+        answered.append(ModbusClient(host=host, port=int(port), unit_id=1, timeout=WAIT_S).read_coils(0, 1))
+        done.set()
+
+    bus = BusyBus(done)
+    monkeypatch.setattr("virtual_bus.emulator.time.perf_counter", lambda: bus.now_s)
+    clients: list[threading.Thread] = []
+
+    def ready(ports: Ports) -> None:
+        clients.append(threading.Thread(target=ask_for_coil, args=(ports.io_url,)))
+        clients[0].start()
+
+    run_emulator(bus, machine, ready, punctual=punctual)
+    clients[0].join()
+    bus.shutdown()
+    assert answered == [[False]]
