@@ -1,0 +1,87 @@
+"""How long a diagnosis of the C-arm takes: four repeats and a held-out recording of 60 s, whole catalogue. Prints JSON.
+
+python benchmarks/diagnosis_speed.py [--seconds 60] [--jobs 2]
+
+Run it twice: the first run compiles the plant. The recordings come from the simulator with friction added and noise of its own per repeat:
+the work hardly depends on what is in them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+
+import numpy as np
+
+from hil.diagnosis.diagnose import diagnose
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation import simulate
+from virtual_bus.settings import EffectSetting
+
+REPEATS = 4
+FRICTION = EffectSetting("coulomb_friction", "roll", {"Fc": 8.0})
+
+
+def driven(machine, seconds: float, seed: int) -> Recording:
+    """Slow sines of both axes and a multisine on top."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(round(seconds * machine.sample_rate_Hz)) / machine.sample_rate_Hz
+    gate = 0.5 - 0.5 * np.cos(np.pi * np.clip(time_s, 0.0, 1.0))
+    channels = {"time": Channel("s", time_s)}
+    for axis in machine.axes:
+        slow = sum(0.04 * np.sin(2.0 * np.pi * f * time_s + random.uniform(0.0, 6.0)) for f in random.uniform(0.05, 0.5, 4))
+        fast = sum(0.05 * np.sin(2.0 * np.pi * f * time_s + random.uniform(0.0, 6.0)) for f in random.uniform(1.0, 25.0, 20))
+        channels[f"reference_{axis}"] = Channel("rad", gate * slow)
+        channels[f"excitation_{axis}"] = Channel("A", gate * fast)
+    return Recording(channels, recording_metadata(machine, experiment={"start_pose": [0.0, 0.0]}))
+
+
+def noisy(machine, inputs: Recording, clean: Recording, seed: int) -> Recording:
+    """One repeat: coloured noise of 1 % of every channel's motion."""
+    random = np.random.default_rng(seed)
+    channels = dict(inputs.channels)
+    for name in clean.channels:
+        if name not in channels:
+            values = clean[name]
+            slow = np.cumsum(random.standard_normal(len(values))) * 1e-3
+            channels[name] = Channel(clean.channel(name).unit, values + 0.01 * values.std() * (slow + random.standard_normal(len(values))))
+    return Recording(channels, inputs.metadata)
+
+
+def main() -> None:
+    """Print seconds and peak memory."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    machine = load_machine("carm")
+    sets = []
+    for experiment, count in ((0, REPEATS), (1, 1)):
+        inputs = driven(machine, arguments.seconds, experiment)
+        clean = simulate(machine, inputs, [FRICTION])
+        sets.append({f"run_{experiment}_{n}": noisy(machine, inputs, clean, 10 * experiment + n) for n in range(count)})
+    wall, processor = time.monotonic(), time.process_time()
+    outcome = diagnose(machine, *sets, jobs=arguments.jobs)
+    wall = time.monotonic() - wall
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    workers = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(
+        json.dumps(
+            {
+                "recording_s": arguments.seconds,
+                "jobs": arguments.jobs,
+                "wall_s": round(wall, 1),
+                "processor_s": round(time.process_time() - processor + workers.ru_utime + workers.ru_stime, 1),
+                "peak_GB": round((own.ru_maxrss + arguments.jobs * workers.ru_maxrss) / 1e6, 2),
+                "verdict": outcome.diagnosis.verdict,
+                "findings": [str(finding.effect) for finding in outcome.diagnosis.findings],
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
