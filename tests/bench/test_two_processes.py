@@ -57,19 +57,19 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
         done = subprocess.run([*run, "-o", str(recorded), "--json", "-"], capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         assert done.returncode == 0, done.stderr
         (answer,) = json.loads(done.stdout)["recordings"]
-        assert (
-            answer["timing"]["ticks"] == 256 and answer["timing"]["lateness_max_us"] >= 0.0 and answer["timing"]["work_time_p99_us"] > 0.0
-        )
+        timing = answer["timing"]
+        assert timing["lateness_max_us"] >= 0.0 and timing["work_time_p99_us"] > 0.0
+        assert 0 < timing["ticks"] <= 256 <= timing["ticks"] + timing["missed"], "what a loaded computer skipped is counted"
     finally:
         emulator.terminate()
         said = emulator.communicate(timeout=TIMEOUT_S)
     assert emulator.returncode == 0, said
     recording = read_recording(recorded)
-    assert recording.rows == 256 and (recording["work_time"] > 0.0).all()
+    assert recording.rows == timing["ticks"] and (recording["work_time"] > 0.0).all()
     # the IMU's time stamps are the emulated machine's time, in steps of 0.1 ms: they say which row of the truth a row is
     known = read_truth(truth)
     rows = np.flatnonzero(~recording.channel("imu_time").missing & ~recording.channel("position_roll").missing)
-    assert len(rows) > 128
+    assert len(rows) > recording.rows // 2
     nearest = np.array([np.argmin(np.abs(known["time"] - time_s)) for time_s in recording["imu_time"][rows]])
     assert np.abs(known["time"][nearest] - recording["imu_time"][rows]).max() < 2e-4
     assert recording["position_roll"][rows] == pytest.approx(known["joint_position_roll"][nearest], abs=1e-4)
