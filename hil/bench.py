@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +18,7 @@ import numpy as np
 from controllers.feedback import Feedback
 from drivers.errors import MotionRefused
 from drivers.interface import Sample
-from hil.errors import LoopAborted, RecordingError, UnusableInput
+from hil.errors import RecordingError, UnusableInput
 from hil.experiments import Move, Plan, Static
 from hil.experiments.safety import gravity_feedforward
 from hil.layout import AxisColumns, RowLayout
@@ -29,6 +26,8 @@ from hil.loop import LoopTiming, SampleLoop, StopRequest
 from hil.machine import Machine
 from hil.realtime import Scheduling, real_time
 from hil.recording import JournalSink, RecorderProcess, recording_metadata
+from hil.start_pose import standing
+from hil.stop_signals import stopping_on_signals
 from hil.wiring import HeedingMachine, Wiring, lockstep_wiring, wall_wiring
 from virtual_bus.physics import Physics
 
@@ -159,8 +158,8 @@ class Bench:
                 self.wiring.link.watch.lead()
                 for leg in (self._bridge_to(way[0] if way else stay), *way):
                     self.loop.run(leg)
-                standing, notes = self._settle(stay)
-                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": standing}
+                residual, notes = self._settle(stay)
+                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": residual}
                 self.wiring.start_truth()
                 timing = self.loop.run(plan, sink, progress)
                 self.wiring.pause_truth()
@@ -342,7 +341,7 @@ def open_bench(
     stop_request = StopRequest()
     links: list[HeedingMachine] = []
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_stopping_on_signals(stop_request, lambda: any(link.stopping for link in links)))
+        stack.enter_context(stopping_on_signals(stop_request, lambda: any(link.stopping for link in links)))
         wiring = stack.enter_context(
             lockstep_wiring(machine, options, start_pose, stop_request) if lockstep else wall_wiring(machine, options, stop_request)
         )
@@ -377,31 +376,6 @@ def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
         wiring.link.close()
 
 
-def standing(machine: Machine, model: Physics, sample: Sample) -> tuple[np.ndarray, np.ndarray]:
-    """Where a braked machine stands before it has been homed: motor-side positions and gear windups, (n_axes,) each [rad or m].
-
-    A link encoder sees the joint behind its gear, and the gear is wound up by what hangs on it: the machine file says by how much. Axes
-    without a link encoder are taken to stand where their motor side says, from zero at power-on.
-    """
-    link = sample.link_position
-    pose = np.where(np.isfinite(link), link, np.nan_to_num(sample.position))
-    windup = np.where(np.isfinite(link), _windup(machine, model, pose), 0.0)
-    return pose - windup, windup
-
-
-def _windup(machine: Machine, model: Physics, pose: np.ndarray) -> np.ndarray:
-    """How far each link encoder is ahead of its motor side with the motor sides braked at `pose`, (n_axes,)."""
-    model.place(pose)
-    deflection = model.truth()["joint_position"]
-    tree = machine.plant.tree
-    ahead = np.zeros(len(machine.axes))
-    for encoder in machine.plant.encoders:
-        kind, _, axis = encoder.channel.rpartition("position_")
-        sign = 1.0 if kind == "link_" else -1.0
-        ahead[machine.axis_index(axis)] += sign * sum(deflection[tree.joint_index(name)] for name in encoder.joints)
-    return ahead
-
-
 def _warm(feedback: Feedback) -> Feedback:
     """The feedback compiled: the first step of a machine must not wait for that."""
     nothing = np.zeros(len(feedback.controllers))
@@ -430,25 +404,3 @@ def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
     return [
         out.with_name(f"{out.stem}_r{plan.metadata['realisation'] + 1}_e{plan.metadata['experiment'] + 1}{out.suffix}") for plan in plans
     ]
-
-
-@contextlib.contextmanager
-def _stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> Iterator[None]:
-    """SIGINT, SIGTERM, SIGHUP and SIGQUIT end the run at the next tick, motors stopped; a second one at once, unless the motors are being
-    stopped already: a stop that is broken off may take the voltage from a drive before its brake has closed."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if request.reason and not stopping():
-            raise LoopAborted("interrupted twice; the motors were stopped")
-        request.ask(f"asked to stop by {signal.Signals(number).name}")
-
-    asking = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]  # not all everywhere
-    before = {number: signal.signal(number, ask) for number in asking}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hil.arrays import read_arrays
 from hil.identification.errors import IdentificationError
 from hil.identification.result import Distortion, FrequencyResponse
 
@@ -53,13 +53,7 @@ def read_frf(path: str | Path) -> FrequencyResponse:
     IdentificationError
         The file is missing, is no .npz archive, or lacks an array.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise IdentificationError(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise IdentificationError(f"{path}: not an FRF file ({error})") from None
+    arrays = read_arrays(path, "an FRF file", IdentificationError)
     missing = [
         name
         for name in (*_ARRAYS, *_NAMES, "format", "method", "settings", "sample_rate_Hz", "period_samples", "pose")

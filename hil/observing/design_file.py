@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from controllers.errors import DesignError
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel
 from controllers.observers.settings import ObserverNoise
+from hil.arrays import read_arrays
 from hil.errors import UnusableInput
 from hil.observing.design import ObserverDesign
 
@@ -46,13 +46,7 @@ def read_design(path: str | Path) -> ObserverDesign:
     UnusableInput
         The file is missing, is no design, or does not fit together.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise UnusableInput(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UnusableInput(f"{path}: not an observer design ({error})") from None
+    arrays = read_arrays(path, "an observer design")
     if int(arrays.get("observer_format", -1)) != FORMAT:
         raise UnusableInput(f"{path}: not an observer design of format {FORMAT}; `isocenter observe --save-design` writes one")
     try:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hil.arrays import read_arrays
 from hil.errors import UnusableInput
 from hil.recording import Channel, Recording, write_recording
 
@@ -81,13 +81,7 @@ def read_estimate(path: str | Path) -> Estimate:
     UnusableInput
         The file is missing or no EST file.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise UnusableInput(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UnusableInput(f"{path}: not an EST file ({error})") from None
+    arrays = read_arrays(path, "an EST file")
     if int(arrays.get("estimate_format", -1)) != FORMAT:
         raise UnusableInput(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
     fields: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}

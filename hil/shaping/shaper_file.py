@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
+from hil.arrays import read_arrays
 from hil.errors import UnusableInput
 
 FORMAT = 1
@@ -61,13 +61,7 @@ def read_shaper(path: str | Path) -> ShaperFile:
     UnusableInput
         The file is missing, no .npz archive, lacks an array, or what it holds is no shaper.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise UnusableInput(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UnusableInput(f"{path}: not a SHAPER file ({error})") from None
+    arrays = read_arrays(path, "a SHAPER file")
     axes = [str(axis) for axis in np.atleast_1d(arrays.get("axes", np.array([], dtype=np.str_)))]
     needed = ["format", "axes", "sample_rate_Hz", "notes", *(f"{name}_{axis}" for axis in axes for name in _ARRAYS)]
     missing = [name for name in needed if name not in arrays]

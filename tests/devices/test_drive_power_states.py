@@ -175,10 +175,11 @@ def test_a_reset_never_enables() -> None:
 
 def test_a_cause_that_is_still_there_keeps_the_fault() -> None:
     bench = Bench()
-    bench.drive.inject_fault(0x3210, persistent=True)
+    limit_degC = bench.remote.sdo[0x2001][2].raw / 10.0
+    bench.drive.latch(0, 0.0, limit_degC)
     bench.control(0x80)
     assert bench.state == "fault"
-    bench.drive.remove_cause(0x3210)
+    bench.drive.latch(0, 0.0, limit_degC - 1.0)
     bench.control(0x00)
     bench.wire.forget()
     bench.control(0x80)

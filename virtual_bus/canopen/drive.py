@@ -129,10 +129,6 @@ class Cia402Drive(Node):
             self._causes.add(code)
         self._fault(code)
 
-    def remove_cause(self, code: int) -> None:
-        """The cause of a persistent fault is gone."""
-        self._causes.discard(code)
-
     def connection_lost(self, reason: str) -> None:
         """Abort connection option code (6007h): 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         option = self.objects.number(0x6007)
