@@ -23,7 +23,7 @@ from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, alternatives, verdict_of
+from hil.diagnosis.verdict import Standing, alternatives, verdict_of, with_lost_samples
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -137,10 +137,12 @@ def diagnose(
             shown=shown,
             missing=what_is_missing(train, selection),
         )
-        verdict, reason = verdict_of(standing)
+        verdict, reason = with_lost_samples(*verdict_of(standing), train.lost)
         findings = _findings(runs, tuning, selection, hypotheses) if verdict in ("ambiguous", "explained", "unknown_physics") else ()
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, 0.5)) for finding in findings)
+        lost = tuple(dropout.finding(channel) for channel, dropout in train.lost.items())
+        findings += lost
         proposal = None
         if verdict == "ambiguous":
             report("looking for the next experiment", 0.97)
@@ -153,7 +155,10 @@ def diagnose(
             verdict=verdict,
             reason=reason,
             findings=findings,
-            hypotheses=tuple(Hypothesis(h.fitted.effects if h.fitted is not None else (), h.confidence) for h in hypotheses),
+            hypotheses=tuple(
+                Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in lost)), h.confidence)
+                for h in hypotheses
+            ),
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
@@ -164,9 +169,8 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
         )
-    return Outcome(
-        diagnosis, effects, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal
-    )
+    found = (*effects, *(dropout.setting(channel) for channel, dropout in train.lost.items()))
+    return Outcome(diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal)
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:

@@ -52,6 +52,8 @@ def _scale(document: dict[str, Any], machine: Machine, parameter: PlantParameter
                 _scale_key(body, parameter.quantity, factor)
         if joint.get("name") == parameter.owner and parameter.quantity != "armature":
             _scale_key(joint, parameter.quantity, factor)
+    if parameter.owner in document.get("sensors", {}):
+        _scale_key(document["sensors"][parameter.owner], parameter.quantity, factor)
     for axis, drive in document.get("drives", {}).items():
         if axis == parameter.owner and parameter.quantity == "constant":
             _scale_key(drive, "constant", factor)

@@ -7,12 +7,13 @@ recording without repeats is split into its periods instead, and its simulation 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.signal
 
+from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.noise import NoiseModel, noise_model
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
@@ -96,7 +97,7 @@ class Mismatch:
     """Every group of repeats beside its simulation, in the same channels.
 
     `noise` whitens residuals: `noise.whiten(residual)` takes (N, C) and gives numbers of unit variance for one repeat's noise. `noise.std`
-    (C,) is the noise's rms per channel.
+    (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is without these.
     """
 
     machine: Machine
@@ -104,6 +105,7 @@ class Mismatch:
     units: tuple[str, ...]
     groups: tuple[RepeatGroup, ...]
     noise: NoiseModel
+    lost: Mapping[str, Dropout] = field(default_factory=dict)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -173,9 +175,15 @@ def mismatch(
         channels = _channels(machine, [(member.recording, simulated) for group, simulated in drawn for member in group])
     channels = tuple(channels)
     made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
+    lost: dict[str, Dropout] = {}
+    for number, group in enumerate(made):
+        kept, found = without_lost_samples(group.measured, group.simulated, channels)
+        lost |= found
+        if found:
+            made = (*made[:number], replace(group, measured=kept), *made[number + 1 :])
     first = next(iter(recordings.values()))
     units = tuple(first.channel(name).unit for name in channels)
-    return Mismatch(machine, channels, units, made, noise or noise_model(made, channels, machine))
+    return Mismatch(machine, channels, units, made, noise or noise_model(made, channels, machine), by_sensor(lost))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Re-tuning of the machine file's own numbers: masses, inertias, centres of mass, springs, dampers, drive constants.
+"""Re-tuning of the machine file's own numbers: masses, inertias, centres of mass, springs, dampers, drive constants, IMU low passes.
 
 Parameters are counted from their nominal value in units of PRIOR of it. The free-run residual in units of noise is made small together with
 a weak prior (one unit of PRIOR, Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
@@ -44,7 +44,7 @@ SETTLED_GAIN = 0.1
 LARGE_STEP = 0.05
 """In units of PRIOR: a larger step asks for new sensitivities."""
 
-TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant")
+TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant", "accelerometer_bandwidth", "gyro_bandwidth")
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate
 from hil.diagnosis.naming import CONFIDENT, PLAUSIBLE, Weighed
 from hil.diagnosis.result import EffectAt, Verdict
@@ -60,6 +61,14 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
+
+
+def with_lost_samples(verdict: Verdict, reason: str, lost: Mapping[str, Dropout]) -> tuple[Verdict, str]:
+    """The verdict where channels lose samples besides: that explains what nothing else needs to."""
+    if not lost or verdict == "inconclusive":
+        return verdict, reason
+    seen = ", ".join(f"{channel} repeats {found.share:.1%} of its readings" for channel, found in lost.items())
+    return ("explained" if verdict in ("consistent", "retuned") else verdict), f"{seen}; besides, {reason}"
 
 
 def alternatives(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[EffectAt, ...]:

@@ -1,0 +1,110 @@
+"""Lost samples: readings that repeat the last one exactly while the channel must have moved.
+
+They are seen in the recordings themselves. Lost at other instants in every repeat, they are noise to the repeats' mean and a small lag in
+it: they are taken out before anything else is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from hil.diagnosis.result import EffectAt, Estimate, Finding
+from virtual_bus.settings import EffectSetting
+
+MOVES_BY = 6.0
+"""A channel moves for certain where the simulation's step is this many times its white noise."""
+
+LEAST_STEPS = 40
+"""Certain steps without which nothing is said."""
+
+BY_ITSELF = 1e-3
+"""Share of certain steps that may repeat a reading without a loss."""
+
+CHANCE = 1e-6
+"""Largest probability of as many repeated readings by themselves."""
+
+CERTAIN = 0.99
+
+
+@dataclass(frozen=True)
+class Dropout:
+    """What a channel loses: the share of its samples with its 95 % interval, and how many at once."""
+
+    share: float
+    ci95: tuple[float, float]
+    length: float
+    steps: int  # that were looked at
+    repeated: int
+
+    def setting(self, channel: str) -> EffectSetting:
+        return EffectSetting("sample_dropout", channel, {"p": self.share, "length": self.length, "seed": 0.0})
+
+    def finding(self, channel: str) -> Finding:
+        parameters = {
+            "p": Estimate(self.share, "", self.ci95),
+            "length": Estimate(self.length, "", (1.0, max(2.0 * self.length, 2.0))),
+        }
+        seen = f"{self.repeated} of {self.steps} readings repeat the last one exactly while the channel moves"
+        return Finding(EffectAt("sample_dropout", channel), CERTAIN, parameters, evidence_for=(seen,))
+
+
+def without_lost_samples(
+    measured: np.ndarray, simulated: np.ndarray, channels: tuple[str, ...]
+) -> tuple[np.ndarray, Mapping[str, Dropout]]:
+    """Take lost samples out.
+
+    Parameters
+    ----------
+    measured : (R, N, C) array
+    simulated : (N, C) array
+    channels : tuple of str
+
+    Returns
+    -------
+    measured : (R, N, C) array
+        NaN where a reading of a channel that loses samples repeats the one before.
+    lost : mapping of str to Dropout
+        By channel.
+    """
+    kept = measured.copy()
+    lost: dict[str, Dropout] = {}
+    for c, channel in enumerate(channels):
+        steps = np.diff(measured[:, :, c], axis=1)
+        same = steps == 0.0
+        expected = np.diff(simulated[:, c])
+        moving = np.abs(expected) > MOVES_BY * _white_noise(steps[~same & np.isfinite(steps)], steps - expected)
+        count, repeated = int(moving.sum()) * len(measured), int((same & moving).sum())
+        if count < LEAST_STEPS or scipy.stats.binom.sf(repeated - 1, count, BY_ITSELF) > CHANCE:
+            continue
+        share = repeated / count
+        interval = scipy.stats.binomtest(repeated, count).proportion_ci(0.95)
+        lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), count, repeated)
+        kept[:, 1:, c][same] = np.nan
+    return kept, lost
+
+
+def _white_noise(moved: np.ndarray, error: np.ndarray) -> float:
+    """Rms of a step's noise: from the median of how steps differ from the simulation's, and the smallest step there is."""
+    if not moved.size:
+        return np.inf
+    spread = float(np.nanmedian(np.abs(error - np.nanmedian(error)))) / 0.6745
+    return max(spread, float(np.abs(moved).min()))
+
+
+def _mean_length(same: np.ndarray) -> float:
+    """Of runs of repeated readings."""
+    begins = int((np.diff(same.astype(int), axis=1) == 1).sum() + same[:, 0].sum())
+    return float(max(same.sum() / max(begins, 1), 1.0))
+
+
+def by_sensor(lost: Mapping[str, Dropout]) -> dict[str, Dropout]:
+    """The same, with an IMU named once where several of its channels lose samples."""
+    imu = {name: found for name, found in lost.items() if name.startswith(("imu_", "gyro_"))}
+    if len(imu) < 2:
+        return dict(lost)
+    others = {name: found for name, found in lost.items() if name not in imu}
+    return others | {"imu": max(imu.values(), key=lambda found: found.steps)}
