@@ -70,14 +70,14 @@ def main() -> None:
         data = REAL_SETS[name]()
         outcome = diagnose(data.machine, data.train, data.held_out, jobs=arguments.jobs)
         results[name] = entry(name, data, outcome)
-        if arguments.out is not None:
-            write_diagnosis(outcome, data.machine, arguments.out / name)
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(plain(results), indent=1) + "\n")
         print(f"{name}: {outcome.diagnosis.verdict}: {outcome.diagnosis.reason} ({outcome.diagnosis.seconds:.0f} s)")
         for finding in outcome.diagnosis.findings:
             numbers = ", ".join(f"{key} = {e.value:.4g} {e.unit}" for key, e in finding.parameters.items())
             print(f"  {finding.effect}, confidence {finding.confidence:.2f}: {numbers}")
+        if arguments.out is not None:
+            write_diagnosis(outcome, data.machine, arguments.out / name)
         for channel, rms in errors(outcome, HELD_OUT).items():
             print(f"  held-out rms of {channel}: " + ", ".join(f"{stage} {value:.4g}" for stage, value in rms.items()))
 

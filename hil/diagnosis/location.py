@@ -101,7 +101,7 @@ def _times(found: Mismatch, powers: Sequence[np.ndarray]) -> dict[str, tuple[Spa
     marked = rows = 0
     width = max(1, round(TIME_WINDOW_s * found.noise.rate_Hz))
     for group, power in zip(found.groups, powers, strict=True):
-        is_on = _joined((_smooth(power, width) > 1.0).any(axis=1), width // 2)
+        is_on = _joined(np.any(_smooth(power, width) > 1.0, axis=1), width // 2)
         marked, rows = marked + int(is_on.sum()), rows + len(is_on)
         found_here = tuple((float(group.time_s[a]), float(group.time_s[b - 1])) for a, b in _runs(is_on))
         for label in group.labels:
