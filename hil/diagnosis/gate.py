@@ -51,7 +51,8 @@ class Gate:
     gain: float  # fall of |residual|^2 on the training groups, nominal numbers refitted
     needed: float
     scatter: float  # variance of the strength over repeats, in units of the noise model's
-    held_out_deviations: float | None  # None without held-out recordings
+    held_out_deviations: float | None  # along the predicted change; None without held-out recordings
+    held_out_gain: float | None  # fall of the held-out misfit
     placebo_gain: float
     share: float  # of what there is to explain before the first effect
     is_first: bool
@@ -62,7 +63,9 @@ class Gate:
 
     @property
     def confirmed(self) -> bool:
-        return self.held_out_deviations is None or self.held_out_deviations > HELD_OUT_DEVIATIONS * np.sqrt(self.scatter)
+        if self.held_out_deviations is None or self.held_out_gain is None:
+            return True
+        return self.held_out_gain > 0.0 and self.held_out_deviations > HELD_OUT_DEVIATIONS * np.sqrt(self.scatter)
 
     @property
     def beats_placebo(self) -> bool:
@@ -84,9 +87,8 @@ class Gate:
             (self.explains, f"explains {self.share:.1%} of what is above noise"),
         ]
         if self.held_out_deviations is not None:
-            lines.insert(
-                1, (self.confirmed, f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations")
-            )
+            follow = f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations"
+            lines.insert(1, (self.confirmed, f"{follow}; their misfit falls by {self.held_out_gain:.4g}"))
         return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]
 
 

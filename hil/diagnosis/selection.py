@@ -147,15 +147,18 @@ def _gate(
 ) -> Gate:
     gain = float(residual @ residual + present.offset @ present.offset) - after.cost
     projection = Projection.of(present)
-    deviations = None
+    deviations = fall = None
     if held_out is not None:
         settings = before.settings if before is not None else ()
-        deviations = held_out.deviations(*held_out.predictions([(present.offset, settings), (after.offset, after.settings)]))
+        predicted = held_out.predictions([(present.offset, settings), (after.offset, after.settings)])
+        deviations = held_out.deviations(*predicted)
+        fall = held_out.misfit(predicted[0]) - held_out.misfit(predicted[1])
     return Gate(
         gain=gain,
         needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0), len(residual)),
         scatter=strength_scatter(runs, projection, after.predicted - present.predicted),
         held_out_deviations=deviations,
+        held_out_gain=fall,
         placebo_gain=placebo_gain(runs, present, screened, residual),
         share=gain / max(explainable, gain, 1e-9),
         is_first=before is None,
