@@ -33,6 +33,7 @@ def draw(rng, poses, frequency_Hz):
     ("case", "gain"),
     [
         pytest.param(MIRRORED, 2.0, id="mirror-at-the-edge"),  # three poses, constant and square
+        pytest.param((*MIRRORED[:3], 3), 1.5, id="beside-the-mirror"),  # its own image lies in its window
         pytest.param(TURNING, 2.5, id="full-turn"),  # five poses, a parabola: 35 / 17
         pytest.param(FOLDED, 1.7, id="mirror-within"),  # the other end's pose
     ],
