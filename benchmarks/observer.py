@@ -131,7 +131,8 @@ def two_processes(bus: str, sweeps: int, design: Path, shaper: Path, damping: fl
     """A shaped scan with the observer, emulator and loop in two processes: its timing."""
     with tempfile.TemporaryDirectory() as folder:
         machine = Path(folder) / "carm.toml"  # a stall of the host is counted, not the end of the run
-        machine.write_text(load_machine("carm").text.replace("overrun_ticks = 8 ", "overrun_ticks = 10000 "), encoding="utf-8")
+        text = load_machine("carm").text.replace("overrun_ticks = 8 ", "overrun_ticks = 10000 ")
+        machine.write_text(text.replace("stale_ticks = 3 ", "stale_ticks = 64 "), encoding="utf-8")
         emulator = subprocess.Popen([*ISOCENTER, "emulate", str(machine), "--bus", bus], stdout=subprocess.PIPE, text=True)
         try:
             assert emulator.stdout is not None and emulator.stdout.readline(), "the emulator did not start"

@@ -21,15 +21,14 @@ ISOCENTER = [sys.executable, "-m", "hil"]
 TIMEOUT_S = 120.0
 LOOK_S = 0.05
 PATIENT = {
-    "heartbeat_s": 1.0,
-    "master_heartbeat_s": 0.5,
+    "heartbeat_s": 8.0,
+    "master_heartbeat_s": 4.0,
     "boot_timeout_s": 20.0,
-    "stale_after_s": 20.0,
     "answer_timeout_s": '2.0\nanswers = "awaited"',
     "overrun_ticks": 5000,
     "stale_ticks": 64,
 }
-"""Time-outs that a machine busy with other things keeps."""
+"""Time-outs that a machine busy with other things keeps; without the I/O, whose brakes have a second of their own."""
 
 
 def read_along(run: subprocess.Popen[str]) -> LatestEstimate | None:
@@ -44,7 +43,7 @@ def read_along(run: subprocess.Popen[str]) -> LatestEstimate | None:
 
 
 def test_estimates_are_published_recorded_and_repeated(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
-    text = machine.text
+    text = re.sub(r"(?ms)^\[bus\.io\].*?(?=^\[|\Z)", "", machine.text)
     for key, value in PATIENT.items():
         text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
         assert found, key
