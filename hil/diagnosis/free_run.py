@@ -25,10 +25,10 @@ from virtual_bus.settings import EffectSetting
 
 TRAIN, HELD_OUT = "train", "held_out"
 
-LARGEST_STEP_s = 1.0 / 1600.0
+LARGEST_STEP_s = 1.0 / 1000.0
 FINE_STEPS = 4
 """Of the plant's integration here, and by how much finer the steps are whose difference corrects all runs (see `FreeRuns.correct`): the
-second-order error of a 20 Hz mode at 1.6 kHz still stands out of the noise of four repeats."""
+second-order error of a 20 Hz mode stands out of the noise of four repeats at 1.6 kHz still."""
 
 RUN_AWAY = 1e12
 """A whitened number beyond this is a simulation that runs away."""

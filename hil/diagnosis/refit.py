@@ -24,7 +24,7 @@ STEPS = 7
 ENOUGH = 1e-3
 """Relative decrease of the cost, or decrease below 0.5 in units of noise, at which a fit has ended."""
 
-POLISHING_ROUNDS = 5
+POLISHING_ROUNDS = 3
 POLISHING_STEPS = 3
 POLISHED_GAIN = 1.0
 """Decrease of the cost by which a round of polishing calls for another."""
