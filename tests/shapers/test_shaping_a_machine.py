@@ -336,7 +336,7 @@ def test_the_command_designs_from_an_identified_response(tmp_path, capsys, frf):
         (["--axis", "yaw"], "--axis yaw: carm has propeller, roll"),
         (["--axis", "roll", "--take", "magic"], "design 'magic': must be one of"),
         (["--axis", "roll", "--period", "2", "--harmonics", "a"], "--harmonics a"),
-        (["--axis", "roll", "--quiet", "20:4"], "quiet band 20 to 4 Hz"),
+        (["--axis", "roll", "--quiet", "20:4"], "--quiet 20:4: must be LOW:HIGH in Hz, ascending"),
         (["--axis", "propeller", "--period", "0.11946", "--harmonics", "1"], "lies on the pole"),
         (["--axis", "roll", "--longest", "0.01"], "allow a longer transient"),
     ],
