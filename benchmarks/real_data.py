@@ -24,9 +24,9 @@ SILVERBOX_BAND = 0.48
 """Share of the sample rate up to which the measured input is taken for a signal."""
 
 DRIVES_FIT_ROWS = 400
-MOTOR_SECONDS = 1.1
+MOTOR_SECONDS = 0.15
 """Length of one piece of a motor's record: an open loop's position drifts, and a drift of 2 pi / 72 has left cogging's phase."""
-MOTOR_PIECES = 4
+MOTOR_PIECES = 12
 MOTOR_SLOPE_ROWS = 9
 """Rows of the parabola that a piece's first speed is taken from: an eighth of a cogging period at 6 rad/s."""
 

@@ -20,9 +20,11 @@ DETECTABLE_SHARE = 0.5
 def what_is_missing(train: Mismatch, selection: Selection) -> str:
     """One sentence; "" where the recordings suffice."""
     longest = max((group for group in train.groups), key=lambda group: len(group.time_s))
-    duration = float(longest.time_s[-1] - longest.time_s[0])
-    if duration < LEAST_DURATION_s or len(longest.time_s) < LEAST_ROWS:
-        return f"the longest recording lasts {duration:.3g} s; {LEAST_DURATION_s:g} s or more are needed"
+    duration = float(sum(group.time_s[-1] - group.time_s[0] for group in train.groups))
+    if duration < LEAST_DURATION_s:
+        return f"the recordings last {duration:.3g} s in all; {LEAST_DURATION_s:g} s or more are needed"
+    if len(longest.time_s) < LEAST_ROWS:
+        return f"the longest recording has {len(longest.time_s)} rows; {LEAST_ROWS} or more are needed"
     moves = np.array([np.std(group.mean, axis=0) for group in train.groups]).max(axis=0) / train.noise.std
     if not any(gate.passed for gate in selection.gates) and moves.max() < LEAST_SIGNAL:
         return f"nothing moves: the liveliest channel varies by {moves.max():.2g} times its noise; record a motion or an excitation"
