@@ -187,8 +187,7 @@ def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
         return (replace(base, confidence=LARGEST_TIE),)
     sets = [Weighed(fit, fit.cost, misfit, fit.freedom) for fit, misfit in zip(selection.hypotheses, misfits[1:], strict=True)]
     cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
-    rows = sum(group.measured.shape[0] * len(group.time_s) for found in runs.sets.values() for group in found.groups)
-    return tuple(weighed(sets, base, rows, noise, cap))
+    return tuple(weighed(sets, base, noise, cap))
 
 
 def _next_experiment(machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...]) -> Proposal | None:

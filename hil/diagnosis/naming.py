@@ -1,9 +1,10 @@
 """How sure a name is: the evidence of every set of effects that was fitted, against each other, against nothing and against the unknown.
 
-log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 k log n, k fitted parameters, n rows. A real effect never has exactly
-the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two names are
-told apart only where they differ by more than an equation's form usually errs. The shares were set on development cases of
-benchmarks/concealed, whose truth has other equations than the catalogue's.
+log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 k log(1 + g), k fitted parameters, g the energy the best set removes
+over T: a parameter that is known to one part in sqrt(g) of itself costs the logarithm of that (MacKay 2003, ch. 28). A real effect never
+has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two
+names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with UNKNOWN_FREEDOM
+parameters and leaves nothing above noise.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ FORM_ERROR = 0.004
 
 LEFT_WEIGHT = 0.02
 """The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little."""
+
+UNKNOWN_FREEDOM = 8
+"""Parameters that something without a name is charged with: it could explain whatever is above noise."""
 
 CONFIDENT = 0.9
 """Confidence from which a name stands alone."""
@@ -46,7 +50,7 @@ class Weighed:
         return self.train + self.held_out
 
 
-def weighed(hypotheses: Sequence[Weighed], base: Weighed, rows: int, noise: float, cap: float = 1.0) -> list[Weighed]:
+def weighed(hypotheses: Sequence[Weighed], base: Weighed, noise: float, cap: float = 1.0) -> list[Weighed]:
     """Hypotheses with their confidence, the likeliest first.
 
     Parameters
@@ -55,8 +59,6 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, rows: int, noise: floa
         Every set that passed its own fit.
     base : Weighed
         Without effects.
-    rows : int
-        Rows of the training repeats and held-out recordings.
     noise : float
         Expected |residual|^2 of a perfect simulation.
     cap : float
@@ -64,13 +66,20 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, rows: int, noise: floa
     """
     best = min(h.misfit for h in hypotheses)
     temper = temperature(base.misfit - best, best - noise)
-    log_rows = np.log(max(rows, 2))
-    evidence = np.array([-0.5 * h.misfit / temper - 0.5 * h.freedom * log_rows for h in hypotheses])
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
+    price = price_of_a_parameter(base.misfit - best, temper)
+    evidence = np.array([-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses])
+    nothing = -0.5 * base.misfit / temper
+    unknown = -0.5 * min(noise, best) / temper - price * UNKNOWN_FREEDOM
+    everything = np.concatenate([evidence, [nothing, unknown]])
+    share = np.exp(evidence - everything.max()) / np.exp(everything - everything.max()).sum()
     share = np.minimum(share, cap)
     ranked = [Weighed(h.fitted, h.train, h.held_out, h.freedom, float(c)) for h, c in zip(hypotheses, share, strict=True)]
     return sorted(ranked, key=lambda h: -h.confidence)
+
+
+def price_of_a_parameter(removed: float, temper: float) -> float:
+    """What a fitted parameter costs in log evidence."""
+    return 0.5 * float(np.log1p(max(removed, 0.0) / temper))
 
 
 def temperature(removed: float, left: float) -> float:

@@ -11,7 +11,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain, strength_scatter
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.naming import temperature
+from hil.diagnosis.naming import price_of_a_parameter, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
@@ -110,7 +110,7 @@ def select(
             break
         fits.sort(key=lambda fit: fit.cost)
         fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
-        fits = in_order(fits, base, noise_energy, len(measured))
+        fits = in_order(fits, base, noise_energy)
         gate = _gate(runs, present, held_out, chosen, fits[0], screened, residual, base - noise_energy, len(found))
         gates.append(gate)
         closest = min(fits, key=lambda fit: fit.cost)
@@ -127,11 +127,12 @@ def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...
     return (*chosen.effects, added.effect), (*chosen.values, added.values)
 
 
-def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, rows: int) -> list[Fitted]:
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[Fitted]:
     """Fitted sets by their evidence on the training recordings, see naming.py."""
     best = min(fit.cost for fit in fits)
     temper = temperature(base - best, best - noise_energy)
-    return sorted(fits, key=lambda fit: fit.cost / temper + fit.freedom * np.log(rows))
+    price = price_of_a_parameter(base - best, temper)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + fit.freedom * price)
 
 
 def _gate(

@@ -1,0 +1,46 @@
+"""Confidence in names, from misfits alone."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, Weighed, weighed
+
+NOISE = 20000.0
+
+
+def confidences(base, *misfits, freedom=None, cap=1.0):
+    """Of sets with these misfits above noise, in the order given."""
+    freedom = freedom or [1] * len(misfits)
+    sets = [Weighed(None, NOISE + misfit, 0.0, k) for misfit, k in zip(misfits, freedom, strict=True)]
+    ranked = weighed(sets, Weighed(None, NOISE + base, 0.0, 0), NOISE, cap)
+    return [next(r.confidence for r in ranked if r.misfit == h.misfit and r.freedom == h.freedom) for h in sets]
+
+
+def test_a_set_that_alone_removes_what_is_there_is_certain():
+    right, wrong = confidences(400.0, 0.0, 200.0)
+    assert right > CONFIDENT
+    assert wrong < 0.01
+
+
+def test_sets_that_fit_alike_share_the_confidence():
+    assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5, 0.5], abs=0.02)
+
+
+def test_small_differences_between_large_effects_prove_nothing():
+    one, other = confidences(1e6, 2000.0, 5000.0)
+    assert one < CONFIDENT
+    assert other > 0.04
+
+
+def test_more_parameters_must_gain_more():
+    simple, complex_ = confidences(400.0, 3.0, 0.0, freedom=[1, 5])
+    assert simple > complex_
+
+
+def test_what_leaves_most_of_it_is_no_name():
+    assert max(confidences(2000.0, 1500.0, 1800.0)) < 0.5
+
+
+def test_confidence_is_capped_where_the_noise_is_assumed():
+    assert max(confidences(4000.0, 0.0, 3000.0, cap=CAP_ASSUMED)) == CAP_ASSUMED
