@@ -106,9 +106,12 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
         "confidently wrong, effects of the catalogue", *_share(inside, lambda each: each.wrong), "<= 3 %", lambda value, *_: value <= 0.03
     )
     proportion("wrong among all confident answers", *_share(confident, lambda each: each.wrong), "not asked", lambda *_: True)
-    proportion(
-        "off the catalogue, confidently misnamed", *_share(outside, lambda each: each.confident), "<= 5 %", lambda value, *_: value <= 0.05
-    )
+    spanned_by_none = [each for each in outside if each.asked]
+    for name, group in (
+        ("off the catalogue, confidently misnamed", spanned_by_none),
+        ("the same, with those that an effect spans as drawn", outside),
+    ):
+        proportion(name, *_share(group, lambda each: each.confident), "<= 5 %", lambda value, *_: value <= 0.05)
     proportion(
         "ambiguous sets hold the truth", *_share(ambiguous, lambda each: each.holds_truth), ">= 95 %", lambda value, *_: value >= 0.95
     )

@@ -112,3 +112,19 @@ def test_coulomb_friction_costs_its_level_in_each_direction(machines):
     for sign, rows in steady.items():
         assert rows.sum() > 50
         assert np.mean(added[rows]) == pytest.approx(6.0 * sign, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["tilted_arm", "carm"])
+def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkeypatch, name):
+    from concealed.truth import plant
+    from concealed.truth.build import Workshop
+    from concealed.truth.draw import draw
+    from concealed.truth.oracle import NoiseUnits
+
+    case = next(case for number in range(100) if (case := draw(number, 4, machines)).machine == name and case.training.kind == "mixed")
+    shop = Workshop(case, machines[name])
+    setup = shop.setup(())
+    usual = shop.matrix(setup, shop.training)
+    units = NoiseUnits(shop.noise(setup, shop.training, usual, range(case.repeats)))
+    monkeypatch.setattr(plant, "STEP_S", plant.STEP_S / 3.0)
+    assert np.linalg.norm(units(shop.matrix(setup, shop.training) - usual)) < 1.5
