@@ -16,7 +16,12 @@ if TYPE_CHECKING:
     from hil.calibration.lookup import LookUp
     from hil.calibration.phantom_pose import PoseFit
 
-app = typer.Typer(no_args_is_help=True, help="Geometric calibration from recordings and images.", short_help="Geometric calibration.")
+app = typer.Typer(
+    no_args_is_help=True,
+    short_help="Geometric calibration.",
+    help="Geometric calibration from recordings and images."
+    "\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz",
+)
 
 ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
 FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
@@ -28,8 +33,8 @@ def register(parent: typer.Typer) -> None:
     parent.command(
         short_help="Images of a scan on the emulated machine.",
         help="Images of a scan as the emulated machine's panel takes them, from the truth its emulator wrote."
-        "\n\nExample:  isocenter run scan -m carm --axis roll --from -80 --to 80 -o scan.mf4 --truth truth.csv"
-        "\n\nisocenter expose carm scan.mf4 --truth truth.csv --scene dodecahedron -o phantom_scan",
+        "\n\nExample:  isocenter expose carm scan.mf4 --truth truth.csv --scene dodecahedron -o phantom_scan"
+        "\n\nThe recording and its truth file come from one run: isocenter run scan ... -o scan.mf4 --truth truth.csv",
     )(expose)
     app.command(
         short_help="The geometry of every exposure, from images of the bullet phantom.",
