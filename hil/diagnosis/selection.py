@@ -111,12 +111,15 @@ def select(
         fits.sort(key=lambda fit: fit.cost)
         fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
         fits = in_order(fits, base, noise_energy)
-        gate = _gate(runs, present, held_out, chosen, fits[0], screened, residual, base - noise_energy, len(found))
-        gates.append(gate)
+        placebo = placebo_gain(runs, present, screened, residual)
+        judged = [(fit, _gate(runs, present, held_out, chosen, fit, placebo, residual, base - noise_energy, len(found))) for fit in fits]
         closest = min(fits, key=lambda fit: fit.cost)
-        if not gate.passed:
+        passed = [(fit, gate) for fit, gate in judged if gate.passed]
+        gates.append(passed[0][1] if passed else judged[0][1])
+        if not passed:
             break
-        chosen, hypotheses = fits[0], tuple(fits)
+        chosen = passed[0][0]
+        hypotheses = tuple(fit for fit, gate in judged if gate.passed or (gate.significant and gate.confirmed))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
     return Selection(chosen, tuple(gates), hypotheses, tuple(first), closest)
 
@@ -141,7 +144,7 @@ def _gate(
     held_out: HeldOut | None,
     before: Fitted | None,
     after: Fitted,
-    screened: Sequence[Screened],
+    placebo: float,
     residual: np.ndarray,
     explainable: float,
     tried: int,
@@ -160,7 +163,7 @@ def _gate(
         scatter=strength_scatter(runs, projection, after.predicted - present.predicted),
         held_out_deviations=deviations,
         held_out_gain=fall,
-        placebo_gain=placebo_gain(runs, present, screened, residual),
+        placebo_gain=placebo,
         share=gain / max(explainable, gain, 1e-9),
         is_first=before is None,
     )
