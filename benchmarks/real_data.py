@@ -19,7 +19,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 SILVERBOX_ARROW_ROWS = 40_000
 """The benchmark's test: noise of growing amplitude."""
-SILVERBOX_FIT_ROWS = (40_600, 60_000)
+SILVERBOX_FIT_ROWS = (40_600, 48_800)
 SILVERBOX_BAND = 0.48
 """Share of the sample rate up to which the measured input is taken for a signal."""
 

@@ -27,6 +27,9 @@ PRIOR_OF_EFFORT = 1.0
 PRIOR_CORNER_Hz = 1.0
 """Above it that effort's spectrum falls with the square of frequency, as that of a friction which reverses does."""
 
+END_s = 0.5
+"""Of a record at either end in which the estimate goes to zero: longer than loops remember."""
+
 LOWEST_Hz = 1e-4
 """Stands for zero: a free joint's response to a constant effort is not finite, nor is an integrator's gain."""
 
@@ -42,7 +45,7 @@ class Disturbance:
     ----------
     joints : tuple of str
     effort : (N, joints) array
-        Missing effort on each joint [Nm or N], positive towards positive position.
+        Missing effort on each joint [Nm or N], positive towards positive position; it goes to zero within END_s of either end.
     sensors : (N, C) array
         What no effort explains, in the channels' units.
     joint_share : (joints,) array
@@ -70,7 +73,7 @@ def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None =
         Plant parameters the group was simulated with; the machine file's by default.
     """
     residual = group.mean - group.simulated
-    extended = _odd_extension(residual)
+    extended = _tapered(residual, found.noise.rate_Hz)
     frequencies = np.fft.rfftfreq(len(extended), 1.0 / found.noise.rate_Hz)
     lines = np.fft.rfft(extended, axis=0)
     response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, values)
@@ -158,8 +161,11 @@ def _power(found: Mismatch, signal: np.ndarray) -> np.ndarray:
     return np.asarray((in_noise_units(found.noise, signal).rows ** 2).sum(axis=0))
 
 
-def _odd_extension(values: np.ndarray) -> np.ndarray:
-    """(2 N, C) the record and its point reflection about its end, trend kept: periodic without a jump."""
-    trend = np.linspace(0.0, 1.0, len(values))[:, None] * (values[-1] - values[0]) + values[0]
-    rest = values - trend
-    return np.concatenate([rest, -rest[::-1]]) + np.concatenate([trend, trend[::-1]])
+def _tapered(values: np.ndarray, rate_Hz: float) -> np.ndarray:
+    """(2 N, C) the record brought to zero at both ends and followed by zeros: what was before and after it is not known."""
+    rows = len(values)
+    ramp = min(max(round(END_s * rate_Hz), 1), rows // 4)
+    taper = np.ones(rows)
+    taper[:ramp] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
+    taper[-ramp:] = taper[:ramp][::-1]
+    return np.vstack([values * taper[:, None], np.zeros_like(values)])

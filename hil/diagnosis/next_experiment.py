@@ -6,7 +6,7 @@ Two hypotheses are separated by what of the difference of their free runs no loc
 
 with W the whitening of the noise that the recordings showed, J_B the sensitivities of B's tuned numbers and effect parameters, and the
 prior of re-tuning on the former. d is a distance in standard deviations of the noise of one recording: the misfit of B, refitted to a
-recording of A, exceeds that of A by d^2 on average. As nobody knows which of both is true, the smaller of the two directions counts.
+recording of A, exceeds that of A by d^2 on average. A is the likeliest hypothesis so far, B each of its rivals.
 Atkinson and Fedorov 1975 (T-optimal designs), with a free run in place of a regression.
 """
 
@@ -129,14 +129,12 @@ class Separation:
         """Smallest d over the pairs; 0 where a model cannot be simulated."""
         try:
             answers = [self._answer(model.values, model.effects, plan) for model in self._models]
-            columns = [self._sensitivities(model, answer, plan) for model, answer in zip(self._models, answers, strict=True)]
+            columns = [self._sensitivities(model, answer, plan) for model, answer in zip(self._models[1:], answers[1:], strict=True)]
         except (BenchError, EmulatorError, ControlError):
             return 0.0
         first = answers[0]
-        return min(
-            min(left_over(first - other, jacobian, model), left_over(first - other, columns[0], self._models[0]))
-            for other, jacobian, model in zip(answers[1:], columns[1:], self._models[1:], strict=True)
-        )
+        rivals = zip(answers[1:], columns, self._models[1:], strict=True)
+        return min(left_over(first - other, jacobian, model) for other, jacobian, model in rivals)
 
     def of_recording(self, plan: Plan, measured: np.ndarray) -> float:
         """The separation that a recording of a plan shows, where the first model is right: by how much the closest other one, refitted

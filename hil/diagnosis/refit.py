@@ -35,7 +35,7 @@ STEP_SHARE = 0.01
 SMALLEST_SHARE = 1e-7
 """Of a parameter's range: its size is never taken for less."""
 
-NOT_FITTED = ("seed", "side", "sign", "share", "length")
+NOT_FITTED = ("seed", "side", "sign", "length")
 """Parameters that only take some values: they stay where screening put them."""
 
 LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
