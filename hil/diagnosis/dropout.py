@@ -16,7 +16,7 @@ from hil.diagnosis.result import EffectAt, Estimate, Finding
 from virtual_bus.settings import EffectSetting
 
 MOVES_BY = 6.0
-"""A channel moves for certain where the simulation's step is this many times its white noise."""
+"""A channel moves for certain between two changes of the same sign and this many times its white noise."""
 
 LEAST_STEPS = 40
 """Certain steps without which nothing is said."""
@@ -75,9 +75,9 @@ def without_lost_samples(
     for c, channel in enumerate(channels):
         steps = np.diff(measured[:, :, c], axis=1)
         same = steps == 0.0
-        expected = np.diff(simulated[:, c])
-        moving = np.abs(expected) > MOVES_BY * _white_noise(steps[~same & np.isfinite(steps)], steps - expected)
-        count, repeated = int(moving.sum()) * len(measured), int((same & moving).sum())
+        least = MOVES_BY * _white_noise(steps[~same & np.isfinite(steps)], steps - np.diff(simulated[:, c]))
+        moving = _moves_around(steps, same, least)
+        count, repeated = int(moving.sum()), int((same & moving).sum())
         if count < LEAST_STEPS or scipy.stats.binom.sf(repeated - 1, count, BY_ITSELF) > CHANCE:
             continue
         share = repeated / count
@@ -85,6 +85,19 @@ def without_lost_samples(
         lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), count, repeated)
         kept[:, 1:, c][same] = np.nan
     return kept, lost
+
+
+def _moves_around(steps: np.ndarray, same: np.ndarray, least: float) -> np.ndarray:
+    """(R, N - 1) steps whose last and next change are both larger than `least` and the same way: a joint that sticks does not look so."""
+    rows = np.arange(steps.shape[1])
+    last = np.maximum.accumulate(np.where(same, -1, rows), axis=1)
+    following = np.minimum.accumulate(np.where(same, len(rows), rows)[:, ::-1], axis=1)[:, ::-1]
+    last = np.concatenate([np.full((len(steps), 1), -1), last[:, :-1]], axis=1)  # before the step itself
+    following = np.concatenate([following[:, 1:], np.full((len(steps), 1), len(rows))], axis=1)
+    inside = (last >= 0) & (following < len(rows))
+    before = np.take_along_axis(steps, np.clip(last, 0, len(rows) - 1), axis=1)
+    after = np.take_along_axis(steps, np.clip(following, 0, len(rows) - 1), axis=1)
+    return inside & (np.abs(before) > least) & (np.abs(after) > least) & (before * after > 0.0)
 
 
 def _white_noise(moved: np.ndarray, error: np.ndarray) -> float:

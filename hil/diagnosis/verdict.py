@@ -18,6 +18,9 @@ UNKNOWN_LEFT = 0.4
 """Share of the explainable mismatch which the best set of known effects leaves, from which it has no name: development cases with a right
 name leave less."""
 
+NAMED = 0.5
+"""Confidence of all sets together below which something without a name is likelier."""
+
 STILL_SIGNIFICANT = 0.02
 STILL_SIGNIFICANT_DEVIATIONS = 4.0
 """Excess of |residual|^2 over its noise, as a share of the noise (which is known no better) and in its standard deviations, from which what
@@ -49,6 +52,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     structured = left > certain
     if structured and left > UNKNOWN_LEFT * explainable and (found or any(gate.significant for gate in standing.gates)):
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
+    if found and sum(h.confidence for h in standing.hypotheses) < NAMED:
+        return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
     if found:
         best = standing.hypotheses[0]
         assert best.fitted is not None

@@ -53,3 +53,12 @@ def test_a_lattice_and_noise_repeat_readings_without_a_loss():
     kept, lost = without_lost_samples(coarse, simulated, CHANNELS)
     assert not lost
     np.testing.assert_array_equal(kept, coarse)
+
+
+def test_a_joint_that_sticks_while_its_simulation_moves_loses_nothing():
+    _, simulated = recorded(0.0, 1, [])
+    lattice = 1e-5
+    stuck = np.round(np.clip(simulated, -0.6, 0.6) / lattice) * lattice
+    kept, lost = without_lost_samples(np.stack([stuck] * 3), simulated, CHANNELS)
+    assert not lost
+    assert np.isfinite(kept).all()
