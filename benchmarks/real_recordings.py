@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from real_data import DATA, REAL_SETS, RealSet
@@ -17,6 +19,7 @@ from hil.cli.output import plain
 from hil.diagnosis.diagnose import Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.free_run import HELD_OUT, TRAIN
+from hil.simulation import Simulator, inputs_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "real_recordings.json"
 STAGES = ("nominal", "retuned", "extended")
@@ -38,7 +41,23 @@ def errors(outcome: Outcome, which: str) -> dict[str, dict[str, float]]:
     return table
 
 
-def entry(name: str, data: RealSet, outcome: Outcome) -> dict[str, object]:
+def open_loop_mm(data: RealSet, outcome: Outcome) -> dict[str, dict[str, float]]:
+    """Position rms [mm] of an axis driven by its recorded command alone, as published for `emps`: nominal and with the effects."""
+    machine = replace(data.machine, controllers=())
+    simulator = Simulator(machine)
+    table = {}
+    for which, recordings in (("train", data.train), ("held_out", data.held_out)):
+        ((_, recording),) = recordings.items()
+        inputs = inputs_of(machine, recording)
+        rms = {}
+        for stage, values, effects in (("nominal", None, ()), ("extended", outcome.values, outcome.effects)):
+            position = simulator.run(inputs, values, effects).position[:, 0]
+            rms[stage] = float(1e3 * np.sqrt(np.mean((position - recording[f"position_{machine.axes[0]}"]) ** 2)))
+        table[which] = rms
+    return table
+
+
+def entry(data: RealSet, outcome: Outcome) -> dict[str, Any]:
     """What the results hold of one set."""
     document = outcome.diagnosis.document()
     found = {key: document[key] for key in ("verdict", "reason", "findings", "hypotheses", "retuned", "noise", "unexplained_share")}
@@ -69,7 +88,9 @@ def main() -> None:
     for name in arguments.sets or REAL_SETS:
         data = REAL_SETS[name]()
         outcome = diagnose(data.machine, data.train, data.held_out, jobs=arguments.jobs)
-        results[name] = entry(name, data, outcome)
+        results[name] = entry(data, outcome)
+        if name == "emps":
+            results[name]["open_loop_position_rms_mm"] = open_loop_mm(data, outcome)
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(plain(results), indent=1) + "\n")
         print(f"{name}: {outcome.diagnosis.verdict}: {outcome.diagnosis.reason} ({outcome.diagnosis.seconds:.0f} s)")

@@ -1,33 +1,49 @@
-"""The emps axis as Euler steps of a mass on a damper in its loop: written from docs/notation.md, sharing nothing with the plant."""
+"""The rail's block as Euler steps of a mass on a damper in its loop: written from docs/notation.md, sharing nothing with the plant."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-from scipy.signal import sosfilt, sosfilt_zi
+from scipy.signal import sosfilt
 
 from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
 
-MASS_kg, DAMPING_N_s_m, GAIN_N_V = 95.1089, 203.5034, 35.15065
-STEPS = 10
+RAIL = load_machine(Path(__file__).with_name("rail.toml"))
+MASS_kg, DAMPING_N_s_m, GAIN_N_V = 20.0, 60.0, 25.0
+STEPS = 20
+NOISE = np.array([0.02, 5e-6])  # V and m rms, white
 
 
 def pushed_mass(reference, push, excitation=None) -> tuple[np.ndarray, np.ndarray]:
-    """Position and command (N,) along a reference (N,), pushed by `push(time, speed)` [N] besides its drive and damper."""
-    machine = load_machine("emps")
-    period_s = 1.0 / machine.sample_rate_Hz
-    forward, back = machine.controllers[0].reference_sections, machine.controllers[0].position_sections
-    states = sosfilt_zi(forward) * reference[0], sosfilt_zi(back) * reference[0]
+    """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper."""
+    period_s = 1.0 / RAIL.sample_rate_Hz
+    sections = RAIL.controllers[0].position_sections
+    state = np.zeros((len(sections), 2))
     position, speed, command = float(reference[0]), 0.0, 0.0
     rows = np.zeros((len(reference), 2))
     for k in range(len(reference)):
         effort = command
-        from_r, state_r = sosfilt(forward, [reference[k]], zi=states[0])
-        from_y, state_y = sosfilt(back, [position], zi=states[1])
-        states = state_r, state_y
-        command = float(from_r[0] - from_y[0]) + (0.0 if excitation is None else float(excitation[k]))
+        fed_back, state = sosfilt(sections, [reference[k] - position], zi=state)
+        command = float(fed_back[0]) + (0.0 if excitation is None else float(excitation[k]))
         rows[k] = position, command
         for _ in range(STEPS):
-            force = GAIN_N_V * effort - DAMPING_N_s_m * speed + push(k * period_s, speed)
+            force = GAIN_N_V * effort - DAMPING_N_s_m * speed + push(k * period_s, position, speed)
             speed += force / MASS_kg * period_s / STEPS
             position += speed * period_s / STEPS
     return rows[:, 0], rows[:, 1]
+
+
+def recorded(reference, push, seed: int, *, excitation=None, experiment=None, noise=1.0) -> Recording:
+    """A recording of it, with so many times NOISE."""
+    position, command = pushed_mass(reference, push, excitation)
+    rows = np.random.default_rng(seed).standard_normal((len(reference), 2)) * NOISE * noise
+    channels = {
+        "time": Channel("s", np.arange(len(reference)) / RAIL.sample_rate_Hz),
+        "reference_carriage": Channel("m", reference),
+        "excitation_carriage": Channel("V", np.zeros(len(reference)) if excitation is None else excitation),
+        "command_carriage": Channel("V", command + rows[:, 0]),
+        "position_carriage": Channel("m", position + rows[:, 1]),
+    }
+    return Recording(channels, recording_metadata(RAIL, experiment=experiment or {"start_pose": [float(reference[0])]}))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pushed_mass import pushed_mass
+from pushed_mass import NOISE, RAIL, pushed_mass
 
 from hil.diagnosis.next_experiment import Model, Separation, propose
 from hil.diagnosis.noise import assumed_noise
@@ -15,14 +15,12 @@ from hil.machine import load_machine
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
-MACHINE = load_machine("emps")
 CHANNELS = ("command_carriage", "position_carriage")
-NOISE = np.array([0.05, 2e-7])
-VISCOUS, QUADRATIC = 40.0, 300.0  # N s/m and N s^2/m^2: alike near 0.13 m/s
+VISCOUS, QUADRATIC = 8.0, 60.0  # N s/m and N s^2/m^2: alike near 0.13 m/s
 
 
 def model(name: str, parameter: str, value: float) -> Model:
-    plant = compile_plant(MACHINE.plant)
+    plant = compile_plant(RAIL.plant)
     indices = tunable(plant.parameters)
     effect = EffectSetting(name, "carriage", {parameter: value})
     return Model(plant.nominal, (effect,), indices, 0.1 * np.abs(plant.nominal[indices]), ((0, parameter),))
@@ -35,35 +33,40 @@ def rivals():
 
 @pytest.fixture(scope="module")
 def noise():
-    return assumed_noise([NOISE * np.random.default_rng(0).standard_normal((4000, 2))], CHANNELS, MACHINE)
+    return assumed_noise([NOISE * np.random.default_rng(0).standard_normal((4000, 2))], CHANNELS, RAIL)
 
 
 @pytest.fixture(scope="module")
 def proposal(rivals, noise):
-    return propose(MACHINE, rivals, noise, CHANNELS)
+    return propose(RAIL, rivals, noise, CHANNELS)
+
+
+def drag(time: float, position: float, speed: float) -> float:
+    return -QUADRATIC * speed * abs(speed)
+
+
+def slow_jog():
+    (plan,) = JogOnly(pose={"carriage": 0.1}, jog=Jog(0.04, line=2), period_s=4.0, periods=2).plans(RAIL)
+    return plan
 
 
 def test_it_separates_better_than_a_slow_jog(proposal, rivals, noise):
-    (jog,) = JogOnly(pose={"carriage": 0.1}, jog=Jog(0.02, line=4), period_s=8.0, periods=2).plans(MACHINE)
-    assert proposal.separation > 5.0 * Separation(MACHINE, rivals, noise, CHANNELS).of_plan(jog)
+    assert proposal.separation > 5.0 * Separation(RAIL, rivals, noise, CHANNELS).of_plan(slow_jog())
 
 
 def test_its_file_is_an_experiment_within_the_machines_limits(proposal):
-    text = proposal.header(["quadratic_friction at carriage", "viscous_friction at carriage"]) + experiment_text(
-        proposal.experiment, MACHINE
-    )
+    names = ["quadratic_friction at carriage", "viscous_friction at carriage"]
+    text = proposal.header(names) + experiment_text(proposal.experiment, RAIL)
     assert f"Predicted separation: {proposal.separation:.3g} standard deviations" in text
-    (plan,) = experiment_from_text(text, MACHINE).plans(MACHINE)  # refuses what breaks a limit
-    assert plan.rows == pytest.approx(proposal.seconds * MACHINE.sample_rate_Hz)
+    (plan,) = experiment_from_text(text, RAIL).plans(RAIL)  # refuses what breaks a limit
+    assert plan.rows == pytest.approx(proposal.seconds * RAIL.sample_rate_Hz)
 
 
 def test_a_run_on_another_simulation_confirms_the_prediction(proposal, rivals, noise):
-    (plan,) = proposal.experiment.plans(MACHINE)
-    position, command = pushed_mass(
-        plan.reference[:, 0], lambda time, speed: -QUADRATIC * speed * abs(speed), excitation=plan.excitation[:, 0]
-    )
+    (plan,) = proposal.experiment.plans(RAIL)
+    position, command = pushed_mass(plan.reference[:, 0], drag, excitation=plan.excitation[:, 0])
     measured = np.column_stack([command, position]) + NOISE * np.random.default_rng(1).standard_normal((plan.rows, 2))
-    seen = Separation(MACHINE, rivals, noise, CHANNELS).of_recording(plan, measured)
+    seen = Separation(RAIL, rivals, noise, CHANNELS).of_recording(plan, measured)
     assert 0.5 * proposal.separation < seen < 2.0 * proposal.separation
 
 
