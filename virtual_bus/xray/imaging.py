@@ -63,6 +63,11 @@ def expected(views: Sequence[View], panel: Panel, items: Sequence[Item], optics:
         for point in chosen:
             moved = View(view.source_m + view.panel_rotation[:, :2] @ point, view.panel_m, view.panel_rotation)
             total += transmission(moved, panel, items, rays) / (len(views) * len(chosen))
+    return read_out(total, panel, optics)
+
+
+def read_out(total: np.ndarray, panel: Panel, optics: Optics) -> np.ndarray:
+    """Expected photons a pixel, from the share of photons that reaches each: point spread and scatter."""
     if optics.spread_m > 0.0:
         total = gaussian_filter(total, optics.spread_m / panel.pitch_m, mode="nearest")
     if optics.scatter > 0.0:

@@ -68,12 +68,13 @@ def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) 
 def transmission(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) -> np.ndarray:
     """(rows, columns) share of photons that reach each pixel: the mean over its rays of exp(-attenuation)."""
     result = np.empty((panel.rows, panel.columns))
-    _mean_through(attenuation(view, panel, items, rays), rays, result)
+    mean_through(attenuation(view, panel, items, rays), rays, result)
     return result
 
 
 @njit(cache=True, error_model="numpy")
-def _mean_through(integrals, rays, result):
+def mean_through(integrals, rays, result):
+    """Fill (rows, columns) with the mean over each pixel's rays of exp(-integral)."""
     rows, columns = result.shape
     for row in range(rows):
         for column in range(columns):

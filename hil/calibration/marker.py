@@ -1,0 +1,162 @@
+"""Case I of thesis Sec. 6.4.1: where tube and panel stand to each other, from a marker plate on the tube."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection
+from hil.imaging.markers.projection import PARAMETERS
+
+LINEAR = PARAMETERS[:3]
+"""f_x, f_y and Z-bar: linear in the points once angles, offsets and the plate's distance are known."""
+
+NONLINEAR = PARAMETERS[:6]
+"""With the angles of (6.6)."""
+
+UNSEEN_M, UNSEEN_RAD = 10e-3, 50e-3
+"""A parameter with a larger standard deviation than this is not measured: more than the whole machine bends."""
+
+STEPS = 30
+SETTLED = 1e-10
+
+
+@dataclass(frozen=True)
+class MarkerFit:
+    """Pose from one image.
+
+    Attributes
+    ----------
+    projection : MarkerProjection
+    free : tuple of str
+        The parameters fitted, of `PARAMETERS`; the others kept the values they came with.
+    covariance : (9, 9) array
+        [m, rad]; zero where a parameter was held.
+    residual_pixels : float
+        Root mean square over all coordinates.
+    """
+
+    projection: MarkerProjection
+    free: tuple[str, ...]
+    covariance: np.ndarray
+    residual_pixels: float
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters that were not fitted."""
+        return tuple(name for name in PARAMETERS if name not in self.free)
+
+
+def fit_marker(
+    points: MarkerPoints,
+    plate: MarkerPlate,
+    detector: Detector,
+    start: MarkerProjection,
+    free: Sequence[str] = NONLINEAR,
+) -> MarkerFit:
+    """Fit (6.8) to the crossings by Gauss-Newton.
+
+    The plate is flat, so its image shows the ratio of `focal_length` to `plate_distance` and never both: one of them is held, by default
+    the distance, which the mounting fixes. `offset_x` and `offset_y` are held by default too: on a plate parallel to the panel they
+    cannot be told from `focal_u` and `focal_v`.
+
+    Parameters
+    ----------
+    points : MarkerPoints
+    plate : MarkerPlate
+    detector : Detector
+    start : MarkerProjection
+        Where the fit starts, and the values of what is held.
+    free : sequence of str
+        Of `PARAMETERS`.
+
+    Raises
+    ------
+    UnusableInput
+        A name that is none, or parameters that this image cannot tell apart.
+    """
+    columns = _columns(free)
+    seen, covariance = _metres(points, detector)
+    weight = 1.0 / np.sqrt(np.diag(covariance))
+    where = plate.points_m[points.index]
+    values = start.values.copy()
+    for _ in range(STEPS):
+        rest = (seen - MarkerProjection(values).project(where).ravel()) * weight
+        jacobian = _jacobian(values, where)[:, columns] * weight[:, None]
+        scale = np.linalg.norm(jacobian, axis=0)
+        change = np.linalg.lstsq(jacobian / scale, rest, rcond=1e-12)[0] / scale
+        values[columns] += np.clip(change, -0.05, 0.05)
+        if np.abs(change).max() < SETTLED:
+            break
+    return _result(values, columns, seen, covariance, weight, where, detector)
+
+
+def fit_marker_linear(points: MarkerPoints, plate: MarkerPlate, detector: Detector, known: MarkerProjection) -> MarkerFit:
+    """Linear least squares for f_x, f_y and Z-bar; angles, offsets and the plate's distance as in `known` (Sec. 6.4.1)."""
+    seen, covariance = _metres(points, detector)
+    weight = 1.0 / np.sqrt(np.diag(covariance))
+    where = plate.points_m[points.index]
+    unit = known.values.copy()
+    unit[:3] = 0.0, 0.0, 1.0
+    matrix = np.zeros((len(seen), 3))
+    matrix[0::2, 0] = matrix[1::2, 1] = 1.0
+    matrix[:, 2] = MarkerProjection(unit).project(where).ravel()
+    values = known.values.copy()
+    values[:3] = np.linalg.lstsq(matrix * weight[:, None], seen * weight, rcond=None)[0]
+    return _result(values, [0, 1, 2], seen, covariance, weight, where, detector)
+
+
+def _columns(free: Sequence[str]) -> list[int]:
+    unknown = [name for name in free if name not in PARAMETERS]
+    if unknown or not free:
+        raise UnusableInput(f"{', '.join(unknown) or 'nothing'} to fit: the parameters of a marker are {', '.join(PARAMETERS)}")
+    if {"focal_length", "plate_distance"} <= set(free):
+        raise UnusableInput("focal_length and plate_distance: a flat plate shows their ratio alone; hold one of them")
+    return [k for k, name in enumerate(PARAMETERS) if name in free]
+
+
+def _metres(points: MarkerPoints, detector: Detector) -> tuple[np.ndarray, np.ndarray]:
+    """(2n,) coordinates on the panel and their covariance."""
+    to_metres = np.kron(np.eye(len(points.index)), np.linalg.inv(detector.intrinsic[:2, :2]))
+    return detector.to_metres(points.pixels).ravel(), to_metres @ points.covariance @ to_metres.T
+
+
+def _jacobian(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(2n, 9) by central differences; steps of 10 um and 10 urad leave 1e-9 of curvature."""
+
+    def seen(at: np.ndarray) -> np.ndarray:
+        return MarkerProjection(at).project(where).ravel()
+
+    return np.stack([(seen(values + step) - seen(values - step)) / 2e-5 for step in 1e-5 * np.eye(9)], axis=1)
+
+
+def _result(
+    values: np.ndarray,
+    columns: list[int],
+    seen: np.ndarray,
+    covariance: np.ndarray,
+    weight: np.ndarray,
+    where: np.ndarray,
+    detector: Detector,
+) -> MarkerFit:
+    """Covariance of weighted least squares whose data are correlated: points on one line share its errors."""
+    jacobian = _jacobian(values, where)[:, columns]
+    weighted = jacobian * weight[:, None]
+    scale = np.linalg.norm(weighted, axis=0)
+    _, strength, combinations = np.linalg.svd(weighted / scale, full_matrices=False)
+    gain = (np.linalg.pinv(weighted / scale, rcond=1e-14) / scale[:, None]) * weight
+    of_free = gain @ covariance @ gain.T
+    limit = np.array([UNSEEN_RAD if 3 <= k < 6 else UNSEEN_M for k in columns])
+    if strength[-1] < 1e-10 * strength[0] or (np.sqrt(np.diag(of_free)) > limit).any():
+        strongest = np.argsort(-np.abs(combinations[-1]))[:3]
+        together = [PARAMETERS[columns[k]] for k in strongest if abs(combinations[-1, k]) > 0.1]
+        raise UnusableInput(f"{', '.join(together)}: this image cannot tell them apart; hold one of them")
+    full = np.zeros((9, 9))
+    full[np.ix_(columns, columns)] = of_free
+    projection = MarkerProjection(values)
+    rest = (seen - projection.project(where).ravel()) / detector.pitch_m
+    return MarkerFit(projection, tuple(PARAMETERS[k] for k in columns), full, float(np.sqrt(np.mean(rest**2))))

@@ -1,0 +1,131 @@
+"""Marker plates in the beam: metal with etched grooves and an opening, as boxes whose lengths along a ray are exact."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from virtual_bus.xray.imaging import SPOT, Optics, read_out
+from virtual_bus.xray.objects import Item
+from virtual_bus.xray.render import Panel, View, attenuation, mean_through
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A plate in a frame of its own: x and y in its plane, z along the beam, z = 0 in the middle of the grooves' depth.
+
+    Attributes
+    ----------
+    half_m : (2,) array
+        Half its size in x and y.
+    opening_m : (2,) array
+        Half the size of the opening in its middle; zeros: none.
+    thickness_m, depth_m : float
+        Of the metal, and of the grooves in its side towards the source.
+    across_x, across_y : (n, 4) arrays
+        Grooves [low x, high x, low y, high y]: `across_x` are narrow in x, `across_y` in y. No two of a kind overlap.
+    attenuation_1_m : float
+    """
+
+    half_m: np.ndarray
+    opening_m: np.ndarray
+    thickness_m: float
+    depth_m: float
+    across_x: np.ndarray
+    across_y: np.ndarray
+    attenuation_1_m: float
+
+    def boxes(self) -> np.ndarray:
+        """(n, 7) rows [low 3, high 3, attenuation]: their sum is the plate, a crossing of two grooves given back once."""
+        floor, roof = -0.5 * self.depth_m, self.thickness_m - 0.5 * self.depth_m
+        (x, y), mu = self.half_m, self.attenuation_1_m
+        rows = [[-x, -y, floor, x, y, roof, mu]]
+        if self.opening_m.all():
+            a, b = self.opening_m
+            rows.append([-a, -b, floor, a, b, roof, -mu])
+        for groove in (*self.across_x, *self.across_y):
+            rows.append([groove[0], groove[2], floor, groove[1], groove[3], -floor, -mu])
+        for one in self.across_x:
+            for other in self.across_y:
+                low, high = np.maximum(one[[0, 2]], other[[0, 2]]), np.minimum(one[[1, 3]], other[[1, 3]])
+                if (low < high).all():
+                    rows.append([*low, floor, *high, -floor, mu])
+        return np.array(rows)
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """A plate and where it is: origin (3,) and orientation (3, 3) of its frame in the frame of the scene."""
+
+    plate: Plate
+    origin_m: np.ndarray
+    rotation: np.ndarray
+
+
+def plate_attenuation(view: View, panel: Panel, mounted: Mounted, rays: int = 3) -> np.ndarray:
+    """(rows * rays, columns * rays) attenuation times length of every ray inside the plate."""
+    to_plate = mounted.rotation.T
+    result = np.zeros((panel.rows * rays, panel.columns * rays))
+    _cast_boxes(
+        mounted.plate.boxes(),
+        np.ascontiguousarray(to_plate @ (view.source_m - mounted.origin_m)),
+        np.ascontiguousarray(to_plate @ (view.panel_m - mounted.origin_m)),
+        np.ascontiguousarray(to_plate @ view.panel_rotation),
+        panel.pitch_m / rays,
+        panel.aspect,
+        panel.skew,
+        result,
+    )
+    return result
+
+
+def expected_with_plate(
+    view: View, panel: Panel, mounted: Mounted, optics: Optics, items: Sequence[Item] = (), rays: int = 3
+) -> np.ndarray:
+    """(rows, columns) expected photons behind a plate, and whatever else stands in the beam; no dead pixels."""
+    total = np.zeros((panel.rows, panel.columns))
+    shares = np.empty_like(total)
+    spots = SPOT * optics.spot_m if optics.spot_m > 0.0 else np.zeros((1, 2))
+    for point in spots:
+        moved = View(view.source_m + view.panel_rotation[:, :2] @ point, view.panel_m, view.panel_rotation)
+        integrals = plate_attenuation(moved, panel, mounted, rays)
+        if items:
+            integrals += attenuation(moved, panel, items, rays)
+        mean_through(integrals, rays, shares)
+        total += shares / len(spots)
+    return read_out(total, panel, optics)
+
+
+@njit(cache=True, error_model="numpy")
+def _cast_boxes(boxes, source, center, rotation, step, aspect, skew, result):
+    """Source, panel centre and panel axes (columns of `rotation`) in the plate's frame; `step`: distance of rays."""
+    rows, columns = result.shape
+    middle_row, middle_column = (rows - 1) / 2.0, (columns - 1) / 2.0
+    normal = rotation[:, 2]
+    depth = np.sum((center - source) * normal)
+    for k in range(boxes.shape[0]):
+        first_row, last_row, first_column, last_column = rows, -1, columns, -1
+        for corner in range(8):
+            tip = np.array([boxes[k, 3 * (corner >> i & 1) + i] for i in range(3)])
+            share = depth / np.sum((tip - source) * normal)
+            seen = source + (tip - source) * share - center
+            row = np.sum(seen * rotation[:, 1]) / (step * aspect) + middle_row
+            column = np.sum(seen * rotation[:, 0]) / step + middle_column + skew * (row - middle_row)
+            first_row, last_row = min(first_row, int(np.floor(row))), max(last_row, int(np.ceil(row)))
+            first_column, last_column = min(first_column, int(np.floor(column))), max(last_column, int(np.ceil(column)))
+        for row in range(max(0, first_row), min(rows - 1, last_row) + 1):
+            v = (row - middle_row) * step * aspect
+            shift = skew * (row - middle_row)
+            for column in range(max(0, first_column), min(columns - 1, last_column) + 1):
+                u = (column - middle_column - shift) * step
+                enter, leave, squared = 0.0, np.inf, 0.0
+                for i in range(3):
+                    way = center[i] + u * rotation[i, 0] + v * rotation[i, 1] - source[i]
+                    squared += way * way
+                    near, far = (boxes[k, i] - source[i]) / way, (boxes[k, i + 3] - source[i]) / way
+                    enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
+                if leave > enter:
+                    result[row, column] += boxes[k, 6] * (leave - enter) * np.sqrt(squared)
