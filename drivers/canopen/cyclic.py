@@ -26,6 +26,10 @@ INT16_MAX = 32767
 ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
 """Frames read at most outside the answer time: a device that babbles must not keep the loop from its tick."""
+ANSWER_SPREAD = 0.1
+"""Of a period: so near to its usual time after SYNC a TPDO comes that answers it. One of an earlier SYNC comes whenever it is done."""
+USUAL_OVER = 16
+"""Answers over which that usual time is averaged."""
 
 
 class AxisInput:
@@ -139,6 +143,14 @@ class _Tpdo:
         if self.link >= 0:
             sample.link_position[axis] = source.link_position(values[self.link])
 
+    def forget(self, sample: Sample) -> None:
+        """Leave no value of its frames in the sample."""
+        if self.statusword >= 0:
+            sample.statusword[self.axis] = -1
+        for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
+            if index >= 0:
+                values[self.axis] = nan
+
 
 class CyclicExchange:
     """Sends and receives the process data of all nodes, once per SYNC.
@@ -182,6 +194,9 @@ class CyclicExchange:
         self._emergencies = {EMERGENCY + node.node_id: node.node_id for node in settings.nodes}
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
+        self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
+        self._alone_s = [nan] * len(self._tpdos)  # when the last one came that may be of an earlier SYNC
+        self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
         self._fault = ""
         self.late_frames = 0  # process data that came after its tick had been closed
@@ -249,16 +264,20 @@ class CyclicExchange:
         """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.
 
         Whoever has left earlier SYNCs unanswered may still answer them: the last of so many answers is this SYNC's. Were the first taken
-        for it, every row from then on would show an earlier one. When fewer come, answers were lost, and the newest is this SYNC's.
+        for it, every row from then on would show an earlier one. When fewer come, either answers were lost and the newest is this SYNC's,
+        or this one's is late, too. Nothing in a frame tells; its time does: it is this SYNC's if it came when this TPDO usually comes. A
+        TPDO that was never in time owes nothing, since its node may not have been running: answers that lag from the first on are not seen.
         """
         outstanding = self._expected
-        remaining = self._answer_timeout_s
+        remaining = timeout_s = self._answer_timeout_s
         overtime = came = 0
         bus, by_cob_id, now, owed = self._bus, self._by_cob_id, self._clock.now, self._owed
+        in_debt = any(owed)
         while outstanding:
             message = receive_frame(bus, remaining)
             if message is None:
                 break
+            remaining = overdue_s - now()
             entry = by_cob_id.get(message.arbitration_id)
             if entry is None:
                 self._other(message)
@@ -269,20 +288,33 @@ class CyclicExchange:
                     came |= 1 << bit
                     if owed[bit]:
                         owed[bit] -= 1
+                        self._alone_s[bit] = timeout_s - remaining
                     else:
                         outstanding &= ~(1 << bit)
+                        if not in_debt:
+                            usual_s, took_s = self._usual_s[bit], timeout_s - remaining
+                            self._usual_s[bit] = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
                 except ProtocolError as error:
                     self._fault = self._fault or f"{tpdo.who}: {error}"
-            remaining = overdue_s - now()
             if remaining <= 0.0:
                 remaining = 0.0  # what already lies in the queue is still taken
                 overtime += 1
                 if overtime > STALE_FRAMES_MAX:
                     break
-        if outstanding:
-            outstanding &= ~came
-            for bit in range(len(owed)):
-                owed[bit] = owed[bit] + 1 if outstanding >> bit & 1 else 0
+        return self._in_doubt(outstanding, came, sample) if outstanding else 0
+
+    def _in_doubt(self, outstanding: int, came: int, sample: Sample) -> int:
+        """Book what is owed now; return `outstanding` without those whose answer came. What may be an earlier SYNC's is no sample."""
+        for bit, tpdo in enumerate(self._tpdos):
+            if not outstanding >> bit & 1:
+                continue
+            usual_s = self._usual_s[bit]
+            if came >> bit & 1 and abs(self._alone_s[bit] - usual_s) <= self._spread_s:
+                outstanding &= ~(1 << bit)
+                self._owed[bit] = 0
+            else:
+                self._owed[bit] = self._owed[bit] + 1 if usual_s == usual_s else 0
+                tpdo.forget(sample)
         return outstanding
 
     def _drop_stale(self, sample: Sample) -> None:

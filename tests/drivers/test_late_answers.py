@@ -78,8 +78,21 @@ LOST = float("nan")
         ([0.0, 0.0, 1.2 * PERIOD_S, 0.0], [1, 2, LOST, 4, 5, 6]),
         ([0.0, 0.0, 2.3 * PERIOD_S, 0.0, 0.0], [1, 2, LOST, LOST, 5, 6]),
         ([0.0, 0.0, None, 0.0], [1, 2, LOST, 4, 5, 6]),
+        ([0.0, 0.0, None, 0.0, None, 0.0], [1, 2, LOST, 4, LOST, 6]),
+        ([0.0, 0.0] + [1.2 * PERIOD_S] * 6, [1, 2] + [LOST] * 6),
+        ([0.0, 0.0] + [2.2 * PERIOD_S] * 6, [1, 2] + [LOST] * 6),
+        ([0.0, 0.0] + [1.2 * PERIOD_S] * 3 + [0.0] * 3, [1, 2, LOST, LOST, LOST, 6, 7, 8]),
     ],
-    ids=["before the next SYNC", "after the next SYNC", "after two SYNCs", "never"],
+    ids=[
+        "before the next SYNC",
+        "after the next SYNC",
+        "after two SYNCs",
+        "never",
+        "never, twice",
+        "always late from the third on",
+        "later still",
+        "late three times",
+    ],
 )
 def test_a_late_answer_is_not_taken_for_the_next_syncs(delays, expected):
     assert rows(delays, len(expected)) == pytest.approx(expected, nan_ok=True)
