@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hil.diagnosis.lost_ticks import with_every_tick
 from hil.diagnosis.mismatch import Mismatch
 from hil.errors import RecordingError
 from hil.machine import Machine
@@ -36,14 +37,14 @@ CLEARLY = 0.7
 
 
 def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, Recording]:
-    """Recordings on the machine's own sample times.
+    """Recordings on the machine's own sample times, a row for every tick: what was measured is missing where a run skipped some.
 
     Warns
     -----
     RecordingWarning
         Where rows were not equally spaced, or not at the machine's rate, and have been resampled.
     """
-    return {label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()}
+    return with_every_tick({label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()})
 
 
 def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Recording:

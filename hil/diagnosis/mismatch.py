@@ -161,7 +161,8 @@ def mismatch(
     Raises
     ------
     RecordingError
-        No recording, no channel in common with the simulation, or a simulation cannot be driven by a recording.
+        No recording, no channel in common with the simulation, a recording without one of `channels`, or a simulation cannot be driven by
+        a recording.
     BadAnswer
         The simulation diverged.
     """
@@ -174,6 +175,9 @@ def mismatch(
     if channels is None:
         channels = _channels(machine, [(member.recording, simulated) for group, simulated in drawn for member in group])
     channels = tuple(channels)
+    for members, _ in drawn:
+        for member in members:
+            _check_has(member, channels)
     made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
     lost: dict[str, Dropout] = {}
     for number, group in enumerate(made):
@@ -255,6 +259,15 @@ def _channels(machine: Machine, pairs: Sequence[tuple[Recording, Mapping[str, np
     return tuple(chosen)
 
 
+def _check_has(member: _Member, channels: Sequence[str]) -> None:
+    """RecordingError where a channel that the others are judged by is not in a recording, or is mostly missing."""
+    for name in channels:
+        share = float(member.recording.channel(name).missing.mean()) if name in member.recording else 1.0
+        if share > LARGEST_MISSING_SHARE:
+            has = f"misses {share:.0%} of its samples" if name in member.recording else "is not in it"
+            raise RecordingError(f"{member.label}: {name} {has}; the recordings to fit to have it: hold out one that has it too")
+
+
 def _is_silent(values: np.ndarray) -> bool:
     values = values[np.isfinite(values)]
     return values.size == 0 or bool(np.ptp(values) <= SILENT * max(np.abs(values).max(), 1e-300))
@@ -267,9 +280,9 @@ def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], chan
     labels = tuple(member.label for member in members)
     windows: tuple[slice, ...] = (slice(0, len(rows)),)
     if len(members) == 1 and recording.experiment.get("period_samples"):
-        periods = _whole_periods(recording)
+        periods = [part for part in _whole_periods(recording) if np.isnan(measured[0, part]).mean(axis=0).max() <= LARGEST_MISSING_SHARE]
         if len(periods) > 1:
-            windows = periods
+            windows = tuple(periods)
             labels = tuple(f"{labels[0]} period {number}" for number in range(1, len(periods) + 1))
             measured = np.stack([measured[0, window] for window in windows])
     elif settle_rows := recording.experiment.get("settle_rows"):
