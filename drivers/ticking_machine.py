@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
 RESET_PATIENCE_S = 0.1  # for a node's boot-up when the bench leaves: none is missed if it does not come
-IMU_RETRY_S = 2e-4  # a packet at 921600 baud takes three times as long
+IMU_RETRY_S = 5e-5  # a packet at 921600 baud takes twelve times as long
 PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
 OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
 

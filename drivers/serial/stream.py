@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 from typing import Protocol
 
 import serial
@@ -62,7 +61,7 @@ class SerialStream:
         try:
             if self._descriptor < 0:
                 return bytes(self._port.read(self._port.in_waiting))
-            if not self._arrived():
+            if self._is_silent():
                 return b""
             data = os.read(self._descriptor, READ_BYTES)  # pyserial's read takes three system calls
         except BlockingIOError:
@@ -73,13 +72,18 @@ class SerialStream:
             raise BusUnavailable(f"serial port {self.device} is gone: the other end hung up")
         return data
 
-    def _arrived(self) -> int:
-        """Bytes that are there. Reading an empty line would wait on Linux: for a kernel worker of ordinary priority to have passed on what
-        came, which takes milliseconds on a loaded computer."""
+    def _is_silent(self) -> bool:
+        """Nothing is there, as a process of real-time priority asks.
+
+        Linux lets whoever reads an empty line wait for a worker of ordinary priority to have passed on what came. For an ordinary process
+        that is over at once; one of real-time priority would wait for milliseconds on a loaded computer, and has a tick to keep.
+        """
+        if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
+            return False
         import fcntl  # not on Windows
         import termios
 
-        return int.from_bytes(fcntl.ioctl(self._descriptor, termios.FIONREAD, bytes(4)), sys.byteorder)
+        return not any(fcntl.ioctl(self._descriptor, termios.FIONREAD, bytes(4)))
 
     def write(self, data: bytes) -> None:
         """Send without waiting.
