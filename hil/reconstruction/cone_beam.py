@@ -113,7 +113,8 @@ def reconstruct(
     if np.abs(u[:, 1]).mean() > np.abs(v[:, 1]).mean():  # the ramp filter runs across the axis: swap the panel's directions
         projections = np.ascontiguousarray(np.swapaxes(projections, 1, 2))
         u, v, pitch_u, pitch_v = v, u, pitch_v, pitch_u
-    projections = projections * _short_scan_weights(turned, u, pitch_u, projections.shape[2], arc)
+    weights = short_scan_weights(turned, u, pitch_u, projections.shape[2], arc)
+    projections = projections * weights[:, None, :].astype(np.float32)
     frames = np.stack([turned.source_in_phantom_m, turned.detector_in_phantom_m, u, v], axis=1)
     values = _fdk(*_with_dark_ends(projections, frames), (pitch_u, pitch_v), size, spacing_m, hann)
     return Volume(values, spacing_m, to_volume)
@@ -135,33 +136,44 @@ def _moving(beam: ConeBeam, axis: np.ndarray) -> np.ndarray:
     return np.array(chosen)
 
 
-def _short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: int, arc: float) -> np.ndarray:
-    """(N, 1, columns) weights of a scan of less than a turn: lines that are measured twice share 2, those measured once have 2.
+def short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: int, arc: float) -> np.ndarray:
+    """Weights of a scan of less than a turn: lines that are measured twice share 2, those measured once have 2.
 
-    Parker (1982), with the half overlap delta = (arc - pi) / 2 in place of the fan's half angle, so that arcs between half a turn and half
-    a turn plus the fan lose nothing that was measured; an arc below half a turn has no line twice. RTK expects the whole turn: hence the 2.
+    Parker, Medical Physics 9 (1982) 254, with the half overlap delta = (arc - pi) / 2 in place of the fan's half angle, so that arcs
+    between half a turn and half a turn plus the fan lose nothing that was measured; an arc below half a turn has no line twice. RTK
+    expects the whole turn: hence the 2. The ray at fan angle gamma, here positive against the sweep, is measured again half a turn and
+    2 gamma later, at -gamma.
+
+    Parameters
+    ----------
+    beam : ConeBeam
+        Of N exposures that turn about y.
+    u : (N, 3) array
+        The panel's direction across the axis, towards the columns' growing index.
+    pitch_m : float
+    columns : int
+    arc : float
+        What the exposures cover [rad].
+
+    Returns
+    -------
+    (N, columns) array
     """
     source = beam.source_in_phantom_m
     beta = np.unwrap(np.arctan2(source[:, 0], source[:, 2]))
     sense = np.sign(beta[-1] - beta[0])
-    beta = sense * (beta - beta[0])
+    turn = (sense * (beta - beta[0]))[:, None]
     delta = 0.5 * (arc - np.pi)
     if delta <= 0.0:
-        return np.full((len(beta), 1, columns), 2.0, dtype=np.float32)
-    depth = -beam.source_m[:, 2]
+        return np.full((len(beta), columns), 2.0)
     along = (np.arange(columns) - (columns - 1) / 2.0) * pitch_m
-    tangent = np.cross([0.0, 1.0, 0.0], source)
-    sign = sense * np.sign(np.sum(u * tangent, axis=1))
-    gamma = np.clip(sign[:, None] * np.arctan(along[None, :] / depth[:, None]), -delta, delta)
-    turn = beta[:, None]
+    with_sweep = sense * np.sign(np.sum(u * np.cross([0.0, 1.0, 0.0], source), axis=1))
+    gamma = -with_sweep[:, None] * np.arctan(along / -beam.source_m[:, 2, None])
     weight = np.ones_like(gamma)
     rising, falling = turn < 2.0 * (delta - gamma), turn > np.pi - 2.0 * gamma
-    with np.errstate(divide="ignore", invalid="ignore"):
-        up = np.sin(0.25 * np.pi * turn / (delta - gamma)) ** 2
-        down = np.sin(0.25 * np.pi * (np.pi + 2.0 * delta - turn) / (delta + gamma)) ** 2
-    weight = np.where(rising, np.nan_to_num(up), weight)
-    weight = np.where(falling, np.nan_to_num(down), weight)
-    return (2.0 * weight[:, None, :]).astype(np.float32)
+    weight[rising] = np.sin(0.25 * np.pi * (turn / (delta - gamma))[rising]) ** 2
+    weight[falling] = np.sin(0.25 * np.pi * ((np.pi + 2.0 * delta - turn) / (delta + gamma))[falling]) ** 2
+    return 2.0 * weight
 
 
 def _turned_to_y(axis: np.ndarray) -> np.ndarray:
