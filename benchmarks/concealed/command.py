@@ -30,6 +30,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "isocenter-concealed", help="folder of the cases")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
     parser.add_argument("--keep", action="store_true", help="keep recordings and reports of the cases that were run")
+    parser.add_argument("--partial", action="store_true", help="score although cases have no answer, or several commits gave the answers")
     options = parser.parse_args(arguments)
     places = making.Places(options.work, options.seeds)
     options.results.mkdir(parents=True, exist_ok=True)
@@ -44,7 +45,7 @@ def main(arguments: list[str]) -> int:
     if options.step == "mutate":
         _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options.jobs)
     if options.step in ("score", "all"):
-        print(scoring.score(places, options.results))
+        print(scoring.score(places, options.results, numbers, partial=options.partial))
     return 0
 
 

@@ -12,6 +12,9 @@ import numpy as np
 QUIET = ("consistent", "retuned", "inconclusive")
 """Verdicts that claim no missing physics."""
 
+NO_ANSWER = "none"
+"""Stands for the verdict of a tool that crashed or ran out of time."""
+
 HIDDEN_FROM_NAMING = ("uncovered", "little")
 """Conditions under which nobody is asked for a name."""
 
@@ -41,6 +44,7 @@ class Judgement:
     detectability: float
     separation: float
     tuned: bool
+    answered: bool  # False after a crash or beyond the time limit
     asked: bool  # the oracle can tell the names
     alarm: bool
     found: bool  # alarm, or the right verdict of a tuned parameter
@@ -61,7 +65,7 @@ class Judgement:
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     """Judge one line of answers by its truth."""
     diagnosis = answer.get("diagnosis") or {}
-    verdict = diagnosis.get("verdict", "none")
+    verdict = diagnosis.get("verdict", NO_ANSWER)
     findings = diagnosis.get("findings") or []
     effects = truth["effects"]
     each = truth.get("each", [])
@@ -76,7 +80,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     )
     if tuned:
         asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= 5.0
-    alarm = verdict not in (*QUIET, "none")
+    alarm = verdict not in (*QUIET, NO_ANSWER)
     by_tuning = tuned and verdict == "retuned"
     sets = [findings] if findings else []
     ranked = [hypothesis["effects"] for hypothesis in diagnosis.get("hypotheses") or []]
@@ -96,6 +100,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         detectability=detectability,
         separation=separation,
         tuned=tuned,
+        answered=verdict != NO_ANSWER,
         asked=asked,
         alarm=alarm,
         found=alarm or by_tuning,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -21,13 +21,24 @@ EDGES = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, np.inf)
 """Detectability's bins [standard deviations]."""
 
 
-def score(places: Places, results: Path) -> str:
-    """Score every answered case of a set; write `scores_SEEDS.json` and the figure, return the tables as text."""
+NOT_ASKED = "not asked"
+
+
+def score(places: Places, results: Path, numbers: Collection[int], *, partial: bool = False) -> str:
+    """Score the cases of these numbers; write `scores_SEEDS.json` and the figure, return the tables as text.
+
+    Unless `partial`, cases without a line of answers and answers of more than one commit are refused: what is left out or mixed could only
+    flatter. The file says both.
+    """
     path = results / f"answers_{places.seeds}.jsonl"
     if not path.exists():
         raise SystemExit(f"{path}: no answers yet; `python benchmarks/concealed run --seeds {places.seeds}` writes them")
     lines = path.read_text(encoding="utf-8").splitlines()
-    answers = {answer["number"]: answer for answer in map(json.loads, lines)}
+    answers = {answer["number"]: answer for answer in map(json.loads, lines) if answer["number"] in numbers}
+    commits = sorted({answer["commit"] for answer in answers.values()})
+    missing = sorted(set(numbers) - set(answers))
+    if not partial:
+        _refuse_parts(path, missing, commits)
     judged = []
     for number, answer in sorted(answers.items()):
         path = places.truth(number)
@@ -35,12 +46,20 @@ def score(places: Places, results: Path) -> str:
             raise SystemExit(f"{path}: is not the truth that was sealed when case {number} was answered")
         judged.append(judge(answer, json.loads(path.read_text(encoding="utf-8"))))
     bars, strata, curve = _bars(judged), _strata(judged), _curve(judged)
-    commits = sorted({answer["commit"] for answer in answers.values()})
-    table = {"seeds": places.seeds, "cases": len(judged), "commits": commits, "bars": bars, "strata": strata, "curve": curve}
+    table = {"seeds": places.seeds, "cases": len(judged), "missing": missing, "commits": commits}
+    table |= {"bars": bars, "strata": strata, "curve": curve}
     table["cases_judged"] = [asdict(each) for each in judged]
     (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     draw_curves(curve, results / f"detectability_{places.seeds}.svg")
     return _text(bars, strata, judged)
+
+
+def _refuse_parts(path: Path, missing: Sequence[int], commits: Sequence[str]) -> None:
+    if missing:
+        some = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
+        raise SystemExit(f"{path}: {len(missing)} cases have no answer ({some}); `run` them, or give --partial to score the others")
+    if len(commits) > 1:
+        raise SystemExit(f"{path}: answers of {len(commits)} commits ({', '.join(commits)}); run one, or give --partial to mix them")
 
 
 def _share(judged: Sequence[Judgement], hit: Callable[[Judgement], bool]) -> tuple[int, int]:
@@ -70,7 +89,7 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
                 "n": n,
                 "ci95": [low, high],
                 "asked": asked,
-                "met": bool(n and met(value, low, high)),
+                "met": None if asked == NOT_ASKED else bool(n and met(value, low, high)),
             }
         )
 
@@ -80,15 +99,16 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
             {"bar": name, "value": value, "n": len(values), "asked": f">= {asked:g} in the median", "met": bool(values and value >= asked)}
         )
 
-    alarms = sum(each.alarm for each in nulls)
+    alarms = sum(each.alarm or not each.answered for each in nulls)
     proportion(
-        "false alarms on nulls, one-sided upper bound",
+        "false alarms on nulls (no answer counts as one), one-sided upper bound",
         alarms,
         len(nulls),
         "<= 5 % (upper bound)",
         lambda *_: upper_bound(alarms, len(nulls)) <= 0.05,
     )
     bars[-1]["upper_bound"] = upper_bound(alarms, len(nulls))
+    proportion("no answer: crashed or out of time", *_share(judged, lambda each: not each.answered), "none", lambda value, *_: value == 0.0)
     for name, group in (("single effects", singles), ("pairs", pairs)):
         proportion(
             f"top name right, {name} the oracle separates",
@@ -105,7 +125,7 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
     proportion(
         "confidently wrong, effects of the catalogue", *_share(inside, lambda each: each.wrong), "<= 3 %", lambda value, *_: value <= 0.03
     )
-    proportion("wrong among all confident answers", *_share(confident, lambda each: each.wrong), "not asked", lambda *_: True)
+    proportion("wrong among all confident answers", *_share(confident, lambda each: each.wrong), NOT_ASKED, lambda *_: False)
     spanned_by_none = [each for each in outside if each.asked]
     for name, group in (
         ("off the catalogue, confidently misnamed", spanned_by_none),
@@ -173,7 +193,7 @@ def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
 
 
 def _met(bar: dict[str, Any]) -> str:
-    return "–" if not bar["n"] else "yes" if bar["met"] else "no"
+    return "–" if not bar["n"] or bar["asked"] == NOT_ASKED else "yes" if bar["met"] else "no"
 
 
 def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list[Judgement]) -> str:

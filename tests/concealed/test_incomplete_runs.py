@@ -1,0 +1,67 @@
+"""A tool cannot better its score by crashing, nor a run by leaving cases out or mixing commits."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from test_scoring import answer, finding, truth
+
+NUMBERS = range(4)
+
+
+def make_run(folder, *, crashed=(), left_out=(), commits=("a",)):
+    """Two nulls and two singles; the tool is right where it answers."""
+    from concealed.making import Places, seal
+
+    places = Places(folder, "development")
+    lines = []
+    for number in NUMBERS:
+        null = number < 2
+        path = places.truth(number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(truth(number=number, **({"stratum": "null", "effects": [], "each": []} if null else {}))))
+        row = answer("consistent", []) if null else answer("explained", [finding("coulomb_friction", "roll")])
+        row |= {"number": number, "truth_sha256": seal(path), "commit": commits[number % len(commits)]}
+        if number in crashed:
+            del row["diagnosis"]
+        if number not in left_out:
+            lines.append(json.dumps(row))
+    (folder / "answers_development.jsonl").write_text("\n".join(lines) + "\n")
+    return places
+
+
+def bars_of(folder, **run):
+    from concealed.scoring import score
+
+    text = score(make_run(folder, **run), folder, NUMBERS)
+    bars = json.loads((folder / "scores_development.json").read_text())["bars"]
+    return {bar["bar"].split(",")[0].split(" (")[0].split(":")[0]: bar for bar in bars}, text
+
+
+def test_a_null_without_an_answer_is_an_alarm(tmp_path):
+    bars, _ = bars_of(tmp_path, crashed=(0, 3))
+    assert (bars["false alarms on nulls"]["hits"], bars["false alarms on nulls"]["n"]) == (1, 2)
+    assert (bars["no answer"]["hits"], bars["no answer"]["n"], bars["no answer"]["met"]) == (2, 4, False)
+
+
+def test_a_tool_that_always_answers_meets_that_bar_and_one_that_nobody_asks_for_is_not_met(tmp_path):
+    bars, text = bars_of(tmp_path)
+    assert bars["no answer"]["met"] and bars["false alarms on nulls"]["hits"] == 0
+    assert bars["wrong among all confident answers"]["met"] is None
+    (line,) = [line for line in text.splitlines() if "not asked" in line]
+    assert line.endswith("| not asked | – |")
+
+
+@pytest.mark.parametrize(
+    ("run", "refused"), [({"left_out": (2,)}, r"1 cases have no answer \(2\)"), ({"commits": ("a", "b")}, r"2 commits \(a, b\)")]
+)
+def test_a_part_of_a_run_is_scored_only_on_request_and_says_so(tmp_path, run, refused):
+    from concealed.scoring import score
+
+    places = make_run(tmp_path, **run)
+    with pytest.raises(SystemExit, match=refused):
+        score(places, tmp_path, NUMBERS)
+    score(places, tmp_path, NUMBERS, partial=True)
+    table = json.loads((tmp_path / "scores_development.json").read_text())
+    assert table["missing"] == list(run.get("left_out", ())) and table["commits"] == list(run.get("commits", ("a",)))
