@@ -166,10 +166,11 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
 
 
 def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], machine: Machine) -> NoiseModel:
-    """Noise of single recordings, bounded from above per channel by what is left of the residual between its strong lines.
+    """Noise of single recordings, bounded per channel by what is left of the residual between its strong lines, and taken for white.
 
-    The median of neighbouring lines' power stands for the noise: mismatch that is concentrated in frequency does not raise it, mismatch
-    that is spread does, and is then taken for noise.
+    The median of neighbouring lines' power, and of that over octaves, stands for the noise: mismatch that is concentrated in frequency
+    does not raise it. Nothing tells a slow disturbance from a slow mismatch in a single recording: noise of the residual's own colour would
+    leave only the mismatch's edges visible (on `emps`, Coulomb friction's reversals without its plateaus).
     """
     floor = sensor_floor(channels, machine)
     rate_Hz = machine.sample_rate_Hz
@@ -177,7 +178,6 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     std = np.sqrt(sum((row**2).sum(axis=0) for row in residuals) / sum(len(row) for row in residuals) + floor**2)
     filters = np.stack([_prediction_error_filter([row[:, c] for row in residuals], std[c]) for c in range(count)])
     grid = _grid(rate_Hz, max(len(row) for row in residuals))
-    roots = np.zeros((len(grid), count, count), dtype=complex)
     powers, places = [], []
     for row in residuals:
         filtered = filter_channels(filters, row)
@@ -186,13 +186,16 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     power, place = np.concatenate(powers), np.concatenate(places)
     spacing = rate_Hz / max(len(row) for row in residuals)
     floors = floor**2 * (filters**2).sum(axis=1)
-    variance = np.zeros(count)
+    levels = np.zeros((len(grid), count))
     for g, f in enumerate(grid):
         near = np.abs(place - f) <= max(10.5 * spacing, 0.3 * f)
-        level = np.median(power[near], axis=0) / np.log(2.0) + floors  # the median of an exponential distribution is ln 2 of its mean
-        roots[g] = np.diag(1.0 / np.sqrt(level))
-        variance += level / (len(grid) * (filters**2).sum(axis=1))
-    return NoiseModel("assumed", np.sqrt(np.minimum(variance, std**2)), rate_Hz, filters, grid, roots, np.inf)
+        levels[g] = np.median(power[near], axis=0) / np.log(2.0) + floors  # the median of an exponential distribution is ln 2 of its mean
+    z = np.exp(-2j * np.pi * np.outer(grid / rate_Hz, np.arange(filters.shape[1])))
+    gains = np.abs(z @ filters.T) ** 2
+    white = np.minimum(np.median(levels / gains, axis=0), std**2)
+    roots = np.zeros((len(grid), count, count), dtype=complex)
+    roots[:, np.arange(count), np.arange(count)] = 1.0 / np.sqrt(white * gains)
+    return NoiseModel("assumed", np.sqrt(white), rate_Hz, filters, grid, roots, np.inf)
 
 
 def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:
