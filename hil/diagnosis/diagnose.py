@@ -35,6 +35,9 @@ NEXT_EXPERIMENT = "next_experiment.toml"
 MOST_RIVALS = 3
 """Hypotheses that one experiment is asked to separate."""
 
+CAP_UNCONFIRMED = 0.5
+"""Largest confidence of a set that did not pass the gate."""
+
 LARGEST_TIE = 0.999
 """No hypothesis is more certain than this: what is in no catalogue always has a share."""
 
@@ -174,20 +177,19 @@ def diagnose(
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
-    """Every set that was fitted, on training and held-out recordings."""
-    residual = runs.measured() - tuning.predicted
-    noise = float(len(residual))
-    misfits = [0.0] * (1 + len(selection.hypotheses))
-    if judged is not None:
-        noise += len(judged.measured)
-        answers = judged.predictions([(fit.offset, fit.settings) for fit in selection.hypotheses])
-        misfits = [judged.misfit(answer) for answer in [judged.base, *answers]]
-    base = Weighed(None, float(residual @ residual + tuning.offset @ tuning.offset), misfits[0], 0, 1.0)
-    if selection.chosen is None:
-        return (replace(base, confidence=LARGEST_TIE),)
-    sets = [Weighed(fit, fit.cost, misfit, fit.freedom) for fit, misfit in zip(selection.hypotheses, misfits[1:], strict=True)]
+    """Every set that competes for the name, on training and held-out recordings."""
+    noise = float(len(tuning.predicted)) + (0.0 if judged is None else len(judged.measured))
+    rivals = selection.contenders
+    if selection.chosen is None or not rivals:
+        return (Weighed(None, 0.0, 0.0, 0, LARGEST_TIE),)
+    train = min(c.fitted.cost for c in rivals) + max(c.gained for c in rivals)
+    held_out = min(c.left_held_out for c in rivals) + max(c.gained_held_out for c in rivals)
+    base = Weighed(None, train, held_out, 0)
+    sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.freedom) for c in rivals]
     cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
-    return tuple(weighed(sets, base, noise, cap))
+    passed = {id(c.fitted) for c in rivals if c.passed}
+    ranked = weighed(sets, base, noise, cap)
+    return tuple(h if id(h.fitted) in passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked)
 
 
 def _next_experiment(machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...]) -> Proposal | None:

@@ -58,6 +58,11 @@ class Gate:
     is_first: bool
 
     @property
+    def certain_gain(self) -> float:
+        """The gain less what chance gains more where the strength scatters more than the noise model says."""
+        return self.gain - (self.scatter - 1.0) * self.needed
+
+    @property
     def significant(self) -> bool:
         return self.gain > self.needed * self.scatter
 
@@ -100,28 +105,33 @@ def needed_gain(candidates: int, freedom: int, entries: int) -> float:
     return max(float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1))), SIMULATOR_ERROR * entries)
 
 
-def strength_scatter(runs: FreeRuns, projection: Projection, change: np.ndarray) -> float:
-    """Variance over repeats of the strength along a change of the simulation (M,), in units of what the noise model gives it; at least 1.
+class Scatter:
+    """How much more the strength along a change of the simulation varies from repeat to repeat than the noise model says."""
 
-    Each repeat's deviation from the mean along the response has unit variance where the model holds.
-    """
-    response = projection.left(change)[: len(change)]
-    length = float(np.sqrt(response @ response))
-    if length == 0.0:
-        return 1.0
-    total, free = 0.0, 0.0
-    start = 0
-    for group in runs.repeats(TRAIN):
-        repeats = np.stack(group)
-        own = response[start : start + repeats.shape[1]]
-        start += repeats.shape[1]
-        size = float(np.sqrt(own @ own))
-        if len(repeats) < 2 or size < 0.1 * length:
-            continue
-        along = (repeats - repeats.mean(axis=0)) @ own / size
-        total += float(along @ along)
-        free += len(repeats) - 1.0
-    return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
+    def __init__(self, runs: FreeRuns) -> None:
+        whitened = [np.stack(group) for group in runs.repeats(TRAIN)]
+        self._deviations = [repeats - repeats.mean(axis=0) for repeats in whitened]
+
+    def along(self, response: np.ndarray) -> float:
+        """Variance along a response (M,), in units of the noise model's; at least 1.
+
+        Each repeat's deviation from the mean along it has unit variance where the model holds; SPECTRUM_WEIGHT repeats' worth of that is
+        taken for granted.
+        """
+        length = float(np.sqrt(response @ response))
+        if length == 0.0:
+            return 1.0
+        total, free, start = 0.0, 0.0, 0
+        for deviations in self._deviations:
+            own = response[start : start + deviations.shape[1]]
+            start += deviations.shape[1]
+            size = float(np.sqrt(own @ own))
+            if len(deviations) < 2 or size < 0.1 * length:
+                continue
+            along = deviations @ own / size
+            total += float(along @ along)
+            free += len(deviations) - 1.0
+        return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
 
 
 def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import FreeRuns
-from hil.diagnosis.gate import Gate, needed_gain, placebo_gain, strength_scatter
+from hil.diagnosis.gate import Gate, Scatter, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.naming import price_of_a_parameter, temperature
 from hil.diagnosis.projection import Projection
@@ -28,10 +28,24 @@ POLISHED = 3
 """Fits that are continued with sensitivities taken where they are."""
 
 MOST_EFFECTS = 3
+RIVAL_SHARE = 0.5
+"""Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate."""
+
 WORTH_A_FIT = 0.02
 """Of the best score: candidates below are not refitted."""
 
 Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A fitted set that competes for the name."""
+
+    fitted: Fitted
+    gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
+    gained_held_out: float
+    left_held_out: float  # the held-out misfit
+    passed: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +58,8 @@ class Selection:
         The largest set whose effects all pass the gate; None where not even one does.
     gates : tuple of Gate
         Of each step of the chosen set, and of the step that ended it, last.
-    hypotheses : tuple of Fitted
-        Sets as large as the chosen one that were fitted, the chosen one among them.
+    contenders : tuple of Contender
+        Sets as large as the chosen one that compete for the name, the chosen one among them.
     screened : tuple of Screened
         The first screening.
     closest : Fitted or None
@@ -54,7 +68,7 @@ class Selection:
 
     chosen: Fitted | None
     gates: tuple[Gate, ...]
-    hypotheses: tuple[Fitted, ...]
+    contenders: tuple[Contender, ...]
     screened: tuple[Screened, ...]
     closest: Fitted | None
 
@@ -83,13 +97,15 @@ def select(
         Told what is being done, and how far the whole is.
     """
     measured = runs.measured()
+    scatter = Scatter(runs)
     chosen: Fitted | None = None
     gates: list[Gate] = []
-    hypotheses: tuple[Fitted, ...] = ()
+    contenders: tuple[Contender, ...] = ()
     first: list[Screened] = []
     closest: Fitted | None = None
     present = tuning
     base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
+    unseen_at_first = 0.0 if held_out is None else held_out.misfit(held_out.base)
     for size in range(MOST_EFFECTS):
         report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
         settings = chosen.settings if chosen is not None else ()
@@ -97,12 +113,13 @@ def select(
         found = [candidate for candidate in candidates_of(chosen) if candidate.effect not in taken]
         residual = measured - present.predicted
         screened = screen(runs, present, found, residual, settings)
+        screened.sort(key=lambda s: -s.score / scatter.along(s.response[: len(residual)].astype(float)))
         if size == 0:
             first = screened
         if not screened:
             break
         most = REFITTED if size == 0 else REFITTED_BESIDE
-        worth = [s for s in screened[:most] if s.score > WORTH_A_FIT * screened[0].score]
+        worth = [s for s in screened[:most] if s.score > WORTH_A_FIT * max(other.score for other in screened)]
         report("fitting", 0.35 + 0.2 * size)
         starts = [_beside(chosen, s) for s in worth]
         fits = [fit for fit in refit(runs, present, measured, starts) if fit is not None]
@@ -112,16 +129,29 @@ def select(
         fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
         fits = in_order(fits, base, noise_energy)
         placebo = placebo_gain(runs, present, screened, residual)
-        judged = [(fit, _gate(runs, present, held_out, chosen, fit, placebo, residual, base - noise_energy, len(found))) for fit in fits]
+        judged = [(fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, len(found))) for fit in fits]
         closest = min(fits, key=lambda fit: fit.cost)
         passed = [(fit, gate) for fit, gate in judged if gate.passed]
         gates.append(passed[0][1] if passed else judged[0][1])
         if not passed:
             break
+        before = float(residual @ residual + present.offset @ present.offset)
+        unseen = 0.0 if held_out is None else held_out.misfit(held_out.predictions([(present.offset, settings)])[0])
+        least = RIVAL_SHARE * passed[0][1].certain_gain
+        contenders = tuple(
+            Contender(
+                fit,
+                base - before + gate.certain_gain,
+                unseen_at_first - unseen + (gate.held_out_gain or 0.0),
+                unseen - (gate.held_out_gain or 0.0),
+                gate.passed,
+            )
+            for fit, gate in judged
+            if gate.passed or gate.certain_gain > least
+        )
         chosen = passed[0][0]
-        hypotheses = tuple(fit for fit, gate in judged if gate.passed or (gate.significant and gate.confirmed))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
-    return Selection(chosen, tuple(gates), hypotheses, tuple(first), closest)
+    return Selection(chosen, tuple(gates), contenders, tuple(first), closest)
 
 
 def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]:
@@ -139,7 +169,7 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[F
 
 
 def _gate(
-    runs: FreeRuns,
+    scatter: Scatter,
     present: Tuning,
     held_out: HeldOut | None,
     before: Fitted | None,
@@ -160,7 +190,7 @@ def _gate(
     return Gate(
         gain=gain,
         needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0), len(residual)),
-        scatter=strength_scatter(runs, projection, after.predicted - present.predicted),
+        scatter=scatter.along(projection.left(after.predicted - present.predicted)[: len(residual)]),
         held_out_deviations=deviations,
         held_out_gain=fall,
         placebo_gain=placebo,
