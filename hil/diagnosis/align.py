@@ -19,7 +19,7 @@ from hil.recording import Channel, Recording, RecordingWarning
 from hil.recording.channels import is_whole
 from hil.simulation.simulate import RATE_TOLERANCE
 
-HELD = ("reference_", "excitation_", "feedforward_", "command_")
+HELD = ("reference_", "excitation_", "feedforward_", "damping_", "command_")
 """Channels that keep their value until the next row; the others are taken linearly between rows."""
 
 LONGEST_GAP = 4.0

@@ -46,6 +46,7 @@ KINDS = (
     Kind("reference_.+", POSITION),
     Kind("excitation_.+", EFFORT),
     Kind("feedforward_.+", EFFORT),
+    Kind("damping_(?!share$).+", EFFORT),
     Kind("command_.+", EFFORT),
     Kind("current_.+", CURRENT),
     Kind("effort_.+", EFFORT),

@@ -6,7 +6,8 @@ import numpy as np
 
 from hil.recording.model import Channel, Recording
 
-PLANNED = ("reference_", "excitation_", "feedforward_")
+PLANNED = ("reference_", "excitation_", "feedforward_", "damping_")
+"""What drives a simulation. Damping was not planned, but is an input of it as well."""
 
 
 def gap_words(recording: Recording) -> str:
@@ -24,7 +25,8 @@ def gap_words(recording: Recording) -> str:
 def on_every_tick(recording: Recording) -> Recording:
     """A row for every tick: the plan's channels filled, everything measured missing.
 
-    The excitation is that of the same tick in another period, where there is one; reference and feedforward are smooth, and interpolated.
+    The excitation is that of the same tick in another period, where there is one; reference, feedforward and damping are smooth, and
+    interpolated.
     """
     ticks = recording.ticks
     rows = int(ticks[-1]) + 1

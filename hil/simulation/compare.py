@@ -14,7 +14,7 @@ from hil.recording import Recording
 STANDSTILL = 1e-12
 """A channel that varies by less than this share of its largest value does not move: what is left is rounding."""
 
-INPUTS = ("time", "reference_", "excitation_", "feedforward_")
+INPUTS = ("time", "reference_", "excitation_", "feedforward_", "damping_")
 LARGEST_LAG = 5
 """Rows either way in which the lag is looked for: an off-by-one in somebody's timing shows, a wrong model's phase does not run away."""
 

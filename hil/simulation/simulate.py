@@ -25,7 +25,8 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
     Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with
     the controller states of the recording's metadata, else with integrators at the holding effort. Metadata `initial.speeds`, where a
-    recording begins in motion, are the axes' speeds at row 0.
+    recording begins in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the
+    excitation: the simulation runs with that loop open.
 
     Parameters
     ----------
@@ -64,6 +65,8 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     reference = _complete(machine, recording, "reference") if closed else None
     command = None if closed else _complete(machine, recording, "command")
     excitation = _complete(machine, recording, "excitation", np.zeros(shape))
+    if closed:  # what damping added to the command: as recorded, the observer is not simulated
+        excitation = excitation + _complete(machine, recording, "damping", np.zeros(shape))
     feedforward = _feedforward(machine, recording, shape)
     states = recording.metadata.get("initial", {}).get("controller_states") if closed else None
     pose = _start_pose(machine, recording, reference)

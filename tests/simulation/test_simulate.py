@@ -187,3 +187,19 @@ def test_another_sample_rate_is_refused():
 def test_a_recording_without_reference_is_refused():
     with pytest.raises(RecordingError, match="reference_carriage"):
         simulate(EMPS, Recording({"time": Channel("s", np.arange(9) * 1e-3)}, {}))
+
+
+def test_what_damping_added_to_the_command_drives_the_simulation_lost_ticks_included():
+    plain = recording_of(CARM)
+    added = {axis: 0.2 * np.sin(0.05 * np.arange(ROWS) + k) for k, axis in enumerate(CARM.axes)}
+    channels = {f"damping_{axis}": Channel("A", values) for axis, values in added.items()} | {"damping_share": Channel("", np.ones(ROWS))}
+    damped = Recording({**plain.channels, **channels}, plain.metadata)
+    both = {f"excitation_{axis}": Channel("A", plain[f"excitation_{axis}"] + added[axis]) for axis in CARM.axes}
+    expected = simulate(CARM, Recording({**plain.channels, **both}, plain.metadata))
+    simulated = simulate(CARM, damped)
+    for name in (f"{kind}_{axis}" for kind in ("command", "position") for axis in CARM.axes):
+        assert np.array_equal(simulated[name], expected[name])
+        assert not np.array_equal(simulated[name], simulate(CARM, plain)[name])
+    kept = np.delete(np.arange(ROWS), [200, 201])
+    gapped = Recording({name: Channel(channel.unit, channel.values[kept]) for name, channel in damped.channels.items()}, {"bench": {}})
+    assert simulate(CARM, gapped)["position_roll"] == pytest.approx(expected["position_roll"][kept], abs=1e-4)
