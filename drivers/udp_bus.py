@@ -6,6 +6,7 @@ process and is decoded. Here frames leave through a socket of their own, which t
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import select
 import socket
@@ -34,29 +35,29 @@ class UdpBus(UdpMulticastBus):
     def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 1, fd: bool = False) -> None:
         super().__init__(channel, port, hop_limit, fd=fd)
         self.channel_info = f"udp:{channel}" + ("" if port == PYTHON_CAN_PORT else f"@{port}")
+        self._fields = msgpack.unpackb(pack_message(can.Message(is_extended_id=False)))  # of a data frame, as python-can names them
         multicast = self._multicast
         self._listener = listener = multicast._socket
-        listener.setblocking(False)
         self._sender = sender = socket.socket(listener.family, socket.SOCK_DGRAM)
         v4 = listener.family == socket.AF_INET
         try:
+            listener.setblocking(False)
             if v4:
                 sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hop_limit)
             else:
                 sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hop_limit)
             sender.connect((channel, port))
-        except OSError:
-            sender.close()
+            self._own = sender.getsockname()[:2]
+            if sys.platform.startswith("linux"):
+                # Linux hands a port's datagrams of every group that anybody on the host has joined to every socket of that port; python-can
+                # leaves that on, and two benches on two groups would share one bus.
+                listener.setsockopt(*((socket.IPPROTO_IP, IP_MULTICAST_ALL) if v4 else (socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL)), 0)
+                if v4:
+                    with contextlib.suppress(OSError):  # a sandbox's kernel may refuse filters; echoes are then dropped here
+                        _drop_datagrams_from(listener, *self._own)
+        except BaseException:
             self.shutdown()
             raise
-        self._own = sender.getsockname()[:2]
-        self._fields = msgpack.unpackb(pack_message(can.Message(is_extended_id=False)))  # of a data frame, as python-can names them
-        if sys.platform.startswith("linux"):
-            # Linux hands a port's datagrams of every group that anybody on the host has joined to every socket of that port; python-can
-            # leaves that on, and two benches on two groups would share one bus.
-            listener.setsockopt(*((socket.IPPROTO_IP, IP_MULTICAST_ALL) if v4 else (socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL)), 0)
-            if v4:
-                _drop_datagrams_from(listener, *self._own)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """See `can.BusABC`; never waits."""

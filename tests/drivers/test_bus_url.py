@@ -29,6 +29,48 @@ def test_virtual_buses_of_one_name_hear_each_other():
     assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
 
 
+def _udp_url() -> str:
+    pytest.importorskip("msgpack")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    try:
+        open_bus(f"udp:239.74.163.2@{port}", 1).shutdown()
+    except BusUnavailable as error:
+        pytest.skip(f"this host joins no multicast group: {error}")
+    return f"udp:239.74.163.2@{port}"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="filters are Linux's")
+def test_a_kernel_that_refuses_socket_filters_has_a_udp_bus_all_the_same_and_no_echo(monkeypatch):
+    url = _udp_url()
+
+    def refused(*arguments):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("drivers.udp_bus._drop_datagrams_from", refused)
+    with open_bus(url, 1) as left, open_bus(url, 1) as right:
+        left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01"))
+        assert right.recv(1.0).arbitration_id == 0x181
+        assert left.recv(0.05) is None
+
+
+def test_a_udp_bus_that_cannot_be_set_up_leaves_no_socket_open(monkeypatch):
+    url, opened = _udp_url(), []
+
+    class Kept(socket.socket):
+        def __init__(self, *arguments, **keywords):
+            super().__init__(*arguments, **keywords)
+            opened.append(self)
+
+        def setblocking(self, flag):
+            raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(socket, "socket", Kept)
+    refusal(url)
+    assert len(opened) >= 2 and all(one.fileno() == -1 for one in opened)
+
+
 def test_udp_buses_of_one_group_hear_each_other():
     pytest.importorskip("msgpack")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
