@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import linalg
 
+from hil.identification.errors import IdentificationError
 from hil.identification.modal_blocks import Block
 from hil.identification.modal_weights import fit_variance
 from hil.identification.result import FrequencyResponse
@@ -63,7 +64,14 @@ class JointProblem:
         self.equations = self.data.size
 
     def fit(self, blocks: Sequence[Block], numerator_orders: Sequence[int]) -> JointState:
-        """Levenberg-Marquardt from starting denominators; orders are kept, those of the numerators given per element."""
+        """Levenberg-Marquardt from starting denominators; orders are kept, those of the numerators given per element.
+
+        Raises
+        ------
+        IdentificationError
+            The starting denominators have, at some pose, a pole that is no mode or is far faster than the sample rate.
+        """
+        self._require_usable(blocks)
         state, damping = JointState(self, tuple(blocks), tuple(numerator_orders)), DAMPING
         for _ in range(STEPS):
             gram, gradient = state.normal_equations()
@@ -85,6 +93,7 @@ class JointProblem:
 
     def numerator_orders(self, blocks: Sequence[Block], highest: int) -> tuple[int, ...]:
         """Order of least BIC for every element's numerators, denominators held."""
+        self._require_usable(blocks)
         found = []
         by_order = [JointState(self, tuple(blocks), (order,) * self.elements) for order in range(highest + 1)]
         rows = self.equations // self.elements
@@ -93,6 +102,15 @@ class JointProblem:
             criteria = [rows * np.log(s.squares[e] / rows) + (p + 1) * columns * np.log(rows) for p, s in enumerate(by_order)]
             found.append(int(np.argmin(criteria)))
         return tuple(found)
+
+    def _require_usable(self, blocks: Sequence[Block]) -> None:
+        for block in blocks:
+            if not block.is_usable(self.x, self.sample_rate_Hz):
+                order = max(len(c) for c in block.coefficients) - 1
+                raise IdentificationError(
+                    f"the poles near {block.scale / (2.0 * np.pi):.3g} Hz are not followed over the poses by polynomials of order {order}:"
+                    " at a pose they are no vibrating mode, or far faster than the sample rate; take more poses"
+                )
 
     def basis(self, blocks: Sequence[Block]) -> np.ndarray:
         """(poses, L, S + 1) sampled responses of every numerator coefficient, and of D last."""

@@ -10,7 +10,8 @@ from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_
 
 from hil.figures.modes import modes_figure
 from hil.identification import IdentificationError, periodic_records, robust_bla
-from hil.identification.modal_blocks import block_responses
+from hil.identification.modal_blocks import Block, block_responses
+from hil.identification.modal_joint import JointProblem
 from hil.identification.modal_model import fit_modal_model
 from hil.identification.modal_pose import choose_pairs
 
@@ -51,6 +52,17 @@ def responses():
 @pytest.fixture(scope="module")
 def model(responses):
     return fit_modal_model(responses[::2], 1)
+
+
+@pytest.mark.parametrize("wrong", [-0.5, 0.5], ids=["no vibration", "too fast"])
+def test_poles_that_cannot_be_a_start_are_one_line(responses, wrong):
+    problem = JointProblem(responses[:3], np.array([-1.0, 0.0, 1.0]))
+    scale = 20.0 if wrong < 0.0 else 1e6
+    start = [Block(scale, (np.array([wrong]), np.array([0.1])), flexible=False, is_mode=True)]
+    with pytest.raises(IdentificationError, match=r"the poles near .* Hz are not followed over the poses by polynomials of order 0"):
+        problem.fit(start, (0,) * problem.elements)
+    with pytest.raises(IdentificationError, match="take more poses"):
+        problem.numerator_orders(start, 1)
 
 
 def test_the_number_of_modes_is_found(responses):
