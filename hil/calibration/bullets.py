@@ -88,6 +88,9 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
             doubtful.append(center)
             continue
         fitted = _centroid(depth, center, radius_pixels, noise_of=np.maximum(clean, 1.0))
+        if fitted is None:
+            doubtful.append(center)
+            continue
         pixels.append(fitted[0])
         variances.append(fitted[1])
     return Bullets(np.array(pixels).reshape(-1, 2), np.array(variances), np.array(doubtful).reshape(-1, 2))
@@ -119,8 +122,11 @@ def _inside(center: np.ndarray, margin: float, shape: tuple[int, int]) -> bool:
     return bool(margin < center[0] < shape[1] - 1 - margin and margin < center[1] < shape[0] - 1 - margin)
 
 
-def _centroid(depth: np.ndarray, center: np.ndarray, radius: float, noise_of: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre of depth within a soft disc that is moved until it is centred; variance from the counts' Poisson noise."""
+def _centroid(depth: np.ndarray, center: np.ndarray, radius: float, noise_of: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Centre of depth within a soft disc that is moved until it is centred; variance from the counts' Poisson noise.
+
+    None where the disc is not darker than its rim: no shadow of a bullet.
+    """
     reach = int(np.ceil(2.2 * radius))
     position = center.copy()
     variance = np.nan
@@ -136,6 +142,8 @@ def _centroid(depth: np.ndarray, center: np.ndarray, radius: float, noise_of: np
         level = np.median(local[rim]) if rim.any() else 0.0
         mass = weight * (local - level)
         total = mass.sum()
+        if not total > 0.0:
+            return None
         shift = np.array([np.sum(mass * du), np.sum(mass * dv)]) / total
         counts = noise_of[np.ix_(rows, columns)]
         variance = float(np.sum((weight * du) ** 2 / counts) / total**2)

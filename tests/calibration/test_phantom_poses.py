@@ -94,3 +94,13 @@ def test_images_without_bullets_show_none_and_unusable_ones_are_named():
         find_bullets(image_of(beam, Optics(photons=3.0)), RADIUS_PIXELS)
     with pytest.raises(UnusableInput, match="no exposure shows 5 bullets"):
         fit_poses(PHANTOM.centers_m, np.full((1, 23, 2), np.nan), np.full((1, 23), np.nan), beam)
+
+
+@pytest.mark.parametrize(("beside", "dark"), [(0.0, 0.8), (2.0, 0.33)])  # the second has no centre at all: it runs off the image
+def test_a_dark_spot_in_a_ring_that_darkens_its_rim_is_doubtful(beside, dark):
+    columns, rows = np.meshgrid(np.arange(160), np.arange(160))
+    bullet, spot, ring = (np.hypot(columns - u, rows - v) for u, v in ((40, 40), (110, 110), (110 + beside, 110)))
+    depth = 2.0 * np.sqrt(np.clip(1.0 - (bullet / 6.0) ** 2, 0.0, None)) + 1.6 * (spot < 4.0) + dark * ((ring > 9.6) & (ring < 13.2))
+    found = find_bullets(2000.0 * np.exp(-depth), 6.0)
+    np.testing.assert_allclose(found.pixels, [[40.0, 40.0]], atol=0.1)
+    np.testing.assert_allclose(found.doubtful, [[110.0, 110.0]], atol=0.5)
