@@ -98,7 +98,7 @@ class _AxisWatch:
     def _begin(self, travel: float, speed: float, *, sets_counter: bool) -> None:
         self._travel, self._speed, self._in_range = travel, speed, True
         self._apart, self._link_may_be_silent = STANDING_SHARE * self.limits.tracking_error, False
-        self._still_ticks, self._still = inf, 0
+        self._still_ticks, self._still, self._still_at = inf, 0, 0.0
         self._motor.begin(may_jump=sets_counter)
         if self._link is not None:
             self._link.begin()
@@ -125,7 +125,11 @@ class _AxisWatch:
         return ""
 
     def _stillness(self, ticks: int) -> str:
-        self._still = 0 if abs(self._motor.step) > self._motor.flicker else self._still + ticks
+        # over however many ticks it takes: a slow axis gives a count now and then
+        if abs(self._motor.moved - self._still_at) > self._motor.flicker:
+            self._still, self._still_at = 0, self._motor.moved
+        else:
+            self._still += ticks
         if self._still > self._still_ticks:
             return f"{self.limits.axis}: its motor side shows no motion for {STILL_S:g} s {self._doing}; brake, motor or encoder"
         return ""
