@@ -14,14 +14,13 @@ from scipy.interpolate import LinearNDInterpolator
 from hil.calibration.phantom_pose import PoseFit
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
+from hil.machine import Machine
 
 FORMAT = 1
 
-STANDS = 1e-3
-"""An axis whose positions spread by less [rad or m] did not move in the calibration."""
-
-NEAR = 0.02
-"""A pose farther than this from every calibrated one in an axis that did not move [rad or m] is another scan type."""
+STANDS = 0.02
+"""An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by
+milliradians; a pose farther than this from where it stood is another scan type."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,21 @@ class LookUp:
     covariance: np.ndarray
     notes: Mapping[str, Any] = field(default_factory=dict)
 
+    def require(self, machine: Machine) -> None:
+        """Refuse a table whose deviations are from another machine's geometry, or over other axes.
+
+        Raises
+        ------
+        UnusableInput
+            Another machine's name, other axes, or another order of them.
+        """
+        made_for = self.notes.get("machine", machine.name)
+        if made_for != machine.name or self.axes != machine.axes:
+            raise UnusableInput(
+                f"the look-up table is of {made_for} with axes {', '.join(self.axes)};"
+                f" {machine.name} has {', '.join(machine.axes)}: calibrate this machine"
+            )
+
     def at(self, positions: np.ndarray) -> np.ndarray:
         """(M, 9) deviations at positions (M, axes), linear between calibrated exposures.
 
@@ -58,7 +72,7 @@ class LookUp:
         moved = np.flatnonzero(np.ptp(self.positions, axis=0) > STANDS)
         for k in range(len(self.axes)):
             off = np.abs(positions[:, k] - np.median(self.positions[:, k])).max()
-            if k not in moved and off > NEAR:
+            if k not in moved and off > STANDS:
                 raise UnusableInput(
                     f"{self.axes[k]} stood at {np.median(self.positions[:, k]):.3f} in the calibration; the scan is {off:.3f} away."
                     " Calibrate this scan type"
@@ -99,17 +113,26 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
 
 
 def write_look_up(table: LookUp, path: Path) -> None:
-    """As a .npz that NumPy alone can read."""
-    with path.open("wb") as file:
-        np.savez(
-            file,
-            format=FORMAT,
-            axes=np.array(table.axes),
-            positions=table.positions,
-            deviation=table.deviation,
-            covariance=table.covariance,
-            notes=json.dumps(dict(table.notes)),
-        )
+    """As a .npz that NumPy alone can read.
+
+    Raises
+    ------
+    UnusableInput
+        The file cannot be written.
+    """
+    try:
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                format=FORMAT,
+                axes=np.array(table.axes),
+                positions=table.positions,
+                deviation=table.deviation,
+                covariance=table.covariance,
+                notes=json.dumps(dict(table.notes)),
+            )
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def read_look_up(path: Path) -> LookUp:

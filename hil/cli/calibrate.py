@@ -13,6 +13,8 @@ from hil.cli.output import Answer, JsonOption, follower, progress
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from hil.calibration.lookup import LookUp
     from hil.calibration.phantom_pose import PoseFit
 
@@ -68,8 +70,9 @@ def expose(
     from virtual_bus.xray.imaging import Optics
     from virtual_bus.xray.motion import FocalSpot
 
-    if rate <= 0.0 or width <= 0.0 or photons <= 0.0:
-        raise UnusableInput("--rate, --width and --photons: must be positive")
+    for option, value in (("--rate", rate), ("--width", width), ("--photons", photons)):
+        if not 0.0 < value < np.inf:
+            raise UnusableInput(f"{option} {value:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
     recording = read_recording(recording_file, machine)
@@ -114,27 +117,37 @@ def phantom(
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    for path in (out, figure):
+        if path is not None and not path.parent.is_dir():
+            raise UnusableInput(f"{path}: there is no folder {path.parent}")  # said now, not when all is done
     scan = read_scan(scan_folder)
-    if np.isnan(scan.positions).any():
-        raise UnusableInput(f"{scan_folder}: exposures.csv has no axis positions; a look-up table goes by position")
-    nominal = nominal_beam(machine, scan.positions)
+    positions = scan.positions_of(machine)
+    nominal = nominal_beam(machine, positions)
     with progress(answer.console) as bars:
         task = bars.add_task("bullets", total=len(scan))
         follow = follower(bars, task)
         fit = calibrate_phantom(scan, dodecahedron(), nominal, not six, jobs, lambda done, total: follow(done))
-    table = look_up_of(fit, nominal, scan.axes, scan.positions, {"machine": machine.name, "hash": machine.hash, "six": six})
+    table = look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": six})
     _report(answer, fit, table, six)
+    write_look_up(table, out)
+    answer.say(f"{out}: look-up table of {len(table.positions)} exposures")
     if figure is not None:
         from hil.figures.geometry import deviations_figure
 
         axis = int(np.argmax(np.ptp(table.positions, axis=0)))
-        label = f"{table.axes[axis]} [deg]"
-        picture = deviations_figure(np.degrees(table.positions[:, axis]), label, {"phantom": (table.deviation, table.covariance)})
-        picture.savefig(figure, dpi=130)
+        along, label = table.positions[:, axis], f"{table.axes[axis]} [m]"
+        if scan.units[axis] == "rad":
+            along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
+        _save(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
-    write_look_up(table, out)
-    answer.say(f"{out}: look-up table of {len(table.positions)} exposures")
     answer.write(_document(fit, table))
+
+
+def _save(picture: Figure, path: Path) -> None:
+    try:
+        picture.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,9 @@ import typer
 from hil.cli.options import MachineArgument, load
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
+
+LARGE_BYTES = 2e9
+"""Memory from which on a reconstruction says what it takes."""
 
 
 def register(app: typer.Typer) -> None:
@@ -48,12 +52,16 @@ def reconstruct(
     machine = load(machine_name)
     answer = Answer(json_to)
     scan = read_scan(scan_folder)
-    if np.isnan(scan.positions).any():
-        raise UnusableInput(f"{scan_folder}: exposures.csv has no axis positions; the geometry goes by position")
-    beam = nominal_beam(machine, scan.positions)
+    positions = scan.positions_of(machine)
+    beam = nominal_beam(machine, positions)
     source = "nominal geometry"
     if lookup is not None:
-        beam, source = beam.moved(read_look_up(lookup).at(scan.positions)), f"geometry from {lookup.name}"
+        table = read_look_up(lookup)
+        table.require(machine)
+        if table.notes.get("hash", machine.hash) != machine.hash:
+            answer.say(f"{lookup.name} was made with another version of {machine.name}'s file; its deviations are used as they are")
+        beam, source = beam.moved(table.at(positions)), f"geometry from {lookup.name}"
+    _require_memory(size, (len(scan), scan.detector.rows, scan.detector.columns), answer)
     images = np.empty((len(scan), scan.detector.rows, scan.detector.columns), dtype=np.float32)
     with progress(answer.console) as bars:
         task = bars.add_task("reading", total=len(scan))
@@ -91,3 +99,14 @@ def reconstruct(
             },
         }
     )
+
+
+def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:
+    """Refuse a volume that this computer cannot hold; say what a large one takes."""
+    from hil.reconstruction.cone_beam import bytes_needed
+
+    needed, there_is = bytes_needed(size, projections), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > there_is:
+        raise UnusableInput(f"--size {size}: takes {needed / 1e9:.1f} GB of memory; this computer has {there_is / 1e9:.1f} GB")
+    if needed > LARGE_BYTES:
+        answer.say(f"--size {size} takes {needed / 1e9:.1f} GB of memory")

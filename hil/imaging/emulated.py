@@ -140,7 +140,7 @@ def expose(
                 progress(k + 1, len(starts))
         write_description(folder, detector, machine.axes, {"machine": machine.name, "machine_hash": machine.hash, **(notes or {})})
         positions = positions_at(machine, recording, starts + 0.5 * widths)
-        write_exposures(folder, np.arange(len(starts)), starts, widths, machine.axes, positions)
+        write_exposures(folder, np.arange(len(starts)), starts, widths, {axis.axis: axis.position for axis in machine.units}, positions)
     except OSError as error:
         raise UnusableInput(f"{folder}: cannot be written: {error.strerror or error}") from None
     return len(starts)
@@ -179,9 +179,15 @@ def _truth_columns(path: Path, bodies: tuple[str, ...]) -> dict[str, np.ndarray]
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file), [])
-        values = np.genfromtxt(path, delimiter=",", skip_header=1, ndmin=2)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+            rows = [row for row in csv.reader(file) if row]
+        values = np.array([[float(cell) for cell in row] for row in rows if len(row) == len(header)])
+    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise UnusableInput(f"{path}: no truth file: {error}") from None
+    if len(values) < 2 or len(values) < len(rows):
+        cells = f"{len(header)} cells in every row, two rows at least"
+        raise UnusableInput(f"{path}: {len(values)} whole rows of {len(rows)}; a truth file has {cells}")
+    if not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0.0).any():
+        raise UnusableInput(f"{path}: a number is not finite, or time does not rise; take the file as the emulator wrote it")
     result = {"time": values[:, :1]}
     for body in bodies:
         found = [k for k, name in enumerate(header) if name.startswith(f"pose_{body}_")]

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.machine import Machine
 from hil.recording.toml_text import toml_text
 
 FORMAT = 1
@@ -32,9 +33,10 @@ class ImageScan:
     exposure_id : (N,) int array
     start_s, width_s : (N,) arrays
         In the loop's time.
-    axes : tuple of str
+    axes, units : tuples of str
+        "rad" or "m" per axis.
     positions : (N, axes) array
-        Measured axis positions in the middle of each exposure [rad or m]; NaN where nobody wrote them.
+        Measured axis positions in the middle of each exposure; NaN where nobody wrote them.
     notes : mapping
         The rest of scan.toml: machine, phantom, recording.
     """
@@ -45,6 +47,7 @@ class ImageScan:
     start_s: np.ndarray
     width_s: np.ndarray
     axes: tuple[str, ...]
+    units: tuple[str, ...]
     positions: np.ndarray
     notes: Mapping[str, Any]
 
@@ -55,6 +58,23 @@ class ImageScan:
     def middle_s(self) -> np.ndarray:
         """(N,) the middle of each exposure in the loop's time."""
         return self.start_s + 0.5 * self.width_s
+
+    def positions_of(self, machine: Machine) -> np.ndarray:
+        """(N, axes) positions in the order of a machine's axes.
+
+        Raises
+        ------
+        UnusableInput
+            The scan has other axes, another order or other units, or a position is not known.
+        """
+        if self.axes != machine.axes:
+            raise UnusableInput(f"{self.folder}: a scan of axes {', '.join(self.axes)}; {machine.name} has {', '.join(machine.axes)}")
+        units = tuple(axis.position for axis in machine.units)
+        if self.units != units:
+            raise UnusableInput(f"{self.folder / EXPOSURES}: positions in {', '.join(self.units)}; {machine.name} has {', '.join(units)}")
+        if np.isnan(self.positions).any():
+            raise UnusableInput(f"{self.folder / EXPOSURES}: there are exposures without axis positions; geometry goes by position")
+        return self.positions
 
     def frame(self, k: int) -> np.ndarray:
         """(rows, columns) image k.
@@ -90,12 +110,12 @@ def write_description(folder: Path, detector: Detector, axes: Sequence[str], not
 
 
 def write_exposures(
-    folder: Path, exposure_id: np.ndarray, start_s: np.ndarray, width_s: np.ndarray, axes: Sequence[str], positions: np.ndarray
+    folder: Path, exposure_id: np.ndarray, start_s: np.ndarray, width_s: np.ndarray, units: Mapping[str, str], positions: np.ndarray
 ) -> None:
-    """exposures.csv of a new scan; a position that is not known is an empty cell."""
+    """exposures.csv of a new scan; `units` are those of each axis, a position that is not known is an empty cell."""
     with (folder / EXPOSURES).open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
-        rows.writerow(["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [rad]" for axis in axes)])
+        rows.writerow(["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [{unit}]" for axis, unit in units.items())])
         for k, number in enumerate(exposure_id):
             places = ["" if np.isnan(value) else repr(float(value)) for value in positions[k]]
             rows.writerow([int(number), repr(float(start_s[k])), repr(float(width_s[k])), *places])
@@ -119,12 +139,12 @@ def read_scan(folder: Path) -> ImageScan:
     if document.get("format") != FORMAT:
         raise UnusableInput(f"{description}: format = {document.get('format')!r}; this version reads {FORMAT}")
     axes = tuple(str(axis) for axis in document.get("axes", ()))
-    table = _table(folder / EXPOSURES, axes)
+    units, table = _table(folder / EXPOSURES, axes)
     if not (folder / FRAMES).exists():
         raise UnusableInput(f"{folder / FRAMES}: missing; a scan's images are one TIFF of as many pages as {EXPOSURES} has rows")
     notes = {key: value for key, value in document.items() if key not in ("format", "axes", "detector")}
     return ImageScan(
-        folder, _detector(description, document), table[:, 0].astype(int), table[:, 1], table[:, 2], axes, table[:, 3:], notes
+        folder, _detector(description, document), table[:, 0].astype(int), table[:, 1], table[:, 2], axes, units, table[:, 3:], notes
     )
 
 
@@ -149,15 +169,17 @@ def _detector(path: Path, document: Mapping[str, Any]) -> Detector:
     return detector
 
 
-def _table(path: Path, axes: Sequence[str]) -> np.ndarray:
-    """(N, 3 + axes) numbers."""
-    wanted = ["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [rad]" for axis in axes)]
+def _table(path: Path, axes: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Unit of every axis, and (N, 3 + axes) numbers."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             lines = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UnusableInput(f"{path}: {error}") from None
-    if not lines or lines[0] != wanted:
+    header = lines[0] if lines else []
+    units = tuple("m" if f"position_{axis} [m]" in header else "rad" for axis in axes)
+    wanted = ["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [{unit}]" for axis, unit in zip(axes, units, strict=True))]
+    if header != wanted:
         raise UnusableInput(f"{path}: the first line must be {','.join(wanted)}")
     numbers = np.full((len(lines) - 1, len(wanted)), np.nan)
     for k, line in enumerate(lines[1:]):
@@ -174,4 +196,4 @@ def _table(path: Path, axes: Sequence[str]) -> np.ndarray:
         raise UnusableInput(f"{path}: no exposure")
     if not np.isfinite(numbers[:, :3]).all() or (np.diff(numbers[:, 1]) <= 0.0).any() or (numbers[:, 2] < 0.0).any():
         raise UnusableInput(f"{path}: starts must rise and widths be 0 or more; is the panel's clock the loop's?")
-    return numbers
+    return units, numbers

@@ -50,6 +50,11 @@ def line_integrals(image: np.ndarray, open_beam: float | None = None) -> np.ndar
     return np.log(np.float32(open_beam if open_beam is not None else np.percentile(counts, 98.0))) - np.log(counts)
 
 
+def bytes_needed(size: int, projections: tuple[int, int, int]) -> float:
+    """Memory of a reconstruction: RTK's empty volume, its result and ours; the images as read, weighted, with dark ends, and RTK's two."""
+    return 4.0 * (3 * size**3 + 5 * float(np.prod(projections)))
+
+
 def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
     """The axis (3,) that the panel's normals turn about, and the arc [rad] they cover.
 
@@ -230,7 +235,9 @@ def _fdk(
     fdk.GetRampFilter().SetTruncationCorrection(0.0)
     fdk.GetRampFilter().SetHannCutFrequency(hann)
     fdk.Update()
-    return np.array(itk.array_from_image(fdk.GetOutput())) * np.float32(1e3)
+    values: np.ndarray = itk.array_from_image(fdk.GetOutput())
+    values *= np.float32(1e3)
+    return values
 
 
 def write_volume(volume: Volume, path: Path) -> None:

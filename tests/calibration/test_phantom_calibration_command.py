@@ -1,6 +1,7 @@
 """A scan of the phantom on the emulated C-arm, from the command line to a look-up table that holds the true geometry."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +78,51 @@ def test_a_recording_of_another_run_is_named(scanned, capsys):
     assert "the panel's clock is not the loop's, or the recording is another run's" in capsys.readouterr().err
 
 
+def test_a_figure_that_cannot_be_written_costs_no_table(scanned, tmp_path, capsys):
+    few = tmp_path / "few"
+    few.mkdir()
+    lines = (scanned / "images" / "exposures.csv").read_text().splitlines()
+    (few / "exposures.csv").write_text("\n".join(lines[:4]) + "\n")
+    for name in ("scan.toml", "frames.tif"):
+        (few / name).write_bytes((scanned / "images" / name).read_bytes())
+    assert isocenter("calibrate", "phantom", "carm", few, "-o", tmp_path / "t.npz", "--figure", tmp_path / "f.xyz") == 2
+    error = capsys.readouterr().err
+    assert "f.xyz: cannot be written" in error and error.count("\n") == 1
+    assert len(read_look_up(tmp_path / "t.npz").positions) == 3
+    for wrong in (["-o", tmp_path / "no" / "t.npz"], ["-o", tmp_path / "u.npz", "--figure", tmp_path / "no" / "f.png"]):
+        assert isocenter("calibrate", "phantom", "carm", few, *wrong) == 2
+        assert f"there is no folder {tmp_path / 'no'}" in capsys.readouterr().err
+    assert not (tmp_path / "u.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (lambda lines: lines[:1], "0 whole rows of 0"),
+        (lambda lines: lines[:2], "1 whole rows of 1"),
+        (lambda lines: [*lines[:5], lines[5][:100]], "4 whole rows of 5"),
+        (lambda lines: [*lines[:5], lines[5].replace(lines[5].split(",")[3], "nan")], "a number is not finite"),
+        (lambda lines: [*lines[:5], lines[4]], "time does not rise"),
+        (lambda lines: ["hello"], "0 whole rows of 0"),
+    ],
+)
+def test_a_truth_file_that_was_cut_short_is_one_line(scanned, tmp_path, capsys, spoil, line):
+    with (scanned / "truth.csv").open() as file:
+        lines = [next(file).rstrip("\n") for _ in range(6)]
+    (tmp_path / "truth.csv").write_text("\n".join(spoil(lines)) + "\n")
+    assert isocenter("expose", "carm", scanned / "scan.mf4", "--truth", tmp_path / "truth.csv", "-o", tmp_path / "images") == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("option", ["--rate", "--width", "--photons"])
+def test_a_setting_that_is_no_positive_number_is_named(scanned, tmp_path, capsys, option):
+    for value in ("nan", "inf", "0"):
+        truth = ["--truth", scanned / "truth.csv", "-o", tmp_path / "images"]
+        assert isocenter("expose", "carm", scanned / "scan.mf4", *truth, option, value) == 2
+        assert f"{option} {value}: must be a positive number" in capsys.readouterr().err
+
+
 def test_a_table_interpolates_between_exposures_and_refuses_what_it_does_not_cover():
     rng = np.random.default_rng(1)
     roll = np.linspace(-1.0, 1.0, 21)
@@ -86,6 +132,8 @@ def test_a_table_interpolates_between_exposures_and_refuses_what_it_does_not_cov
         table.at([[0.0, 1.3]])
     with pytest.raises(UnusableInput, match=r"propeller stood at 0.000 in the calibration; the scan is 0.300 away"):
         table.at([[0.3, 0.0]])
+    shaken = replace(table, positions=np.column_stack([rng.uniform(-3e-3, 3e-3, 21), roll]))  # by the other axis's drive
+    np.testing.assert_allclose(shaken.at([[4e-3, roll[3]]])[0], table.deviation[3])
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)
     plane = LookUp(("propeller", "roll"), grid, grid @ rng.normal(size=(2, 9)), np.zeros((25, 9, 9)))
     slopes = np.linalg.lstsq(grid, plane.deviation)[0]
