@@ -246,8 +246,14 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
     if not (np.asarray(noise.measurement) > 0.0).all():
         raise DesignError("observer noise: measurement must be above zero for every channel; an encoder has its step / sqrt(12)")
     band = in_band(noise)
-    if len(noise.disturbance_Hz) not in (0, model.disturbances) or not (noise.disturbance_Hz >= 0.0).all():
+    if (
+        len(noise.disturbance_Hz) not in (0, model.disturbances)
+        or not np.isfinite(noise.disturbance_Hz).all()
+        or (noise.disturbance_Hz < 0.0).any()
+    ):
         raise DesignError(f"observer noise: disturbance_Hz must be {model.disturbances} numbers or none, not {noise.disturbance_Hz}")
+    if np.isinf(noise.disturbance_time_s[band]).any():
+        raise DesignError("observer noise: disturbance_time_s must be finite where disturbance_Hz is above zero: a random walk has no band")
     colour, drive, beside = _colour(noise, period)
     root = np.sqrt(period)
     std = np.concatenate((

@@ -122,6 +122,8 @@ def test_accelerometer_biases_come_apart_from_tilt_when_the_pose_changes() -> No
     [
         ({"measurement": np.zeros(10)}, "measurement must be above zero"),
         ({"command": np.zeros(3)}, "command must be 2 numbers"),
+        ({"disturbance_time_s": np.full(6, np.inf), "disturbance_Hz": np.full(6, 8.0)}, "disturbance_time_s must be finite where"),
+        ({"disturbance_Hz": np.full(6, np.inf)}, "disturbance_Hz must be 6 numbers"),
         ({"disturbance": np.array([1.0, np.nan, 1.0, 1.0, 1.0, 1.0])}, "disturbance must be 6 numbers"),
     ],
 )
