@@ -124,18 +124,18 @@ class ModalDamping:
         return round(1.0 / self._step)
 
     def restart(self, rows: int) -> None:
-        """Off; row 0 of this many follows, and in the last of them it is off again."""
+        """Off; a plan of this many ticks begins, and in the last of them it is off again."""
         self.share = 0.0
         self.effort[:] = 0.0
         self._good[:] = 0.0
         self._proven = 0
-        self._left = rows
+        self._rows = rows
 
     def law(self, state: np.ndarray, acting: np.ndarray, out: np.ndarray) -> None:
         """The command itself (n_axes,), neither limited nor ramped, from an observer's state and the command (n_axes,) on the wire."""
         _against_speed(self._observer.constants, self._observer.scheduled, self.settings.mode, self.settings.ratio, state, acting, out)
 
-    def step(self, state: np.ndarray, acting: np.ndarray, is_good: bool) -> None:
+    def step(self, state: np.ndarray, acting: np.ndarray, is_good: bool, tick: int) -> None:
         """One row.
 
         Parameters
@@ -146,11 +146,14 @@ class ModalDamping:
             The command of the row before, on the wire now.
         is_good : bool
             Whether the estimate is to be acted upon. When it is not, damping ramps out and comes back a second after it is again.
+        tick : int
+            Of the plan: those that are lost bring its end nearer, too.
         """
-        self._left -= 1
+        left = self._rows - 1 - tick
         self._proven = self._proven + 1 if is_good else 0
-        goal = 1.0 if self._proven > self._proven_rows and self._left > self.ramp_rows else 0.0
+        goal = 1.0 if self._proven > self._proven_rows and left > self.ramp_rows else 0.0
         self.share = min(self.share + self._step, goal) if goal > self.share else max(self.share - self._step, goal)
+        self.share = min(self.share, max(left, 0) * self._step)
         self.law(state, acting, self._wanted)
         largest = 0.0
         for wanted, limit in zip(self._wanted, self._limit, strict=True):

@@ -364,6 +364,8 @@ def open_bench(
             observer=observer,
         )
         pose = _look(machine, model, wiring)
+        if observer is not None and not lockstep:
+            stack.enter_context(observer.shown(options.bus_url))  # only now: a second bench has been refused
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
 
 

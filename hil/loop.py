@@ -62,10 +62,10 @@ class Observer(Protocol):
     effort: np.ndarray  # (n_axes,) overwritten by every step; is added to the command before saturation
 
     def restart(self, rows: int) -> None:
-        """Row 0 of this many follows."""
+        """Row 0 of a plan of this many ticks follows."""
 
-    def step(self, sample: Sample, command: np.ndarray) -> None:
-        """One row: what was latched, and the command (n_axes,) of the row before, which is on the wire."""
+    def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
+        """One row: what was latched, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
 
 
 @dataclass
@@ -190,18 +190,22 @@ class SampleLoop:
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
-                if k >= rows:
+                overrun = ""
+                if lost > self.overrun_ticks:
+                    overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
+                if k >= rows:  # the plan ended within what was lost; what happened meanwhile is looked at all the same
+                    self._see(sample)
+                    if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
+                        raise LoopAborted(_in_words(f"after row {done - 1}", reason, done, sink))
                     break
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
                 excitation = plan.excitation[k]
                 if observer is not None:
-                    observer.step(sample, self.command)
+                    observer.step(sample, self.command, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
                     if sample.imu_fault and not notes:
                         notes = (f"row {done}: {sample.imu_fault}; the observer goes on with encoders and model",)
-                reason = self._step(sample, plan, k, excitation)
-                if lost > self.overrun_ticks:
-                    reason = reason or f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
+                reason = self._step(sample, plan, k, excitation) or overrun
                 handed_over_s = time.perf_counter()
                 lateness[done] = sample.lateness_s
                 work[done] = handed_over_s - self.clock.tick_began_s + tail_s
@@ -214,8 +218,7 @@ class SampleLoop:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
                 if reason:
-                    kept = f"row {done - 1}: {reason}; the motors were stopped and {done} rows are kept"
-                    raise LoopAborted(kept if sink is not None else f"{reason}; the motors were stopped before anything was recorded")
+                    raise LoopAborted(_in_words(f"row {done - 1}", reason, done, sink))
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
         except BaseException:
@@ -225,6 +228,14 @@ class SampleLoop:
 
     def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
+        self._see(sample)
+        reference = plan.reference[k]
+        feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
+        self.feedback.step(reference, self._position, excitation, feedforward, self.command)
+        return self.stop_request.reason or self._violation(sample, reference)
+
+    def _see(self, sample: Sample) -> None:
+        """Take over the positions there are, count the ticks without."""
         position = sample.position
         for axis in range(len(position)):
             if position[axis] == position[axis]:
@@ -232,10 +243,6 @@ class SampleLoop:
                 self._stale[axis] = 0
             else:
                 self._stale[axis] += 1
-        reference = plan.reference[k]
-        feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        self.feedback.step(reference, self._position, excitation, feedforward, self.command)
-        return self.stop_request.reason or self._violation(sample, reference)
 
     def _violation(self, sample: Sample, reference: np.ndarray) -> str:
         if sample.fault:
@@ -266,3 +273,9 @@ class SampleLoop:
             if not sample.io_age_s <= self.io_stale_s:
                 return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
         return ""
+
+
+def _in_words(where: str, reason: str, done: int, sink: Sink | None) -> str:
+    if sink is None:
+        return f"{reason}; the motors were stopped before anything was recorded"
+    return f"{where}: {reason}; the motors were stopped and {done} rows are kept"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,14 +40,12 @@ def register(app: typer.Typer) -> None:
     )(observe)
 
 
-@contextlib.contextmanager
-def live_observer(path: Path | None, damping: float, machine: Machine, bus: str, answer: Answer) -> Iterator[LiveObserver | None]:
-    """The observer of a design file, ready for the loop on a bus; None without a file."""
+def live_observer(path: Path | None, damping: float, machine: Machine, answer: Answer) -> LiveObserver | None:
+    """The observer of a design file, ready for the loop; None without a file."""
     if path is None:
         if damping:
             raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
-        yield None
-        return
+        return None
     from hil.observing import read_design
     from hil.observing.live import LiveObserver
 
@@ -61,12 +57,12 @@ def live_observer(path: Path | None, damping: float, machine: Machine, bus: str,
         from hil.observing.damping import accept_damping, examine_damping
 
         law = ModalDamping(observer, DampingSettings(damping))
-        answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
     units = [units.effort for units in machine.units] if law is not None else []
     imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
-    shown = "" if bus.startswith("lockstep:") else bus
-    with contextlib.closing(LiveObserver(observer, str(path), law, units, imu=imu, bus_url=shown)) as live:
-        yield live
+    live = LiveObserver(observer, str(path), law, units, imu=imu)
+    if law is not None:
+        answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
+    return live
 
 
 def _check_machine(design: ObserverDesign, machine: Machine, answer: Answer) -> None:

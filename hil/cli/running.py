@@ -75,10 +75,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, run.truth, emulated, run.real_time)
     lockstep = run.bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
-    with (
-        live_observer(run.observer, run.damping, machine, run.bus, answer) as watching,
-        open_bench(machine, options, plans[0].start_pose, watching) as bench,
-    ):
+    watching = live_observer(run.observer, run.damping, machine, answer)
+    with open_bench(machine, options, plans[0].start_pose, watching) as bench:
         with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):

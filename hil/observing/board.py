@@ -48,7 +48,9 @@ class LatestEstimate:
 
 
 class EstimateBoard:
-    """The writer's end: made before the run, closed after it.
+    """The writer's end: made once the bus is the writer's own, closed after the runs.
+
+    A page is a file of its own and is put in an earlier one's place whole: whoever still writes to that one, or reads it, is not touched.
 
     Parameters
     ----------
@@ -62,10 +64,14 @@ class EstimateBoard:
         text = json.dumps(list(names)).encode()
         first = 8 * _COUNTERS + -(-len(text) // 8) * 8
         self._path = _path(bus_url)
-        handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
+        handle, made = tempfile.mkstemp(prefix=f"{self._path.name}.", dir=self._path.parent)
         try:
             os.ftruncate(handle, first + 8 * len(names))
             self._memory = mmap.mmap(handle, first + 8 * len(names))
+            self._inode = os.fstat(handle).st_ino
+        except BaseException:
+            os.unlink(made)
+            raise
         finally:
             os.close(handle)
         self._memory[8 * _COUNTERS : 8 * _COUNTERS + len(text)] = text
@@ -73,6 +79,7 @@ class EstimateBoard:
         self._values = np.frombuffer(self._memory, dtype=np.float64, offset=first)
         self._counters[:] = 0, -1, os.getpid(), len(text)
         self._values[:] = np.nan
+        os.replace(made, self._path)
 
     def put(self, row: int, values: np.ndarray) -> None:
         """Show a row's values (channels,)."""
@@ -83,9 +90,10 @@ class EstimateBoard:
         counters[_SEQUENCE] += 1
 
     def close(self) -> None:
-        """Nobody finds it any more."""
+        """Nobody finds it any more; a page that has taken its place stays."""
         with contextlib.suppress(OSError):
-            self._path.unlink()
+            if self._path.stat().st_ino == self._inode:
+                self._path.unlink()
 
 
 def latest_estimate(bus_url: str) -> LatestEstimate:

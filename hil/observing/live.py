@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
+from hil.errors import UnusableInput
 from hil.layout import imu_channels
 from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
@@ -34,9 +36,7 @@ class LiveObserver:
     effort_units : sequence of str
         Of the drives, where there is damping.
     imu : str
-        Name of the IMU on the bench's line, of those the model knows.
-    bus_url : str
-        Of the bus under which other processes find the newest estimate (`hil.observing.board`); "" keeps it here.
+        Name of the IMU on the bench's line, of those the model knows; "" without one.
 
     Attributes
     ----------
@@ -48,6 +48,11 @@ class LiveObserver:
         What it adds to the command.
     metadata : mapping
         Of the recording, so that a replay is the same filter.
+
+    Raises
+    ------
+    UnusableInput
+        Damping without an IMU: it would never come into force.
     """
 
     def __init__(
@@ -58,7 +63,6 @@ class LiveObserver:
         effort_units: Sequence[str] = (),
         *,
         imu: str = "imu",
-        bus_url: str = "",
     ) -> None:
         self.observer, self.damping = observer, damping
         axes = len(observer.model.axes)
@@ -77,15 +81,18 @@ class LiveObserver:
         channels = observer.model.channels()
         self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
         self._imu_at = [channels.index(name) for name in imu_channels(imu) if name in channels]
-        self._board = EstimateBoard(bus_url, [name for name, _ in self.channels]) if bus_url else None
+        if damping is not None and not self._imu_at:
+            known = ", ".join(channels[2 * axes :])
+            raise UnusableInput(f"--damping: acts on an IMU's word; the bench has {imu or 'none'}, the observer's model looks at {known}")
+        self._board: EstimateBoard | None = None
         nothing = np.zeros(axes)
         observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
         if damping is not None:
-            damping.step(observer.state, nothing, False)
+            damping.step(observer.state, nothing, False, 0)
         self.restart(0)
 
     def restart(self, rows: int) -> None:
-        """Before row 0 of a recording of so many rows: a replay starts there, too."""
+        """Before row 0 of a plan of so many ticks: a replay starts there, too."""
         self._row.restart()
         self.observer.restart()
         self.estimate[:] = np.nan
@@ -93,8 +100,8 @@ class LiveObserver:
         if self.damping is not None:
             self.damping.restart(rows)
 
-    def step(self, sample: Sample, command: np.ndarray) -> None:
-        """One tick, before the feedback: this tick's sample and the previous row's command (n_axes,), which is on the wire."""
+    def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
+        """Before the feedback of a tick of the plan: its sample and the previous row's command (n_axes,), which is on the wire."""
         read, axes = self._read, len(command)
         read[:axes] = sample.position
         read[axes : 2 * axes] = sample.link_position
@@ -106,17 +113,22 @@ class LiveObserver:
         self.estimate[:observed] = observer.estimate
         damping = self.damping
         if damping is not None:
-            damping.step(observer.state, command, self._is_good())
+            damping.step(observer.state, command, self._is_good(), tick)
             self.estimate[observed : observed + axes] = damping.effort
             self.estimate[observed + axes] = damping.share
         if self._board is not None:
             self._board.put(self._rows, self.estimate)
         self._rows += 1
 
-    def close(self) -> None:
-        """Nobody reads the estimate any more."""
-        if self._board is not None:
-            self._board.close()
+    @contextlib.contextmanager
+    def shown(self, bus_url: str) -> Iterator[None]:
+        """Meanwhile other processes find the newest estimate under this bus (`hil.observing.board`), which is ours alone."""
+        board = self._board = EstimateBoard(bus_url, [name for name, _ in self.channels])
+        try:
+            yield
+        finally:
+            self._board = None
+            board.close()
 
     def _is_good(self) -> bool:
         """Whether the estimate may be acted upon: numbers, no lasting alarm, and an IMU that has been heard of lately."""

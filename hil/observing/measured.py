@@ -11,7 +11,8 @@ class MeasuredRow:
     """The measurements of a row in the order of `ModalModel.channels`, NaN where there is none.
 
     An IMU whose six channels all read what they read before has sent nothing new: noise alone would have moved one of them. Its reading
-    counts as missing, so that an interface that holds the last value does not pass for a machine that stands still.
+    counts as missing, so that an interface that holds the last value does not pass for a machine that stands still. An IMU without noise
+    on a machine at perfect rest is silent, too.
 
     Parameters
     ----------

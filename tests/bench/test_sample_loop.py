@@ -247,16 +247,6 @@ def test_lateness_work_time_and_answer_time_of_every_tick_are_recorded(monkeypat
     assert timing.summary()["lateness_max_us"] == pytest.approx(30.0)
 
 
-def test_lost_ticks_up_to_the_limit_are_counted_and_the_run_goes_on():
-    def lose(link):
-        link.clock.missed += 8
-
-    clock = ScriptedClock()
-    clock.missed = 100  # of a run before: not ours
-    timing = proportional_loop(ScriptedLink(clock, {3: lose, 4: lose})).run(still(30))
-    assert timing.missed == timing.summary()["missed"] == 16
-
-
 def test_progress_is_told_twice_a_second():
     told = []
     proportional_loop(ScriptedLink(ScriptedClock())).run(still(300), None, told.append)
@@ -268,24 +258,3 @@ def test_what_stops_the_motors_on_the_way_to_a_recording_does_not_speak_of_rows(
     with pytest.raises(LoopAborted, match=r"^hold-to-run was released; the motors were stopped before anything was recorded$"):
         proportional_loop(link).run(still(100))
     assert link.stops >= 1
-
-
-def test_time_and_plan_go_on_while_ticks_are_lost():
-    """Row of tick n: its time is n / f_s and its reference the plan's at n, so a period stays a period on the wall."""
-
-    def lose(ticks):
-        def script(link):
-            link.clock.missed += ticks
-
-        return script
-
-    clock = ScriptedClock()
-    clock.missed = 100
-    plan, sink = still(12), Rows()
-    plan.reference[:, 0] = 1e-3 * np.arange(12)
-    timing = proportional_loop(ScriptedLink(clock, {0: lose(5), 3: lose(2), 6: lose(1)})).run(plan, sink)
-    rows = np.array(sink.rows)
-    ticks = [0, 1, 2, 5, 6, 7, 9, 10, 11]
-    assert rows[:, 0] == pytest.approx(np.array(ticks) * PERIOD_S)
-    assert rows[:, column("reference_propeller")] == pytest.approx(1e-3 * np.array(ticks))
-    assert timing.ticks == len(ticks) and timing.missed == 8

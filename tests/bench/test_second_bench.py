@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
+from typing import ClassVar
 
 import can
 import pytest
@@ -25,14 +27,27 @@ def running_bench() -> Iterator[can.BusABC]:
         task.stop()
 
 
-def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame(running_bench, monkeypatch):
+class Watching:
+    """An observer that notes when its estimates are put where the first bench's are."""
+
+    channels: ClassVar[list[tuple[str, str]]] = []
+
+    def __init__(self, touched: list[str]) -> None:
+        self._touched = touched
+
+    def shown(self, bus_url: str) -> contextlib.AbstractContextManager[None]:
+        self._touched.append(f"estimates of {bus_url}")
+        return contextlib.nullcontext()
+
+
+def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_an_estimate(running_bench, monkeypatch):
     touched = []
     for device in ("IoProcess", "SerialStream"):
         monkeypatch.setattr(hil.wiring, device, lambda *arguments, device=device: touched.append(device))
     options = BenchOptions(f"virtual:{CHANNEL}", imu_device="/dev/ttyS0", io_url="tcp:127.0.0.1:1", real_time=False)
     with (
         pytest.raises(DuplicateNode, match=r"node id 127, the bench's own, is already on .*another bench is running there"),
-        open_bench(CARM, options),
+        open_bench(CARM, options, observer=Watching(touched)),
     ):
         pass
     assert touched == []

@@ -111,7 +111,7 @@ def _settled(law: ModalDamping) -> np.ndarray:
     law.restart(10_000)
     for k in range(600):
         x[4], x[8] = 1e-3 * np.sin(0.196 * k), 1e-3 * 50.0 * np.cos(0.196 * k)
-        law.step(x, REST, True)
+        law.step(x, REST, True, k)
     assert law.share == 1.0 and np.abs(law.effort).max() > 1e-3
     return x
 
@@ -122,26 +122,39 @@ def test_an_estimate_that_cannot_be_trusted_ramps_it_out_and_a_second_of_a_good_
     x = _settled(law)
     bad = np.full(STATES, np.nan) if broken == "not a number" else x
     efforts = [law.effort.copy()]
-    for _ in range(128):
-        law.step(bad, REST, False)
+    for k in range(128):
+        law.step(bad, REST, False, 600 + k)
         efforts.append(law.effort.copy())
     assert np.isfinite(efforts).all() and law.share == 0.0 and not law.effort.any()
     assert np.abs(np.diff(efforts, axis=0)).max() <= np.abs(efforts[0]).max() / 127
     shares = []
-    for _ in range(256 + 128 + 1):
-        law.step(x, REST, True)
+    for k in range(256 + 128 + 1):
+        law.step(x, REST, True, 728 + k)
         shares.append(law.share)
     assert shares[255] == 0.0 and shares[-1] == 1.0
+
+
+def test_lost_ticks_bring_the_end_of_the_plan_nearer_and_it_is_off_there_without_a_jump() -> None:
+    law = small_law()
+    x = _settled(law)
+    end, shares, tick = 10_000 - 1, [], 10_000 - 400
+    while tick <= end:
+        law.step(x, REST, True, tick)
+        shares.append(law.share)
+        tick += 9 if tick % 3 == 0 and tick < end - 9 else 1  # eight lost now and then
+    assert shares[0] == 1.0 and shares[-1] == 0.0
+    assert np.diff(shares).min() >= -9.0 / 128 - 1e-12
+    assert shares[-2] <= 1.0 / 128 + 1e-12
 
 
 def test_a_jump_of_the_estimate_is_no_jump_of_the_command() -> None:
     law = small_law()
     x = _settled(law)
     before = law.effort.copy()
-    law.step(x + 1.0, REST, True)
+    law.step(x + 1.0, REST, True, 600)
     assert np.abs(law.effort - before).max() < 0.65
-    for _ in range(50):
-        law.step(x + 1.0, REST, True)
+    for k in range(50):
+        law.step(x + 1.0, REST, True, 601 + k)
     assert np.abs(law.effort).max() <= 0.25 * 8.0 + 1e-12
 
 
@@ -158,6 +171,15 @@ def test_more_than_the_margins_allow_is_refused_in_one_line(machine: Machine, de
         with pytest.raises(UnusableInput, match=word) as caught:
             accept_damping(machine, results[wanted])
         assert "\n" not in str(caught.value) and "roll 17.19 deg" in str(caught.value)
+
+
+@pytest.mark.parametrize(("imu", "has"), [("", "the bench has none"), ("imu_source", "the bench has imu_source")])
+def test_damping_without_an_imu_that_the_model_knows_is_refused_since_it_would_never_come_in(imu: str, has: str) -> None:
+    observer = ModalObserver(small_model(), small_noise())
+    with pytest.raises(UnusableInput, match=f"{has}, the observer's model looks at imu_x") as caught:
+        LiveObserver(observer, "", ModalDamping(observer, DampingSettings(0.1)), ("A", "A"), imu=imu)
+    assert "\n" not in str(caught.value)
+    LiveObserver(observer, imu=imu)  # watching goes without
 
 
 @pytest.mark.parametrize(

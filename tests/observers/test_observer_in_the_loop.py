@@ -158,6 +158,22 @@ def test_another_process_reads_whole_rows(tmp_path) -> None:
         board.close()
 
 
+def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stays_when_it_ends(tmp_path) -> None:
+    bus = f"virtual:{tmp_path.name}"
+    first = EstimateBoard(bus, [f"estimate_{k}" for k in range(2000)])  # some pages of memory
+    second = EstimateBoard(bus, ["estimate_a"])
+    try:
+        first.put(3, np.zeros(2000))  # beyond the end of the second's file
+        second.put(8, np.array([2.5]))
+        first.close()
+        newest = latest_estimate(bus)
+        assert (newest.row, newest.names, newest["estimate_a"]) == (8, ("estimate_a",), 2.5)
+    finally:
+        second.close()
+    with pytest.raises(UnusableInput, match="no observer runs there"):
+        latest_estimate(bus)
+
+
 def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
     machine: Machine, design: ObserverDesign, tmp_path, capsys: pytest.CaptureFixture[str]
 ) -> None:

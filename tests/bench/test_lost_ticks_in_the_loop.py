@@ -1,0 +1,80 @@
+"""Ticks that the loop loses: bridged up to a limit, never unseen, and time and plan go on meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scripted_bench import PERIOD_S, Rows, ScriptedClock, ScriptedLink, column, proportional_loop, still
+
+from hil.errors import LoopAborted
+
+
+def _released(link):
+    link.sample.hold_to_run = False
+
+
+def _outside(link):
+    link.sample.position[1] = 1.01
+
+
+def test_lost_ticks_up_to_the_limit_are_counted_and_the_run_goes_on():
+    def lose(link):
+        link.clock.missed += 8
+
+    clock = ScriptedClock()
+    clock.missed = 100  # of a run before: not ours
+    timing = proportional_loop(ScriptedLink(clock, {3: lose, 4: lose})).run(still(30))
+    assert timing.missed == timing.summary()["missed"] == 16
+
+
+def _stall(ticks, also=None):
+    def script(link):
+        link.clock.missed += ticks
+        if also is not None:
+            also(link)
+
+    return script
+
+
+@pytest.mark.parametrize(
+    ("event", "says"),
+    [
+        (_stall(9), "lost 9 ticks in a row"),
+        (_stall(3, _released), "hold-to-run was released"),
+        (_stall(3, _outside), "position 1.0100 rad"),
+    ],
+    ids=["overrun", "hold-to-run", "limit"],
+)
+def test_what_happens_while_the_last_ticks_of_a_plan_are_lost_stops_the_motors(event, says):
+    link, sink = ScriptedLink(ScriptedClock(), {18: event}), Rows()
+    with pytest.raises(LoopAborted, match=says) as caught:
+        proportional_loop(link).run(still(20), sink)
+    assert "after row 17" in str(caught.value) and "18 rows are kept" in str(caught.value)
+    assert link.stops >= 1
+
+
+def test_the_last_ticks_of_a_plan_may_be_lost():
+    link, sink = ScriptedLink(ScriptedClock(), {18: _stall(3)}), Rows()
+    timing = proportional_loop(link).run(still(20), sink)
+    assert timing.ticks == len(sink.rows) == 18 and link.stops == 0
+
+
+def test_time_and_plan_go_on_while_ticks_are_lost():
+    """Row of tick n: its time is n / f_s and its reference the plan's at n, so a period stays a period on the wall."""
+
+    def lose(ticks):
+        def script(link):
+            link.clock.missed += ticks
+
+        return script
+
+    clock = ScriptedClock()
+    clock.missed = 100
+    plan, sink = still(12), Rows()
+    plan.reference[:, 0] = 1e-3 * np.arange(12)
+    timing = proportional_loop(ScriptedLink(clock, {0: lose(5), 3: lose(2), 6: lose(1)})).run(plan, sink)
+    rows = np.array(sink.rows)
+    ticks = [0, 1, 2, 5, 6, 7, 9, 10, 11]
+    assert rows[:, 0] == pytest.approx(np.array(ticks) * PERIOD_S)
+    assert rows[:, column("reference_propeller")] == pytest.approx(1e-3 * np.array(ticks))
+    assert timing.ticks == len(ticks) and timing.missed == 8
