@@ -1,4 +1,4 @@
-"""isocenter calibrate phantom, and expose: geometric calibration from images."""
+"""isocenter calibrate phantom and marker, and expose: geometric calibration from images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hil.calibration.lookup import LookUp
+    from hil.calibration.marker_scan import MarkerScan
     from hil.calibration.phantom_pose import PoseFit
+    from hil.imaging.markers import MarkerPlate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -43,6 +45,11 @@ def register(parent: typer.Typer) -> None:
         help="The geometry of every exposure, from images of the bullet phantom, as a look-up table over axis positions."
         "\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz --figure roll.png",
     )(phantom)
+    app.command(
+        short_help="Tube against panel in every exposure, from a marker plate.",
+        help="Where tube and panel stand to each other in every exposure, from a marker plate on the tube."
+        "\n\nExample:  isocenter calibrate marker carm marker_scan -o marker.npz --figure marker.png",
+    )(marker)
     parent.add_typer(app, name="calibrate")
 
 
@@ -57,6 +64,10 @@ def expose(
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Exposures a second, by the panel's own clock.")] = 7.0,
     width: Annotated[float, typer.Option("--width", metavar="MS", help="Length of an exposure, milliseconds.")] = 8.0,
     binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, in each direction.")] = 4,
+    marker_name: Annotated[
+        str | None, typer.Option("--marker", metavar="PLATE", help="In place of a scene, a plate on the tube: experimental, clinical.")
+    ] = None,
+    distance: Annotated[float, typer.Option("--distance", metavar="MM", help="From the focal spot to the marker plate.")] = 250.0,
     photons: Annotated[float, typer.Option("--photons", help="Mean count of a pixel in the open beam.")] = 2000.0,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the photons.")] = 0,
     json_to: JsonOption = None,
@@ -64,7 +75,8 @@ def expose(
     """Render, one image after the other."""
     from hil.imaging.emulated import Exposures, Setting, xray_side
     from hil.imaging.emulated import expose as render
-    from hil.imaging.nominal import nominal_detector
+    from hil.imaging.markers.emulated import TubeMarker
+    from hil.imaging.nominal import nominal_detector, panel_in_tube
     from hil.imaging.scenes import scene
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
@@ -80,22 +92,24 @@ def expose(
     spot = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
     side = xray_side(machine, truth, spot, exposures.first_s)
     detector = nominal_detector(machine, binning)
+    shown = {"scene": scene_name} if marker_name is None else {"marker": marker_name, "marker_distance_mm": distance}
+    plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
     with progress(answer.console) as bars:
         task = bars.add_task("exposing", total=None)
         count = render(
             machine,
             side,
             exposures,
-            scene(scene_name),
+            scene(scene_name) if plate is None else [],
             detector,
-            Setting(optics=Optics(photons=photons), spot=spot),
+            Setting(optics=Optics(photons=photons), spot=spot, marker=plate),
             out,
             recording,
             seed,
             lambda done, total: bars.update(task, completed=done, total=total),
-            {"scene": scene_name, "recording": recording_file.name},
+            {**shown, "recording": recording_file.name},
         )
-    answer.say(f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {scene_name}")
+    answer.say(f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {marker_name or scene_name}")
     answer.write({"folder": out, "exposures": count})
 
 
@@ -143,11 +157,111 @@ def phantom(
     answer.write(_document(fit, table))
 
 
+def marker(
+    machine_name: MachineArgument,
+    scan_folder: ScanArgument,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="Parameters of every exposure to write (.npz).")],
+    plate_name: Annotated[
+        str | None, typer.Option("--plate", metavar="PLATE", help="experimental or clinical; as scan.toml says without.")
+    ] = None,
+    distance: Annotated[
+        float | None, typer.Option("--distance", metavar="MM", help="From the focal spot to the plate; as scan.toml says without.")
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free",
+            metavar="NAME",
+            help="A parameter to fit, repeated; without: focal_u, focal_v, focal_length, theta_x, theta_y, theta_z."
+            " The others: offset_x, offset_y, plate_distance.",
+        ),
+    ] = None,
+    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The fitted parameters over the scan.")] = None,
+    jobs: JobsOption = 1,
+    json_to: JsonOption = None,
+) -> None:
+    """Find the plate, fit its pose, write."""
+    from hil.calibration.marker import NONLINEAR
+    from hil.calibration.marker_scan import calibrate_marker, nominal_marker, write_marker_scan
+    from hil.imaging.nominal import nominal_beam
+    from hil.imaging.scan_folder import read_scan
+
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    scan = read_scan(scan_folder)
+    name, away = plate_name or scan.notes.get("marker"), distance or scan.notes.get("marker_distance_mm")
+    if name is None or away is None:
+        raise UnusableInput(f"{scan_folder}/scan.toml names no marker and marker_distance_mm; give --plate and --distance")
+    distance_m = 1e-3 * _positive(away)
+    plate = _plate(str(name))
+    positions = np.nan_to_num(scan.positions)  # tube and panel stand the same to each other in every nominal pose
+    nominal = nominal_marker(nominal_beam(machine, positions), distance_m)
+    with progress(answer.console) as bars:
+        follow = follower(bars, bars.add_task("marker", total=len(scan)))
+        result = calibrate_marker(scan, plate, nominal, tuple(free or NONLINEAR), jobs, lambda done, total: follow(done))
+    _report_marker(answer, result, plate.name)
+    if figure is not None:
+        from hil.figures.marker import marker_figure
+
+        axis = int(np.argmax(np.ptp(positions, axis=0)))
+        turning = np.ptp(positions[:, axis]) > 0.0
+        along, label = (np.degrees(positions[:, axis]), f"{scan.axes[axis]} [deg]") if turning else (scan.middle_s, "time [s]")
+        _save(marker_figure(along, label, result, f"{scan_folder.name}, {plate.name} plate"), figure)
+        answer.say(f"{figure}: the fitted parameters over {label.split()[0]}")
+    write_marker_scan(result, scan, {"machine": machine.name, "hash": machine.hash, "plate": plate.name}, out)
+    answer.say(f"{out}: parameters of {int(result.good.sum())} exposures")
+    answer.write(
+        {
+            "plate": plate.name,
+            "exposures": len(scan),
+            "used": int(result.good.sum()),
+            "free": result.free,
+            "values": result.values,
+            "sigma": np.sqrt(np.einsum("nii->ni", result.covariance)),
+            "points": result.points,
+            "residual_pixels": result.residual_pixels,
+            "unusable": result.unusable,
+        }
+    )
+
+
+def _plate(name: str) -> MarkerPlate:
+    from hil.imaging.markers import PLATES
+
+    if name not in PLATES:
+        raise UnusableInput(f"marker plate {name}: there are {', '.join(PLATES)}")
+    return PLATES[name]()
+
+
+def _positive(distance_mm: object) -> float:
+    if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
+        raise UnusableInput(f"distance of the marker plate {distance_mm} mm: must be a positive number")
+    return float(distance_mm)
+
+
 def _save(picture: Figure, path: Path) -> None:
     try:
         picture.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
         raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+
+
+def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
+    from hil.imaging.markers.projection import PARAMETERS
+
+    good = result.good
+    held = ", ".join(name for name in PARAMETERS if name not in result.free)
+    answer.say(
+        f"{int(good.sum())} of {len(good)} exposures, a median of {np.median(result.points[good]):.0f} crossings of the {plate} plate,"
+        f" {int(result.refused[good].sum())} lines refused, residual {float(np.nanmedian(result.residual_pixels)):.3f} pixels; held: {held}"
+    )
+    for k, reason in list(result.unusable.items())[:3]:
+        answer.say(f"  exposure {k} not used: {reason}")
+    for name in result.free:
+        k = PARAMETERS.index(name)
+        change = 1e3 * (result.values - result.nominal)[good, k]
+        sigma = 1e3 * float(np.median(np.sqrt(result.covariance[good, k, k])))
+        answer.say(f"  {name:14s} {change.min():8.3f} to {change.max():8.3f} {'mrad' if 3 <= k < 6 else 'mm'}, sigma {sigma:.3f}")
 
 
 def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:

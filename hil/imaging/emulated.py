@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
+from hil.imaging.markers.emulated import TubeMarker
 from hil.imaging.nominal import imaging_geometry
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
@@ -60,6 +61,7 @@ class Setting:
     spot: FocalSpot = STILL
     placement_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where the scene stands, from the isocentre."""
+    marker: TubeMarker | None = None
 
 
 def xray_side(machine: Machine, truth: Path, spot: FocalSpot, hot_since_s: float) -> XraySide:
@@ -135,7 +137,10 @@ def expose(
         folder.mkdir(parents=True, exist_ok=True)
         with tifffile.TiffWriter(folder / FRAMES) as frames:
             for k, start in enumerate(starts):
-                mean = expected(side.views(float(start), exposures.width_s, VIEWS), panel, placed, setting.optics)
+                if setting.marker is None:
+                    mean = expected(side.views(float(start), exposures.width_s, VIEWS), panel, placed, setting.optics)
+                else:
+                    mean = setting.marker.expected(side, float(start), exposures.width_s, VIEWS, panel, placed, setting.optics)
                 frames.write(exposed(mean, setting.optics, rng), contiguous=True)
                 progress(k + 1, len(starts))
         write_description(folder, detector, machine.axes, {"machine": machine.name, "machine_hash": machine.hash, **(notes or {})})

@@ -52,6 +52,15 @@ def nominal_beam(machine: Machine, positions: np.ndarray) -> ConeBeam:
     return ConeBeam.from_frames(source - geometry.isocenter_m, panel - geometry.isocenter_m, panel_rotation)
 
 
+def panel_in_tube(machine: Machine) -> np.ndarray:
+    """(3, 3) the panel's axes in the tube's frame with every axis at zero: how a plate on the tube is turned to face the panel."""
+    geometry = imaging_geometry(machine)
+    zero = np.zeros((1, len(machine.axes)))
+    _, tube = _frame(machine, geometry.source_body, zero)
+    _, panel = _frame(machine, geometry.detector_body, zero)
+    return tube[0].T @ panel[0]
+
+
 def _frame(machine: Machine, body: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origin (N, 3) and rotation (N, 3, 3) of a body's frame in the world."""
     bodies = {each.name: each for each in machine.plant.tree.bodies}

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.imaging.markers import PLATES
 from hil.imaging.markers.emulated import steel
-from virtual_bus.xray.markers import Mounted, plate_attenuation
+from virtual_bus.xray.markers import Mounted, plate_attenuation, ray_shifts
 from virtual_bus.xray.render import Panel, View
 
 PANEL = Panel(columns=40, rows=32, pitch_m=8e-3, aspect=1.02, skew=0.01)
@@ -36,8 +36,9 @@ def test_a_ray_s_length_in_the_metal_is_what_walking_along_it_finds(name):
     origin = SOURCE + np.array([1e-3, 0.5e-3, 0.25])
     cast = plate_attenuation(View(SOURCE, np.zeros(3), np.eye(3)), PANEL, Mounted(steel(plate), origin, turn), rays=1)
     rows, columns = np.mgrid[: PANEL.rows, : PANEL.columns]
-    v = (rows - 15.5) * PANEL.pitch_m * PANEL.aspect
-    u = (columns - 19.5 - PANEL.skew * (rows - 15.5)) * PANEL.pitch_m
+    down = rows - 15.5 + ray_shifts(PANEL.columns)[None, :]
+    u = (columns - 19.5 + ray_shifts(PANEL.rows)[:, None] - PANEL.skew * down) * PANEL.pitch_m
+    v = down * PANEL.pitch_m * PANEL.aspect
     ray = np.stack([u, v, np.zeros_like(u)], axis=-1) - SOURCE
     share = np.linspace(0.20, 0.23, STEPS)
     walked = np.zeros(u.shape)

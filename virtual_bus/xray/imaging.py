@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,14 +56,20 @@ def expected(views: Sequence[View], panel: Panel, items: Sequence[Item], optics:
     (rows, columns) array
     """
     total = np.zeros((panel.rows, panel.columns))
+    for _, moved, share in from_the_spot(views, optics):
+        total += share * transmission(moved, panel, items, rays)
+    return read_out(total, panel, optics)
+
+
+def from_the_spot(views: Sequence[View], optics: Optics) -> Iterator[tuple[int, View, float]]:
+    """Number of a view, the view from a point of the focal spot, and its share in the image."""
     spots = SPOT * optics.spot_m if optics.spot_m > 0.0 else np.zeros((1, 2))
     for k, view in enumerate(views):
         # The spot's points are shared out over the views where there are enough of them: each is as likely at every instant.
         chosen = spots if len(views) < len(spots) else spots[k % len(spots)][None]
         for point in chosen:
             moved = View(view.source_m + view.panel_rotation[:, :2] @ point, view.panel_m, view.panel_rotation)
-            total += transmission(moved, panel, items, rays) / (len(views) * len(chosen))
-    return read_out(total, panel, optics)
+            yield k, moved, 1.0 / (len(views) * len(chosen))
 
 
 def read_out(total: np.ndarray, panel: Panel, optics: Optics) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from virtual_bus.xray.imaging import SPOT, Optics, read_out
+from virtual_bus.xray.imaging import Optics, from_the_spot, read_out
 from virtual_bus.xray.objects import Item
 from virtual_bus.xray.render import Panel, View, attenuation, mean_through
 
@@ -65,6 +65,18 @@ class Mounted:
     rotation: np.ndarray
 
 
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def ray_shifts(count: int) -> np.ndarray:
+    """(count,) shift of the rays of each row along u, and of each column along v, in distances of rays, -1/2 to 1/2.
+
+    Rays on a square grid would round an edge that runs along it to the next ray, all the way; with shifts that fill the gap evenly an
+    edge has its place on average over a few rows.
+    """
+    return (0.5 + GOLDEN * np.arange(count)) % 1.0 - 0.5
+
+
 def plate_attenuation(view: View, panel: Panel, mounted: Mounted, rays: int = 3) -> np.ndarray:
     """(rows * rays, columns * rays) attenuation times length of every ray inside the plate."""
     to_plate = mounted.rotation.T
@@ -77,30 +89,30 @@ def plate_attenuation(view: View, panel: Panel, mounted: Mounted, rays: int = 3)
         panel.pitch_m / rays,
         panel.aspect,
         panel.skew,
+        ray_shifts(panel.rows * rays),
+        ray_shifts(panel.columns * rays),
         result,
     )
     return result
 
 
 def expected_with_plate(
-    view: View, panel: Panel, mounted: Mounted, optics: Optics, items: Sequence[Item] = (), rays: int = 3
+    views: Sequence[View], panel: Panel, mounted: Sequence[Mounted], optics: Optics, items: Sequence[Item] = (), rays: int = 3
 ) -> np.ndarray:
-    """(rows, columns) expected photons behind a plate, and whatever else stands in the beam; no dead pixels."""
+    """(rows, columns) expected photons behind a plate, where it is at each view, and whatever else stands in the beam; no dead pixels."""
     total = np.zeros((panel.rows, panel.columns))
     shares = np.empty_like(total)
-    spots = SPOT * optics.spot_m if optics.spot_m > 0.0 else np.zeros((1, 2))
-    for point in spots:
-        moved = View(view.source_m + view.panel_rotation[:, :2] @ point, view.panel_m, view.panel_rotation)
-        integrals = plate_attenuation(moved, panel, mounted, rays)
+    for k, moved, share in from_the_spot(views, optics):
+        integrals = plate_attenuation(moved, panel, mounted[k], rays)
         if items:
             integrals += attenuation(moved, panel, items, rays)
         mean_through(integrals, rays, shares)
-        total += shares / len(spots)
+        total += share * shares
     return read_out(total, panel, optics)
 
 
 @njit(cache=True, error_model="numpy")
-def _cast_boxes(boxes, source, center, rotation, step, aspect, skew, result):
+def _cast_boxes(boxes, source, center, rotation, step, aspect, skew, along_u, along_v, result):
     """Source, panel centre and panel axes (columns of `rotation`) in the plate's frame; `step`: distance of rays."""
     rows, columns = result.shape
     middle_row, middle_column = (rows - 1) / 2.0, (columns - 1) / 2.0
@@ -116,11 +128,11 @@ def _cast_boxes(boxes, source, center, rotation, step, aspect, skew, result):
             column = np.sum(seen * rotation[:, 0]) / step + middle_column + skew * (row - middle_row)
             first_row, last_row = min(first_row, int(np.floor(row))), max(last_row, int(np.ceil(row)))
             first_column, last_column = min(first_column, int(np.floor(column))), max(last_column, int(np.ceil(column)))
-        for row in range(max(0, first_row), min(rows - 1, last_row) + 1):
-            v = (row - middle_row) * step * aspect
-            shift = skew * (row - middle_row)
-            for column in range(max(0, first_column), min(columns - 1, last_column) + 1):
-                u = (column - middle_column - shift) * step
+        for row in range(max(0, first_row - 1), min(rows - 1, last_row + 1) + 1):
+            for column in range(max(0, first_column - 1), min(columns - 1, last_column + 1) + 1):
+                down = row - middle_row + along_v[column]
+                u = (column - middle_column + along_u[row] - skew * down) * step
+                v = down * step * aspect
                 enter, leave, squared = 0.0, np.inf, 0.0
                 for i in range(3):
                     way = center[i] + u * rotation[i, 0] + v * rotation[i, 1] - source[i]

@@ -29,6 +29,10 @@ MISFIT = 4.0
 spot is no Gaussian, and the more photons, the more of that shows."""
 
 
+MOST_REFUSED = 1.0 / 3.0
+"""With a larger share of the lines missing or out of place nobody knows which of the others are right."""
+
+
 @dataclass(frozen=True)
 class MarkerPoints:
     """Crossings found in one image.
@@ -104,6 +108,11 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     _enough(fine, plate, refused | crossed)
     bent = refused_lines(fine, plate, detector)
     refused |= crossed | bent
+    if len(refused) > MOST_REFUSED * plate.lines:
+        raise UnusableInput(
+            f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; is it this plate, and where"
+            " it should be?"
+        )
     fine = {k: line for k, line in fine.items() if k not in bent}
     _enough(fine, plate, refused)
     return _points(fine, plate, refused)

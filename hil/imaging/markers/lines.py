@@ -86,7 +86,7 @@ def hough_lines(edges: Edges, shape: tuple[int, int], width: float, turn: float,
     length : float
         Expected length [pixel].
     apart : float
-        Least distance of two lines [pixel].
+        Least distance of two of the plate's lines [pixel]; a scratch halfway between two is a line of its own.
     """
     from skimage.transform import hough_line
 
@@ -105,11 +105,11 @@ def hough_lines(edges: Edges, shape: tuple[int, int], width: float, turn: float,
     both[half:-half] = np.minimum(votes[0][: -2 * half], votes[1][2 * half :])
     both[~(both > SHARE_SEEN * length)] = 0
     best = both.max(axis=1)
-    peaks = np.flatnonzero((best > 0) & (best == ndimage.maximum_filter1d(best, 2 * int(0.5 * apart) + 1)))
+    peaks = np.flatnonzero((best > 0) & (best == ndimage.maximum_filter1d(best, 2 * int(0.25 * apart) + 1)))
     lines = []
     previous = -np.inf
     for peak in peaks:
-        if distances[peak] - previous < 0.5 * apart:  # a peak with a flat top is one line
+        if distances[peak] - previous < 0.25 * apart:  # a peak with a flat top is one line
             continue
         previous = distances[peak]
         at_best = np.flatnonzero(both[peak] == best[peak])

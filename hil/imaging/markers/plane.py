@@ -31,10 +31,9 @@ def refused_lines(lines: dict[int, FineLine], plate: MarkerPlate, detector: Dete
         miss = np.zeros(len(numbers))
         predicted = plane.fitted(seen, sigma, present)
         rest = np.abs(seen - predicted).max(axis=1)
-        floor = max(1.0, float(np.median(rest[present] / sigma[present])))
         for k in np.flatnonzero(present):
             miss[k] = rest[k]
-            if rest[k] > LIMIT_SIGMA * floor * sigma[k] and rest[k] > LIMIT_PIXELS:
+            if rest[k] > LIMIT_SIGMA * sigma[k] and rest[k] > LIMIT_PIXELS:
                 leave_out[k] = rest[k] / sigma[k]
         worst = int(np.argmax(leave_out))
         if not np.isfinite(leave_out[worst]):

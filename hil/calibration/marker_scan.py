@@ -1,0 +1,141 @@
+"""Every exposure of a scan by the marker plate on its tube."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration.marker import NONLINEAR, MarkerFit, fit_marker
+from hil.errors import UnusableInput
+from hil.imaging.geometry import ConeBeam
+from hil.imaging.markers import MarkerPlate, MarkerProjection, find_marker
+from hil.imaging.markers.projection import PARAMETERS
+from hil.imaging.scan_folder import ImageScan
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class MarkerScan:
+    """Parameters (6.8) of N exposures; rows of exposures that could not be used are NaN.
+
+    Attributes
+    ----------
+    free : tuple of str
+        The parameters fitted, of `PARAMETERS`.
+    values, nominal : (N, 9) arrays
+        [m, rad]
+    covariance : (N, 9, 9) array
+    points, refused : (N,) int arrays
+        Crossings used; lines that were not.
+    residual_pixels : (N,) array
+    unusable : dict
+        Exposure number to reason.
+    """
+
+    free: tuple[str, ...]
+    values: np.ndarray
+    nominal: np.ndarray
+    covariance: np.ndarray
+    points: np.ndarray
+    refused: np.ndarray
+    residual_pixels: np.ndarray
+    unusable: dict[int, str]
+
+    @property
+    def good(self) -> np.ndarray:
+        """(N,) bool."""
+        return np.isfinite(self.values).all(axis=1)
+
+
+def nominal_marker(beam: ConeBeam, distance_m: float) -> list[MarkerProjection]:
+    """Where a plate that stands `distance_m` from the focal spot and parallel to the panel should be seen, exposure by exposure."""
+    return [MarkerProjection(np.array([u, v, -w, 0.0, 0.0, 0.0, 0.0, 0.0, distance_m])) for u, v, w in beam.source_m]
+
+
+def calibrate_marker(
+    scan: ImageScan,
+    plate: MarkerPlate,
+    nominal: Sequence[MarkerProjection],
+    free: Sequence[str] = NONLINEAR,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> MarkerScan:
+    """Find the plate in every image and fit its pose.
+
+    Raises
+    ------
+    UnusableInput
+        No image shows the plate, or the parameters cannot be told apart.
+    """
+    look = partial(_look, scan, plate, list(nominal), tuple(free))
+    count = len(scan)
+    values, covariance = np.full((count, 9), np.nan), np.full((count, 9, 9), np.nan)
+    points, refused, residual = np.zeros(count, dtype=int), np.zeros(count, dtype=int), np.full(count, np.nan)
+    unusable: dict[int, str] = {}
+
+    def take(results: Iterable[tuple[MarkerFit | None, int, int, str]]) -> None:
+        for k, (fit, seen, left_out, reason) in enumerate(results):
+            if fit is None:
+                unusable[k] = reason
+            else:
+                values[k], covariance[k], residual[k] = fit.projection.values, fit.covariance, fit.residual_pixels
+                points[k], refused[k] = seen, left_out
+            progress(k + 1, count)
+
+    if jobs > 1:
+        with ProcessPoolExecutor(jobs) as pool:
+            take(pool.map(look, range(count), chunksize=8))
+    else:
+        take(map(look, range(count)))
+    if len(unusable) == count:
+        raise UnusableInput(f"{scan.folder}: no image of {count} could be used; the first: {unusable[0]}")
+    names = tuple(name for name in PARAMETERS if name in free)
+    return MarkerScan(names, values, np.array([each.values for each in nominal]), covariance, points, refused, residual, unusable)
+
+
+def _look(
+    scan: ImageScan, plate: MarkerPlate, nominal: list[MarkerProjection], free: tuple[str, ...], k: int
+) -> tuple[MarkerFit | None, int, int, str]:
+    """Fit, crossings, lines left out and reason of one image."""
+    image = scan.frame(k)
+    try:
+        found = find_marker(image, plate, nominal[k], scan.detector)
+        return fit_marker(found, plate, scan.detector, nominal[k], free), len(found.index), len(found.refused), ""
+    except UnusableInput as error:
+        return None, 0, 0, str(error)
+
+
+def write_marker_scan(result: MarkerScan, scan: ImageScan, notes: dict[str, object], path: Path) -> None:
+    """As a .npz that NumPy alone can read (docs/formats.md).
+
+    Raises
+    ------
+    UnusableInput
+        The file cannot be written.
+    """
+    try:
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                format=FORMAT,
+                parameters=np.array(PARAMETERS),
+                free=np.array(result.free),
+                exposure_id=scan.exposure_id,
+                time_s=scan.middle_s,
+                axes=np.array(scan.axes),
+                positions=scan.positions,
+                values=result.values,
+                nominal=result.nominal,
+                covariance=result.covariance,
+                points=result.points,
+                notes=json.dumps(notes),
+            )
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
