@@ -39,6 +39,7 @@ def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, forc
     rows = len(wanted)
     force_N = np.zeros(rows) if force_N is None else force_N
     h = 1.0 / (RATE_Hz * STEPS)
+    decay = np.exp(-h * damping / mass)
     x, v, command = 0.0, 0.0, 0.0
     history = [0.0, 0.0]
     position, commands = np.zeros(rows), np.zeros(rows)
@@ -50,9 +51,9 @@ def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, forc
         commands[k] = command
         history = [history[1], x]
         push = gain * effort + force_N[k] + load_N
-        for _ in range(STEPS):  # linear part exactly to second order, friction held implicitly
-            free = (v + h * push / mass) / (1.0 + h * damping / mass)
-            slip = h * coulomb_N / mass
+        for _ in range(STEPS):  # speed exactly at constant effort, friction held implicitly
+            free = v * decay + (1.0 - decay) * push / damping
+            slip = (1.0 - decay) * coulomb_N / damping
             new = np.sign(free) * max(abs(free) - slip, 0.0)
             x += 0.5 * h * (v + new)
             v = new
@@ -79,5 +80,6 @@ def repeats(count=4, duration_s=3.0, seed=0, disturbance_N=1.0, experiment=0, **
     found = {}
     for number in range(count):
         force = disturbance(len(wanted), disturbance_N, 100 * seed + 10 * experiment + number)
-        found[f"run_{experiment}_{number}"] = recording(wanted, *run(wanted, force_N=force, noise_seed=100 * seed + number, **truth))
+        noise_seed = 100 * seed + 10 * experiment + number
+        found[f"run_{experiment}_{number}"] = recording(wanted, *run(wanted, force_N=force, noise_seed=noise_seed, **truth))
     return found

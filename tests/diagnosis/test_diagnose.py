@@ -1,0 +1,120 @@
+"""The verdicts, on a carriage that is simulated apart from the project (carriage.py): one case each, and labels that lie."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from carriage import DAMPING, MACHINE, MASS_kg, recording, repeats
+
+from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.files import write_diagnosis
+from hil.machine import load_machine
+from hil.machine.effects_file import read_effects_file
+
+COULOMB_N = 20.0
+
+
+@pytest.fixture(scope="module")
+def with_friction():
+    truth = {"mass": 1.05 * MASS_kg, "coulomb_N": COULOMB_N}
+    return repeats(duration_s=4.0, **truth), repeats(1, duration_s=4.0, experiment=1, **truth)
+
+
+@pytest.fixture(scope="module")
+def friction(with_friction):
+    return diagnose(MACHINE, *with_friction)
+
+
+def test_coulomb_friction_is_named_with_its_strength(friction):
+    diagnosis = friction.diagnosis
+    assert diagnosis.verdict in ("explained", "ambiguous")
+    assert diagnosis.findings[0].effect.effect == "coulomb_friction"
+    strength = diagnosis.findings[0].parameters["Fc"]
+    # force and gain only show in their ratio, and the gain may be wrong by a tenth: the interval says so
+    assert strength.unit == "N"
+    assert strength.ci95[0] < COULOMB_N < strength.ci95[1]
+    assert strength.value == pytest.approx(COULOMB_N, rel=0.15)
+
+
+def test_the_extended_machine_fits_recordings_it_was_not_fitted_to(friction):
+    fit = friction.diagnosis.fit
+    assert fit.held_out.nominal > fit.held_out.retuned > 2.0 * fit.held_out.extended
+    assert fit.held_out.extended < 1.5
+    assert fit.held_out.placebo > 2.0 * fit.held_out.extended
+    assert fit.removed_share > 0.9
+
+
+def test_the_answer_is_written_as_promised(friction, tmp_path):
+    write_diagnosis(friction, MACHINE, tmp_path)
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    promised = {"verdict", "findings", "hypotheses", "retuned", "noise", "location", "fit", "unexplained_share", "seconds"}
+    assert promised <= set(document)
+    finding = {"effect", "at", "confidence", "parameters", "ambiguous_with", "separating_experiment", "evidence_for", "evidence_against"}
+    assert finding <= set(document["findings"][0])
+    assert set(document["findings"][0]["parameters"]["Fc"]) == {"value", "unit", "ci95"}
+    assert sum(hypothesis["confidence"] for hypothesis in document["hypotheses"]) <= 1.0 + 1e-9
+    stages = {"nominal", "retuned", "extended", "placebo", "noise_floor"}
+    assert set(document["fit"]["train"]) == set(document["fit"]["held_out"]) == stages
+    assert all(set(channel) == stages for channel in document["fit"]["channels"].values())
+    assert sum(document["location"]["channels"].values()) == pytest.approx(1.0)
+    assert document["noise"] == "repeats"
+
+
+def test_the_files_of_the_answer_load_and_hold_what_was_found(friction, tmp_path):
+    write_diagnosis(friction, MACHINE, tmp_path)
+    machine = load_machine(tmp_path / "machine.toml")
+    (effect,) = read_effects_file(tmp_path / "effects.toml", machine)
+    assert effect.parameters["Fc"] == pytest.approx(friction.diagnosis.findings[0].parameters["Fc"].value)
+    written = tomllib.loads((tmp_path / "machine.toml").read_text())["body"][0]["mass_kg"]
+    assert written == pytest.approx(friction.diagnosis.retuned["carriage.mass"].value)
+
+
+def test_other_numbers_alone_are_no_missing_physics():
+    truth = {"mass": 1.09 * MASS_kg, "damping": 0.92 * DAMPING, "duration_s": 4.0, "seed": 7}
+    outcome = diagnose(MACHINE, repeats(**truth), repeats(1, experiment=1, **truth))
+    assert outcome.diagnosis.verdict == "retuned"
+    assert outcome.diagnosis.findings == ()
+
+
+def test_nothing_is_found_where_nothing_is_missing():
+    outcome = diagnose(MACHINE, repeats(seed=5, duration_s=4.0), repeats(1, experiment=1, seed=5, duration_s=4.0))
+    assert outcome.diagnosis.verdict == "consistent"
+
+
+def test_too_short_a_recording_is_said_to_be_too_short():
+    outcome = diagnose(MACHINE, repeats(3, duration_s=0.6))
+    assert outcome.diagnosis.verdict == "inconclusive"
+    assert "0.599 s" in outcome.diagnosis.reason
+
+
+def test_without_repeats_the_noise_is_assumed_and_confidence_capped(with_friction):
+    first = dict(list(with_friction[0].items())[:1])
+    outcome = diagnose(MACHINE, first, with_friction[1])
+    assert outcome.diagnosis.noise == "assumed"
+    assert all(hypothesis.confidence <= 0.9 for hypothesis in outcome.diagnosis.hypotheses)
+
+
+@pytest.mark.parametrize("mutation", ["labels negated", "time reversed"])
+def test_a_mismatch_of_which_friction_is_not_the_cause_is_not_called_friction(friction, with_friction, mutation):
+    stand_in = friction.train.groups[0].simulated[
+        :, [friction.train.channels.index(f"{name}_carriage") for name in ("position", "command")]
+    ]
+
+    def mutated(found):
+        mutants = {}
+        for name, original in found.items():
+            measured = original.matrix(["position_carriage", "command_carriage"])
+            rows = min(len(measured), len(stand_in))
+            residual = measured[:rows] - stand_in[:rows]
+            residual = -residual if mutation == "labels negated" else residual[::-1]
+            values = stand_in[:rows] + residual
+            mutants[name] = recording(original["reference_carriage"][:rows], *values.T)
+        return mutants
+
+    outcome = diagnose(MACHINE, mutated(with_friction[0]))
+    confident = [f.effect.effect for f in outcome.diagnosis.findings if outcome.diagnosis.verdict == "explained"]
+    assert "coulomb_friction" not in confident
+    assert np.isfinite(outcome.diagnosis.unexplained_share)
