@@ -10,20 +10,21 @@ import numpy as np
 
 from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
-from hil.diagnosis.estimates import effect_estimates, retuned_values
+from hil.diagnosis.estimates import covariance_of, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, PLAUSIBLE, Weighed, weighed
-from hil.diagnosis.next_experiment import Model, Proposal, propose
+from hil.diagnosis.naming import CAP_ASSUMED, PLAUSIBLE, Weighed, weighed, weighed_with_nothing
+from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
+from hil.diagnosis.separation import Model
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, alternatives, verdict_of, with_lost_samples
+from hil.diagnosis.verdict import Standing, alternatives, certain_excess, verdict_of, with_lost_samples
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -141,18 +142,22 @@ def diagnose(
             missing=what_is_missing(train, selection),
         )
         verdict, reason = with_lost_samples(*verdict_of(standing), train.lost)
-        findings = _findings(runs, tuning, selection, hypotheses) if verdict in ("ambiguous", "explained", "unknown_physics") else ()
+        covariance = covariance_of(runs, tuning, chosen)
+        named = chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics")
+        findings = _findings(runs, tuning, selection, hypotheses, covariance) if named else ()
         if verdict == "unknown_physics":
-            findings = tuple(replace(finding, confidence=min(finding.confidence, 0.5)) for finding in findings)
+            findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
+            hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
+        if verdict == "inconclusive":
+            hypotheses = ()
         lost = tuple(dropout.finding(channel) for channel, dropout in train.lost.items())
         findings += lost
         proposal = None
         if verdict == "ambiguous":
-            report("looking for the next experiment", 0.97)
-            proposal = _next_experiment(machine, train, tuning, hypotheses)
+            proposal = _next_experiment(machine, train, tuning, hypotheses, jobs, report)
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
-        retuned, frozen = retuned_values(tuning, chosen)
+        retuned, frozen = retuned_values(tuning, chosen, covariance)
         explainable = max(misfits[1] - noise, 0.0)
         diagnosis = Diagnosis(
             verdict=verdict,
@@ -177,25 +182,43 @@ def diagnose(
 
 
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
-    """Every set that competes for the name, on training and held-out recordings."""
+    """Every set that competes for the name, on training and held-out recordings; nothing is among them where none passed the gate."""
     noise = float(len(tuning.predicted)) + (0.0 if judged is None else len(judged.measured))
     rivals = selection.contenders
-    if selection.chosen is None or not rivals:
-        return (Weighed(None, 0.0, 0.0, 0, LARGEST_TIE),)
+    if not rivals:
+        return ()
     train = min(c.fitted.cost for c in rivals) + max(c.gained for c in rivals)
     held_out = min(c.left_held_out for c in rivals) + max(c.gained_held_out for c in rivals)
     base = Weighed(None, train, held_out, 0)
     sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.freedom) for c in rivals]
-    cap = CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
-    passed = {id(c.fitted) for c in rivals if c.passed}
-    ranked = weighed(sets, base, noise, cap)
-    return tuple(h if id(h.fitted) in passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked)
+    if selection.chosen is None:
+        ranked = weighed_with_nothing(sets, base, noise + certain_excess(noise), len(selection.screened), _cap(runs))
+    else:
+        ranked = weighed(sets, base, noise, _cap(runs))
+    unconfirmed = {id(c.fitted) for c in rivals if not c.passed}
+    ranked = [_at_most(h, CAP_UNCONFIRMED) if id(h.fitted) in unconfirmed else h for h in ranked]
+    return tuple(sorted(ranked, key=lambda h: -h.confidence))
 
 
-def _next_experiment(machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...]) -> Proposal | None:
+def _cap(runs: FreeRuns) -> float:
+    return CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
+
+
+def _at_most(hypothesis: Weighed, cap: float) -> Weighed:
+    return replace(hypothesis, confidence=min(hypothesis.confidence, cap))
+
+
+def _next_experiment(
+    machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...], jobs: int, report: Report
+) -> Proposal | None:
     """What separates the likeliest set from those that are plausible beside it."""
     rivals = [h.fitted for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE][:MOST_RIVALS]
-    return propose(machine, [Model.of(tuning, fit) for fit in rivals], train.noise, train.channels)
+    models = [Model.of(tuning, fit) for fit in rivals]
+
+    def say(share: float) -> None:
+        report("looking for the next experiment", 0.97 + 0.03 * share)
+
+    return propose(machine, models, train.noise, train.channels, jobs=jobs, report=say)
 
 
 def _stages(
@@ -219,19 +242,22 @@ def _energy(runs: FreeRuns, rows: list[np.ndarray]) -> float:
     return float(np.sum((runs.measured() - runs.joined(rows)) ** 2))
 
 
-def _findings(runs: FreeRuns, tuning: Tuning, selection: Selection, hypotheses: tuple[Weighed, ...]) -> tuple[Finding, ...]:
-    best = hypotheses[0].fitted
-    if best is None:
-        return ()
-    estimates = effect_estimates(runs, tuning, best)
+def _findings(
+    runs: FreeRuns, tuning: Tuning, selection: Selection, hypotheses: tuple[Weighed, ...], covariance: np.ndarray
+) -> tuple[Finding, ...]:
+    """The likeliest set's effects, each with the evidence of the step that added it."""
+    best = next(contender for contender in selection.contenders if contender.fitted is hypotheses[0].fitted)
+    passed = {id(contender.fitted) for contender in selection.contenders if contender.passed}
+    estimates = effect_estimates(runs, tuning, best.fitted, covariance)
     found = []
-    for number, effect in enumerate(best.effects):
-        gate = selection.gates[min(number, len(selection.gates) - 1)]
+    for effect, gate, parameters in zip(best.fitted.effects, best.gates, estimates, strict=True):
         for_it, against = gate.evidence()
-        share = sum(h.confidence for h in hypotheses if h.fitted is not None and effect in h.fitted.effects)
+        among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
+        cap = _cap(runs) if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
         others = alternatives(hypotheses, effect)
         against += [f"{other} fits nearly as well" for other in others]
-        found.append(Finding(effect, min(share, LARGEST_TIE), estimates[number], others, None, tuple(for_it), tuple(against)))
+        confidence = min(sum(h.confidence for h in among), cap)
+        found.append(Finding(effect, confidence, parameters, others, None, tuple(for_it), tuple(against)))
     return tuple(found)
 
 
@@ -247,15 +273,13 @@ def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mappin
         channels=channel_stages(train, in_order(TRAIN)) if held_out is None else channel_stages(held_out, in_order(HELD_OUT)),
         train=on_train,
         held_out=on_held_out,
-        removed_share=_removed(judged.retuned, judged.extended, judged.noise_floor),
-        removed_share_from_nominal=_removed(judged.nominal, judged.extended, judged.noise_floor),
+        removed_share=removed_share(judged.retuned, judged.extended, judged.noise_floor),
+        removed_share_from_nominal=removed_share(judged.nominal, judged.extended, judged.noise_floor),
     )
 
 
-def _removed(before: float | None, after: float | None, floor: float | None) -> float | None:
-    if before is None or after is None or floor is None:
-        return None
-    floor = min(floor, after)  # held-out recordings may be quieter than the training ones
-    if before <= floor:
+def removed_share(before: float | None, after: float | None, floor: float | None) -> float | None:
+    """(E_before^2 - E_after^2) / (E_before^2 - E_floor^2); more than 1 where the end is below the floor, None where the beginning is."""
+    if before is None or after is None or floor is None or before <= floor:
         return None
     return (before**2 - after**2) / (before**2 - floor**2)

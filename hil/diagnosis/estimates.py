@@ -17,21 +17,24 @@ from virtual_bus.effects.registry import effects
 TWO_SIDED_95 = 1.96
 
 
-def joint_covariance(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> np.ndarray:
-    """(P + F, P + F) covariance of tuned coordinates and free effect parameters, widened by the repeats' own scatter.
+def covariance_of(runs: FreeRuns, tuning: Tuning, fitted: Fitted | None) -> np.ndarray:
+    """(P + F, P + F) covariance of tuned coordinates and, where there are effects, their free parameters, widened by the repeats' own
+    scatter.
 
     The noise model's covariance is inverse curvature of the cost. Each repeat's own small deviation of the parameters gives a second
     estimate of every variance; the larger one counts (a sandwich on its diagonal; White 1982).
     """
-    # beside the effects: what scales a machine's every number alike scales its friction too
-    columns = np.hstack([sensitivities(runs, tuning, fitted.offset, fitted.settings), fitted.jacobian])
+    offset = tuning.offset if fitted is None else fitted.offset
+    columns = tuning.jacobian
+    if fitted is not None:  # beside the effects: what scales a machine's every number alike scales its friction too
+        columns = np.hstack([sensitivities(runs, tuning, offset, fitted.settings), fitted.jacobian])
     count = len(tuning.offset)
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
     scale[:count] = 1.0
     scaled = columns / scale
     hessian = scaled.T @ scaled
     hessian[:count, :count] += np.eye(count)
-    free = np.concatenate([np.abs(fitted.offset) < LARGEST_CHANGE / PRIOR, np.ones(fitted.freedom, dtype=bool)])
+    free = np.concatenate([np.abs(offset) < LARGEST_CHANGE / PRIOR, np.ones(len(hessian) - count, dtype=bool)])
     inverse = np.zeros_like(hessian)
     inverse[np.ix_(free, free)] = np.linalg.pinv(hessian[np.ix_(free, free)], rcond=1e-12, hermitian=True)
     widening = _widening(runs, scaled, inverse)
@@ -59,9 +62,8 @@ def _widening(runs: FreeRuns, columns: np.ndarray, inverse: np.ndarray) -> np.nd
     return np.sqrt(np.maximum((prior_weight + total / expected) / (prior_weight + repeats_in_all), 1.0))
 
 
-def effect_estimates(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> list[Mapping[str, Estimate]]:
+def effect_estimates(runs: FreeRuns, tuning: Tuning, fitted: Fitted, covariance: np.ndarray) -> list[Mapping[str, Estimate]]:
     """Parameters of every effect of a set."""
-    covariance = joint_covariance(runs, tuning, fitted)
     spread = dict(zip(fitted.free, np.sqrt(np.maximum(np.diag(covariance)[len(tuning.offset) :], 0.0)), strict=True))
     settings = runs.machine.plant
     found: list[Mapping[str, Estimate]] = []
@@ -76,10 +78,11 @@ def effect_estimates(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> list[Map
     return found
 
 
-def retuned_values(tuning: Tuning, fitted: Fitted | None) -> tuple[dict[str, RetunedValue], dict[str, str]]:
+def retuned_values(tuning: Tuning, fitted: Fitted | None, covariance: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
     """Re-tuned numbers that the recordings show, and the others with the reason why they stay."""
     offset = tuning.offset if fitted is None else fitted.offset
-    spread = np.sqrt(np.diag(tuning.covariance)) if len(tuning.offset) else np.zeros(0)
+    count = len(offset)  # a number at its bound is held in the joint fit; effects beside it never narrow it
+    spread = np.sqrt(np.maximum(np.diag(covariance)[:count], np.diag(tuning.covariance)))
     shown, frozen = {}, {}
     tuned = {int(index): k for k, index in enumerate(tuning.indices)}
     for index, parameter in enumerate(tuning.parameters):

@@ -10,7 +10,7 @@ parameters and leaves nothing above noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,17 +64,35 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, noise: float, cap: flo
     cap : float
         Largest confidence.
     """
+    *shares, _ = _shares(hypotheses, base, noise, 0.0)
+    return _ranked(hypotheses, shares, cap)
+
+
+def weighed_with_nothing(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, cap: float = 1.0) -> list[Weighed]:
+    """The same where no set passed the gate: nothing is one of the hypotheses, and each set is one of so many that were tried.
+
+    Beforehand, nothing is as likely as all of them together; the best of many gains by chance what one alone does not.
+    """
+    shares = _shares(hypotheses, base, noise, float(np.log(max(tried, 1))))
+    return _ranked([*hypotheses, base], shares, cap)
+
+
+def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, prior: float) -> list[float]:
+    """Of every set and, last, of nothing, which has a log prior before any of them."""
     best = min(h.misfit for h in hypotheses)
     temper = temperature(base.misfit - best, best - noise)
     price = price_of_a_parameter(base.misfit - best, temper)
-    evidence = np.array([-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses])
-    nothing = -0.5 * base.misfit / temper
+    evidence = [-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses]
+    nothing = -0.5 * base.misfit / temper + prior
     unknown = -0.5 * min(noise, best) / temper - price * UNKNOWN_FREEDOM
-    everything = np.concatenate([evidence, [nothing, unknown]])
-    share = np.exp(evidence - everything.max()) / np.exp(everything - everything.max()).sum()
-    share = np.minimum(share, cap)
-    ranked = [Weighed(h.fitted, h.train, h.held_out, h.freedom, float(c)) for h, c in zip(hypotheses, share, strict=True)]
-    return sorted(ranked, key=lambda h: -h.confidence)
+    everything = np.array([*evidence, nothing, unknown])
+    weights = np.exp(everything - everything.max())
+    return [float(weight) for weight in weights[:-1] / weights.sum()]
+
+
+def _ranked(hypotheses: Sequence[Weighed], shares: Sequence[float], cap: float) -> list[Weighed]:
+    found = [replace(h, confidence=min(share, cap)) for h, share in zip(hypotheses, shares, strict=True)]
+    return sorted(found, key=lambda h: -h.confidence)
 
 
 def price_of_a_parameter(removed: float, temper: float) -> float:

@@ -45,7 +45,11 @@ class Contender:
     gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
     gained_held_out: float
     left_held_out: float  # the held-out misfit
-    passed: bool
+    gates: tuple[Gate, ...]  # of the steps that added its effects, in their order
+
+    @property
+    def passed(self) -> bool:
+        return self.gates[-1].passed  # those before did, or there were no further step
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,8 @@ class Selection:
     gates : tuple of Gate
         Of each step of the chosen set, and of the step that ended it, last.
     contenders : tuple of Contender
-        Sets as large as the chosen one that compete for the name, the chosen one among them.
+        Sets as large as the chosen one that compete for the name, the chosen one among them; where nothing was chosen, the single
+        effects that came closest.
     screened : tuple of Screened
         The first screening.
     closest : Fitted or None
@@ -133,22 +138,25 @@ def select(
         closest = min(fits, key=lambda fit: fit.cost)
         passed = [(fit, gate) for fit, gate in judged if gate.passed]
         gates.append(passed[0][1] if passed else judged[0][1])
-        if not passed:
+        if not passed and chosen is not None:
             break
         before = float(residual @ residual + present.offset @ present.offset)
         unseen = 0.0 if held_out is None else held_out.misfit(held_out.predictions([(present.offset, settings)])[0])
-        least = RIVAL_SHARE * passed[0][1].certain_gain
+        least = RIVAL_SHARE * passed[0][1].certain_gain if passed else 0.0
+        earlier = tuple(gates[:-1])
         contenders = tuple(
             Contender(
                 fit,
                 base - before + gate.certain_gain,
                 unseen_at_first - unseen + (gate.held_out_gain or 0.0),
                 unseen - (gate.held_out_gain or 0.0),
-                gate.passed,
+                (*earlier, gate),
             )
             for fit, gate in judged
             if gate.passed or gate.certain_gain > least
         )
+        if not passed:
+            break
         chosen = passed[0][0]
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
     return Selection(chosen, tuple(gates), contenders, tuple(first), closest)

@@ -48,8 +48,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     found = any(gate.passed for gate in standing.gates)
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
-    certain = max(STILL_SIGNIFICANT * standing.noise, STILL_SIGNIFICANT_DEVIATIONS * math.sqrt(2.0 * standing.noise))
-    structured = left > certain
+    structured = left > certain_excess(standing.noise)
     if structured and left > UNKNOWN_LEFT * explainable and (found or any(gate.significant for gate in standing.gates)):
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found and sum(h.confidence for h in standing.hypotheses) < NAMED:
@@ -66,6 +65,11 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
+
+
+def certain_excess(noise: float) -> float:
+    """Of |residual|^2 over its expectation, from which what is left is above the noise for certain."""
+    return max(STILL_SIGNIFICANT * noise, STILL_SIGNIFICANT_DEVIATIONS * math.sqrt(2.0 * noise))
 
 
 def with_lost_samples(verdict: Verdict, reason: str, lost: Mapping[str, Dropout]) -> tuple[Verdict, str]:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from pushed_mass import NOISE, RAIL, pushed_mass
 
-from hil.diagnosis.next_experiment import Model, Separation, propose
+from hil.diagnosis.experiment_families import requests
+from hil.diagnosis.next_experiment import DRAWS, REFINEMENTS, propose
 from hil.diagnosis.noise import assumed_noise
 from hil.diagnosis.retune import tunable
-from hil.experiments import Jog, JogOnly, experiment_from_text
+from hil.diagnosis.separation import Model, Separation
+from hil.experiments import Jog, JogOnly, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine
 from virtual_bus.plant.compiled import compile_plant
@@ -52,6 +54,23 @@ def slow_jog():
 
 def test_it_separates_better_than_a_slow_jog(proposal, rivals, noise):
     assert proposal.separation > 5.0 * Separation(RAIL, rivals, noise, CHANNELS).of_plan(slow_jog())
+
+
+def test_no_separation_exceeds_its_bound_and_processes_change_nothing(rivals, noise):
+    plans = [slow_jog(), *Scan(axis="carriage", start=0.05, stop=0.15, speed=0.1, acceleration=1.0, sweeps=2).plans(RAIL)]
+    with Separation(RAIL, rivals, noise, CHANNELS, jobs=2) as apart:
+        separations = [apart.of_plan(plan) for plan in plans]
+        assert all(0.0 < d <= most for d, most in zip(separations, apart.at_most(plans), strict=True))
+    alone = Separation(RAIL, rivals, noise, CHANNELS)
+    assert [alone.of_plan(plan) for plan in plans] == separations
+
+
+def test_the_search_says_how_far_it_is_and_skips_what_cannot_be_best(rivals, noise):
+    shares = []
+    found = propose(RAIL, rivals, noise, CHANNELS, report=shares.append)
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    runs_of_one = 2 + len(rivals[1].indices) + 1
+    assert found.runs < 0.8 * (len(requests(RAIL)) * DRAWS + REFINEMENTS) * runs_of_one
 
 
 def test_its_file_is_an_experiment_within_the_machines_limits(proposal):

@@ -1,0 +1,73 @@
+"""Numbers that stand for what was computed: shares, confidences, intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from carriage import MACHINE, MASS_kg, repeats
+
+from hil.diagnosis.diagnose import diagnose, removed_share
+from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed_with_nothing
+
+NOISE = 20000.0
+
+
+def test_removed_share_is_of_what_stands_above_the_floor_and_of_nothing_below_it():
+    assert removed_share(5.0, 3.0, 1.0) == pytest.approx(16.0 / 24.0)
+    assert removed_share(1.05, 0.95, 1.0) == pytest.approx((1.05**2 - 0.95**2) / (1.05**2 - 1.0))
+    assert removed_share(0.80, 0.79, 1.0) is None
+
+
+def nothing_beside(*gains: float, excess: float = 0.0, tried: int = 100) -> float:
+    base = Weighed(None, NOISE + excess, 0.0, 0)
+    sets = [Weighed(None, NOISE + excess - gain, 0.0, 1) for gain in gains]
+    ranked = weighed_with_nothing(sets, base, NOISE, tried)
+    return next(h.confidence for h in ranked if h.freedom == 0)
+
+
+def test_nothing_is_likely_where_the_best_of_many_gains_what_chance_does():
+    chance = 2.0 * np.log(100.0)  # the best of so many
+    assert nothing_beside(0.5 * chance) > 0.9
+    assert 0.5 < nothing_beside(chance) < nothing_beside(0.5 * chance)
+    assert nothing_beside(chance, tried=1) < nothing_beside(chance)
+    assert nothing_beside(60.0, excess=60.0) < 0.01
+
+
+@pytest.fixture(scope="module")
+def no_repeats():
+    return diagnose(MACHINE, repeats(1, seed=5, disturbance_N=0.01))
+
+
+def test_no_effect_has_a_computed_confidence_capped_where_the_noise_is_assumed(no_repeats):
+    assert no_repeats.diagnosis.verdict in ("consistent", "retuned")
+    confidences = {h.effects: h.confidence for h in no_repeats.diagnosis.hypotheses}
+    assert () in confidences and max(confidences.values()) <= CAP_ASSUMED
+    assert sum(confidences.values()) <= 1.0
+
+
+def test_too_little_data_name_no_hypothesis():
+    assert diagnose(MACHINE, repeats(3, duration_s=0.6)).diagnosis.hypotheses == ()
+
+
+@pytest.fixture(scope="module")
+def friction():
+    truth = {"mass": 1.05 * MASS_kg, "coulomb_N": 20.0}
+    return diagnose(MACHINE, repeats(3, **truth), repeats(1, experiment=1, **truth))
+
+
+def test_a_retuned_numbers_interval_is_of_the_fit_beside_the_effects(friction):
+    """Friction takes from the damper what it explains: beside it the damper is known less well than without."""
+    diagnosis, tuning = friction.diagnosis, friction.tuning
+    widths = {name: (value.ci95[1] - value.ci95[0]) / abs(value.nominal) for name, value in diagnosis.retuned.items()}
+    alone = dict(zip(tuning.names, 2.0 * 1.96 * 0.1 * np.sqrt(np.diag(tuning.covariance)), strict=True))
+    assert widths and all(width >= (1.0 - 1e-9) * alone[name] for name, width in widths.items())
+    assert any(width > 1.02 * alone[name] for name, width in widths.items())
+
+
+def test_a_findings_evidence_and_confidence_are_its_own_sets(friction):
+    (finding,) = friction.diagnosis.findings
+    best = next(c for c in friction.selection.contenders if c.fitted is friction.hypotheses[0].fitted)
+    for_it, against = best.gates[0].evidence()
+    assert list(finding.evidence_for) == for_it and list(finding.evidence_against)[: len(against)] == against
+    assert len(best.gates) == len(best.fitted.effects)
+    assert finding.confidence <= 0.999
