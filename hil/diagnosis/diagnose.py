@@ -16,7 +16,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, PLAUSIBLE, Weighed, weighed, weighed_with_nothing
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Weighed, weighed, weighed_with_nothing
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
@@ -24,7 +24,7 @@ from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, alternatives, certain_excess, verdict_of, with_lost_samples
+from hil.diagnosis.verdict import Standing, certain_excess, findings_of, verdict_of, with_lost_samples
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -35,9 +35,6 @@ NEXT_EXPERIMENT = "next_experiment.toml"
 
 MOST_RIVALS = 3
 """Hypotheses that one experiment is asked to separate."""
-
-CAP_UNCONFIRMED = 0.5
-"""Largest confidence of a set that did not pass the gate."""
 
 LARGEST_TIE = 0.999
 """No hypothesis is more certain than this: what is in no catalogue always has a share."""
@@ -143,8 +140,9 @@ def diagnose(
         )
         verdict, reason = with_lost_samples(*verdict_of(standing), train.lost)
         covariance = covariance_of(runs, tuning, chosen)
-        named = chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics")
-        findings = _findings(runs, tuning, selection, hypotheses, covariance) if named else ()
+        findings: tuple[Finding, ...] = ()
+        if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
+            findings = findings_of(selection.contenders, hypotheses, effect_estimates(runs, tuning, chosen, covariance), _cap(runs))
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
@@ -240,25 +238,6 @@ def _stages(
 
 def _energy(runs: FreeRuns, rows: list[np.ndarray]) -> float:
     return float(np.sum((runs.measured() - runs.joined(rows)) ** 2))
-
-
-def _findings(
-    runs: FreeRuns, tuning: Tuning, selection: Selection, hypotheses: tuple[Weighed, ...], covariance: np.ndarray
-) -> tuple[Finding, ...]:
-    """The likeliest set's effects, each with the evidence of the step that added it."""
-    best = next(contender for contender in selection.contenders if contender.fitted is hypotheses[0].fitted)
-    passed = {id(contender.fitted) for contender in selection.contenders if contender.passed}
-    estimates = effect_estimates(runs, tuning, best.fitted, covariance)
-    found = []
-    for effect, gate, parameters in zip(best.fitted.effects, best.gates, estimates, strict=True):
-        for_it, against = gate.evidence()
-        among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
-        cap = _cap(runs) if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
-        others = alternatives(hypotheses, effect)
-        against += [f"{other} fits nearly as well" for other in others]
-        confidence = min(sum(h.confidence for h in among), cap)
-        found.append(Finding(effect, confidence, parameters, others, None, tuple(for_it), tuple(against)))
-    return tuple(found)
 
 
 def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mapping[str, list[np.ndarray]]]) -> Fit:

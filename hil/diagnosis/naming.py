@@ -31,6 +31,9 @@ CONFIDENT = 0.9
 CAP_ASSUMED = 0.9
 """Largest confidence without repeats: the noise, and with it every scale here, is assumed."""
 
+CAP_UNCONFIRMED = 0.5
+"""Largest confidence of a set that did not pass the gate."""
+
 PLAUSIBLE = 0.04
 """A set at least this likely belongs to what cannot be told apart from the first."""
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate
-from hil.diagnosis.naming import CONFIDENT, PLAUSIBLE, Weighed
-from hil.diagnosis.result import EffectAt, Verdict
+from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed
+from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
+from hil.diagnosis.selection import Contender
 
 RETUNED_GAIN = 20.0
 """Fall of |residual|^2 by re-tuning, per tuned number that the recordings show, from which the file's numbers are wrong; chance gives 1."""
@@ -89,4 +90,34 @@ def alternatives(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[Effec
         best = hypotheses[0].fitted
         known = set(best.effects) if best is not None else set()
         found += [name for name in other.fitted.effects if name not in known and name not in found]
+    return tuple(found)
+
+
+def findings_of(
+    contenders: Sequence[Contender], hypotheses: Sequence[Weighed], estimates: Sequence[Mapping[str, Estimate]], cap: float
+) -> tuple[Finding, ...]:
+    """The likeliest set's effects, each with the evidence of the step that added it and the confidence of all sets it is in.
+
+    Parameters
+    ----------
+    contenders : sequence of Contender
+        With the likeliest set among them.
+    hypotheses : sequence of Weighed
+        The likeliest first; it has effects.
+    estimates : sequence of mapping
+        Parameters of the likeliest set's effects.
+    cap : float
+        Largest confidence; CAP_UNCONFIRMED where no set with the effect passed the gate.
+    """
+    best = next(contender for contender in contenders if contender.fitted is hypotheses[0].fitted)
+    passed = {id(contender.fitted) for contender in contenders if contender.passed}
+    found = []
+    for effect, gate, parameters in zip(best.fitted.effects, best.gates, estimates, strict=True):
+        for_it, against = gate.evidence()
+        among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
+        largest = cap if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
+        others = alternatives(hypotheses, effect)
+        against += [f"{other} fits nearly as well" for other in others]
+        confidence = min(sum(h.confidence for h in among), largest)
+        found.append(Finding(effect, confidence, parameters, others, None, tuple(for_it), tuple(against)))
     return tuple(found)

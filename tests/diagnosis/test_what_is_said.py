@@ -7,7 +7,12 @@ import pytest
 from carriage import MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.diagnose import diagnose, removed_share
-from hil.diagnosis.naming import CAP_ASSUMED, Weighed, weighed_with_nothing
+from hil.diagnosis.gate import Gate
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed_with_nothing
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.selection import Contender
+from hil.diagnosis.verdict import findings_of
 
 NOISE = 20000.0
 
@@ -64,10 +69,38 @@ def test_a_retuned_numbers_interval_is_of_the_fit_beside_the_effects(friction):
     assert any(width > 1.02 * alone[name] for name, width in widths.items())
 
 
-def test_a_findings_evidence_and_confidence_are_its_own_sets(friction):
+def fitted(name: str) -> Fitted:
+    nothing = np.zeros(0)
+    return Fitted((EffectAt(name, "carriage"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)))
+
+
+def gate(share: float, *, passes: bool) -> Gate:
+    return Gate(1000.0, 20.0, 1.0, 9.0 if passes else 0.0, 500.0, 0.0, share, True)
+
+
+def contender(name: str, share: float, *, passes: bool = True) -> Contender:
+    return Contender(fitted(name), 0.0, 0.0, 0.0, (gate(share, passes=passes),))
+
+
+def first_finding(*sets: tuple[Contender, float], cap: float):
+    hypotheses = [Weighed(one.fitted, 0.0, 0.0, 1, confidence) for one, confidence in sets]
+    (found,) = findings_of([one for one, _ in reversed(sets)], hypotheses, [{}], cap)  # in another order than by confidence
+    return found
+
+
+def test_a_findings_evidence_is_its_own_sets():
+    found = first_finding((contender("viscous_friction", 0.6), 0.6), (contender("coulomb_friction", 0.3), 0.3), cap=0.999)
+    assert found.effect.effect == "viscous_friction" and any("explains 60.0%" in text for text in found.evidence_for)
+
+
+def test_confidence_of_several_sets_together_is_capped_as_one_sets_is():
+    both = (contender("viscous_friction", 0.6), 0.505), (contender("viscous_friction", 0.6), 0.495)
+    assert first_finding(*both, cap=CAP_ASSUMED).confidence == CAP_ASSUMED
+    unconfirmed = [(contender("viscous_friction", 0.6, passes=False), confidence) for confidence in (0.5, 0.4)]
+    assert first_finding(*unconfirmed, cap=0.999).confidence == CAP_UNCONFIRMED
+
+
+def test_a_diagnosis_says_what_its_likeliest_set_passed(friction):
     (finding,) = friction.diagnosis.findings
     best = next(c for c in friction.selection.contenders if c.fitted is friction.hypotheses[0].fitted)
-    for_it, against = best.gates[0].evidence()
-    assert list(finding.evidence_for) == for_it and list(finding.evidence_against)[: len(against)] == against
-    assert len(best.gates) == len(best.fitted.effects)
-    assert finding.confidence <= 0.999
+    assert list(finding.evidence_for) == best.gates[0].evidence()[0]

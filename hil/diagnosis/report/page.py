@@ -63,7 +63,7 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
 def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
     """(M, P + F) columns of tuned numbers and effects' parameters, and their names."""
     columns, names = [outcome.tuning.jacobian], list(outcome.tuning.names)
-    best = outcome.hypotheses[0].fitted if outcome.hypotheses else None
+    best = outcome.hypotheses[0].fitted if outcome.selection.chosen is not None and outcome.hypotheses else None
     if best is not None:
         columns.append(best.jacobian)
         names += [f"{best.effects[e]}: {effects()[best.effects[e].effect].parameters[k].name}" for e, k in best.free]
