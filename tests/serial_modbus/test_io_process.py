@@ -212,6 +212,7 @@ def test_a_second_sigterm_does_not_break_the_closing_of_the_brakes(served):
 
 LOOP = """
     import select
+    import signal
     import sys
     sys.path.insert(0, {folder!r})
     from modbus_wiring import AXES, io_map
@@ -219,6 +220,8 @@ LOOP = """
     from drivers.modbus.io_process import IoProcess
 
     if __name__ == "__main__":
+        for number in (signal.SIGHUP, signal.SIGQUIT):  # as on a terminal, whatever started the tests
+            signal.signal(number, signal.SIG_DFL)
         process = IoProcess(io_map({url!r}, poll_period_s=0.01, stale_after_s=60.0), AXES)
         process.start()
         process.command_brakes({{"propeller": True, "roll": True}})
