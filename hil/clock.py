@@ -16,10 +16,17 @@ class WallClock:
 
     A tick that is already past when the loop comes to wait for it is served at once, and its lateness says how late it was. When a whole
     period or more was lost, the lost ticks are skipped (a SYNC that comes in a burst would be worse than one that is missing) and counted.
+
+    Parameters
+    ----------
+    spin_s : float
+    waits : bool
+        Lose no tick: all later ones come as much later. Time then is no longer the wall's, but every sample of the plan is sent.
     """
 
-    def __init__(self, spin_s: float = SPIN_S) -> None:
+    def __init__(self, spin_s: float = SPIN_S, waits: bool = False) -> None:
         self._spin_s = spin_s
+        self._waits = waits
         self._period_s = 0.0
         self._start_s = 0.0
         self._tick = 0
@@ -49,9 +56,12 @@ class WallClock:
         due = self._start_s + self._tick * self._period_s
         behind = int((now - due) / self._period_s)
         if behind >= 1:
-            self._tick += behind
-            self._missed += behind
             due += behind * self._period_s
+            if self._waits:
+                self._start_s += behind * self._period_s
+            else:
+                self._tick += behind
+                self._missed += behind
         asleep = due - now - self._spin_s
         if asleep > 0.0:
             time.sleep(asleep)

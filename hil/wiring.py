@@ -138,7 +138,7 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
         settings = _with_ports(machine, settings, options)
-        clock = WallClock()
+        clock = WallClock(waits=machine.waits_on_overrun)
         refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
         imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
         io = None

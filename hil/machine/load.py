@@ -69,6 +69,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             path=path,
             axes=tuple(table.drives),
             sample_rate_Hz=table.timing.sample_rate,
+            waits_on_overrun=table.timing.overrun == "wait",
             overrun_ticks=table.timing.overrun_ticks,
             stale_ticks=table.timing.stale_ticks,
             units=build_units(table, plant.tree),

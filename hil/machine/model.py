@@ -45,6 +45,7 @@ class Machine:
     path: Path | None  # None when it came out of a recording
     axes: tuple[str, ...]
     sample_rate_Hz: float
+    waits_on_overrun: bool  # a late loop shifts all later ticks and loses none; False: it skips and counts
     overrun_ticks: int  # ticks lost at once that the loop skips and counts; more stop the motors
     stale_ticks: int  # ticks in a row that a missing position is bridged with the last one; more stop the motors
     units: tuple[AxisUnits, ...]

@@ -45,6 +45,7 @@ class TimingTable(Table):
     sample_rate: Annotated[Positive, Quantity("frequency"), Field(le=20_000.0)]
     substeps: Annotated[Whole, Field(ge=1, le=1000)]
     sync_order: tuple[Literal["apply_targets"], Literal["latch"], Literal["advance"]] = ("apply_targets", "latch", "advance")
+    overrun: Literal["skip", "wait"] = "skip"
     overrun_ticks: Annotated[Whole, Field(ge=0, le=10_000)] = 8
     stale_ticks: Annotated[Whole, Field(ge=0, le=10_000)] = 3
 

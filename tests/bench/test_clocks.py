@@ -124,3 +124,15 @@ def test_in_lockstep_time_is_the_machines_and_passes_only_when_somebody_waits():
     assert clock.now() == 5.0 and clock.missed == 0
     clock.wait(2.5)
     assert clock.now() == 7.5
+
+
+def test_a_clock_that_waits_loses_no_tick_and_shifts_the_later_ones(watch):
+    clock = WallClock(waits=True)
+    clock.start_ticks(PERIOD_S)
+    start_s = watch.now_s
+    clock.wait_tick()
+    watch.work(3.4 * PERIOD_S)  # ticks 2, 3 and 4 are past when the loop comes back
+    lateness_s = clock.wait_tick()
+    assert lateness_s == pytest.approx(0.4 * PERIOD_S, abs=1e-5)
+    clock.wait_tick()
+    assert watch.now_s == pytest.approx(start_s + 5 * PERIOD_S, abs=1e-5) and clock.missed == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -141,7 +142,7 @@ def test_without_an_observer_an_imu_that_is_gone_ends_the_run(machine: Machine, 
 
 
 def test_another_process_reads_whole_rows(tmp_path) -> None:
-    bus = f"virtual:{tmp_path.name}"
+    bus = f"virtual:{tmp_path.name}-{os.getpid()}"  # a killed test run may have left a page
     with pytest.raises(UnusableInput, match="no observer runs there"):
         latest_estimate(bus)
     board = EstimateBoard(bus, ["estimate_a", "estimate_b"])
@@ -159,7 +160,7 @@ def test_another_process_reads_whole_rows(tmp_path) -> None:
 
 
 def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stays_when_it_ends(tmp_path) -> None:
-    bus = f"virtual:{tmp_path.name}"
+    bus = f"virtual:{tmp_path.name}-{os.getpid()}"  # a killed test run may have left a page
     first = EstimateBoard(bus, [f"estimate_{k}" for k in range(2000)])  # some pages of memory
     second = EstimateBoard(bus, ["estimate_a"])
     try:

@@ -74,7 +74,7 @@ def patient(tmp_path: Path, *, can_only: bool = False) -> str:
         "boot_timeout_s": 20.0,
         "stale_after_s": 10.0,
         "answer_timeout_s": '0.5\nanswers = "awaited"',
-        "overrun_ticks": 512,
+        "overrun_ticks": '512\noverrun = "wait"',
     }
     for key, value in relaxed.items():
         text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
