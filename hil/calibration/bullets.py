@@ -16,7 +16,7 @@ SHADOW = 0.5
 ROUND = 1.6
 """Ratio of a shadow's long to short second moment above which it is no single bullet: two that overlap, a wire, an edge."""
 
-SIZE_RANGE = (0.45, 1.9)
+SIZE_RANGE = (0.225, 1.9)
 """A single bullet's core has an area in this range, relative to what its drawing and the magnification say."""
 
 
@@ -81,7 +81,7 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
     for slices in ndimage.find_objects(labels, count):
         core = smooth[slices] > threshold
         area = float(core.sum())
-        if area < SIZE_RANGE[0] * expected_area * 0.5:
+        if area < SIZE_RANGE[0] * expected_area:
             continue
         center, spread = _moments(core.astype(float), slices)
         if not _inside(center, 2.0 * radius_pixels, image.shape) or area > SIZE_RANGE[1] * expected_area or spread > ROUND:

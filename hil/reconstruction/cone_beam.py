@@ -104,6 +104,8 @@ def reconstruct(
     projections = np.ascontiguousarray(projections, dtype=np.float32)
     if projections.shape != (len(beam), detector.rows, detector.columns):
         raise UnusableInput(f"projections {projections.shape}; {len(beam)} exposures of {detector.rows} x {detector.columns} pixels differ")
+    if detector.skew:
+        raise UnusableInput(f"the panel's pixels are skewed by {detector.skew:g} columns a row; straighten the images")
     if len(beam) < FEWEST:
         raise UnusableInput(f"{len(beam)} projections; a reconstruction needs {FEWEST} at least, 100 to be of use")
     axis, arc = scan_axis(beam)

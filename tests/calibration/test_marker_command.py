@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from calibration.commands import exposed_scan, isocenter
 from scipy.spatial.transform import Rotation
 
-from hil.cli import main
 from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.nominal import panel_in_tube
 from hil.imaging.scan_folder import read_scan
@@ -14,20 +14,9 @@ from hil.machine import load_machine
 from virtual_bus.xray.motion import STILL
 
 
-def isocenter(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code
-
-
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("marker")
-    sweep = ["--axis", "roll", "--from", "-15", "--to", "15", "--speed", "30", "--dwell", "0.2", "--truth", folder / "truth.csv"]
-    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *sweep, "-o", folder / "scan.mf4") == 0
-    exposed = ["--truth", folder / "truth.csv", "--marker", "experimental", "--rate", "5", "-o", folder / "images"]
-    assert isocenter("expose", "carm", folder / "scan.mf4", *exposed) == 0
-    return folder
+    return exposed_scan(tmp_path_factory.mktemp("marker"), "--marker", "experimental", "--rate", "5")
 
 
 def test_the_parameters_of_a_scan_are_the_true_ones(scanned):

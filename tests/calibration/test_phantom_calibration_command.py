@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration.commands import exposed_scan, isocenter
 
 from hil.calibration.lookup import LookUp, read_look_up
-from hil.cli import main
 from hil.errors import UnusableInput
 from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.nominal import nominal_beam
@@ -16,20 +16,9 @@ from hil.machine import load_machine
 from virtual_bus.xray.motion import STILL
 
 
-def isocenter(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code
-
-
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scan")
-    sweep = ["--axis", "roll", "--from", "-15", "--to", "15", "--speed", "30", "--dwell", "0.2", "--truth", folder / "truth.csv"]
-    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *sweep, "-o", folder / "scan.mf4") == 0
-    exposed = ["--truth", folder / "truth.csv", "--scene", "dodecahedron", "--rate", "7", "-o", folder / "images"]
-    assert isocenter("expose", "carm", folder / "scan.mf4", *exposed) == 0
-    return folder
+    return exposed_scan(tmp_path_factory.mktemp("scan"), "--scene", "dodecahedron", "--rate", "7")
 
 
 def test_the_table_holds_the_true_geometry_within_its_covariance(scanned):

@@ -1,6 +1,7 @@
 """FDK gives back what was projected, about either axis, with the geometry of each exposure; wrong geometry shows in a wire."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -121,3 +122,8 @@ def test_what_cannot_be_reconstructed_is_named(change, line):
 
 def _with_detector(images, beam):
     return images, DETECTOR, beam
+
+
+def test_skewed_pixels_are_refused_not_ignored():
+    with pytest.raises(UnusableInput, match=r"skewed by 0\.01 columns a row"):
+        reconstruct(np.zeros((90, 160, 160)), replace(DETECTOR, skew=0.01), scan("y"))
