@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-X, Y, Z = 0, 1, 2
-ROTATION, TRANSLATION = "rotation", "translation"
+from controllers.models.motions import Motion, X, Y, Z, frames_of, motion_jacobian
 
 DH_COLUMNS = ("a", "delta_theta", "alpha", "d", "beta")
 FRAME_ANGLES = ("theta_u", "theta_v", "theta_y", "theta_z")
@@ -73,63 +72,45 @@ class DenavitHartenberg:
         rotation : (N, 3, 3) array
             From phantom to detector coordinates.
         """
-        frames = self._frames(angles)[-1]
-        return frames[:, :3, 3], frames[:, :3, :3]
+        angles = self.checked(angles)
+        end = frames_of([motion for row in self.motions(angles) for motion in row], len(angles))[-1]
+        return end[:, :3, 3], end[:, :3, :3]
 
     def jacobian(self, angles: np.ndarray) -> np.ndarray:
         """(N, 6, 5 n + 4) change of nu_ph^d [m], then of the rotation [rad, in detector coordinates], per unit of each parameter (2.17)."""
-        angles = np.atleast_2d(angles)
-        frames = self._frames(angles)
-        end = frames[-1][:, :3, 3]
-        result = np.zeros((len(angles), 6, len(self.names)))
-        for before, (kind, axis, _, parameters) in zip(frames[:-1], self._motions(angles), strict=True):
-            direction = before[:, :3, axis]
-            if kind == ROTATION:
-                motion = np.concatenate([np.cross(direction, end - before[:, :3, 3]), direction], axis=1)
-            else:
-                motion = np.concatenate([direction, np.zeros_like(direction)], axis=1)
-            for column, gain in parameters:
-                result[:, :, column] += motion * np.broadcast_to(gain, len(angles))[:, None]
-        return result
+        angles = self.checked(angles)
+        motions = [motion for row in self.motions(angles) for motion in row]
+        frames = frames_of(motions, len(angles))
+        return motion_jacobian(motions, frames, frames[-1][:, :3, 3], len(self.names))
 
-    def _motions(self, angles: np.ndarray) -> list[tuple[str, int, np.ndarray, tuple[tuple[int, np.ndarray | float], ...]]]:
-        """Elementary motions in order: kind, axis, amount (N,), and (parameter's column, d amount / d parameter)."""
+    def motions(self, angles: np.ndarray) -> list[list[Motion]]:
+        """Elementary motions in order, for N poses: the panel's two turns, one list a joint, the phantom's two turns."""
         last = self.table.size
         theta_u, theta_v, theta_y, theta_z = self.frame_angles
         ones = np.ones(len(angles))
-        motions: list[tuple[str, int, np.ndarray, tuple[tuple[int, np.ndarray | float], ...]]] = [
-            (ROTATION, X, theta_u * ones, ((last, 1.0),)),
-            (ROTATION, Y, theta_v * ones, ((last + 1, 1.0),)),
-        ]
+        result = [[Motion(True, X, theta_u * ones, ((last, 1.0),)), Motion(True, Y, theta_v * ones, ((last + 1, 1.0),))]]
         for j, (a, delta_theta, alpha, d, beta) in enumerate(self.table):
             q, first = angles[:, j], 5 * j
-            motions += [
-                (ROTATION, Z, delta_theta + beta * q, ((first + 1, 1.0), (first + 4, q))),
-                (TRANSLATION, Z, d * ones, ((first + 3, 1.0),)),
-                (TRANSLATION, X, a * ones, ((first, 1.0),)),
-                (ROTATION, X, alpha * ones, ((first + 2, 1.0),)),
-            ]
-        return [*motions, (ROTATION, Y, theta_y * ones, ((last + 2, 1.0),)), (ROTATION, Z, theta_z * ones, ((last + 3, 1.0),))]
+            result.append(
+                [
+                    Motion(True, Z, delta_theta + beta * q, ((first + 1, 1.0), (first + 4, q))),
+                    Motion(False, Z, d * ones, ((first + 3, 1.0),)),
+                    Motion(False, X, a * ones, ((first, 1.0),)),
+                    Motion(True, X, alpha * ones, ((first + 2, 1.0),)),
+                ]
+            )
+        result.append([Motion(True, Y, theta_y * ones, ((last + 2, 1.0),)), Motion(True, Z, theta_z * ones, ((last + 3, 1.0),))])
+        return result
 
-    def _frames(self, angles: np.ndarray) -> list[np.ndarray]:
-        """(N, 4, 4) frame before each elementary motion and after the last."""
+    def checked(self, angles: np.ndarray) -> np.ndarray:
+        """Angles as an array (N, n).
+
+        Raises
+        ------
+        ValueError
+            Another number of joints.
+        """
         angles = np.atleast_2d(np.asarray(angles, dtype=float))
         if angles.shape[1] != len(self.joints):
             raise ValueError(f"{angles.shape[1]} angles a pose; the chain has {len(self.joints)} joints: {', '.join(self.joints)}")
-        frames = [np.broadcast_to(np.eye(4), (len(angles), 4, 4))]
-        for kind, axis, amount, _ in self._motions(angles):
-            frames.append(frames[-1] @ _elementary(kind, axis, amount))
-        return frames
-
-
-def _elementary(kind: str, axis: int, amount: np.ndarray) -> np.ndarray:
-    """(N, 4, 4) rotation about, or translation along, one coordinate axis."""
-    result = np.tile(np.eye(4), (len(amount), 1, 1))
-    if kind == TRANSLATION:
-        result[:, axis, 3] = amount
-        return result
-    second, third = (axis + 1) % 3, (axis + 2) % 3
-    cosine, sine = np.cos(amount), np.sin(amount)
-    result[:, second, second] = result[:, third, third] = cosine
-    result[:, third, second], result[:, second, third] = sine, -sine
-    return result
+        return angles

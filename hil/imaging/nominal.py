@@ -45,8 +45,8 @@ def nominal_beam(machine: Machine, positions: np.ndarray) -> ConeBeam:
     """Geometry of exposures at axis positions (N, axes) [rad or m], referred to the isocentre in the world's orientation."""
     geometry = imaging_geometry(machine)
     positions = np.atleast_2d(np.asarray(positions, dtype=float))
-    source_origin, source_rotation = _frame(machine, geometry.source_body, positions)
-    panel_origin, panel_rotation = _frame(machine, geometry.detector_body, positions)
+    source_origin, source_rotation = body_frame(machine, geometry.source_body, positions)
+    panel_origin, panel_rotation = body_frame(machine, geometry.detector_body, positions)
     source = source_origin + source_rotation @ geometry.source_position_m
     panel = panel_origin + panel_rotation @ geometry.detector_center_m
     return ConeBeam.from_frames(source - geometry.isocenter_m, panel - geometry.isocenter_m, panel_rotation)
@@ -56,12 +56,12 @@ def panel_in_tube(machine: Machine) -> np.ndarray:
     """(3, 3) the panel's axes in the tube's frame with every axis at zero: how a plate on the tube is turned to face the panel."""
     geometry = imaging_geometry(machine)
     zero = np.zeros((1, len(machine.axes)))
-    _, tube = _frame(machine, geometry.source_body, zero)
-    _, panel = _frame(machine, geometry.detector_body, zero)
+    _, tube = body_frame(machine, geometry.source_body, zero)
+    _, panel = body_frame(machine, geometry.detector_body, zero)
     return tube[0].T @ panel[0]
 
 
-def _frame(machine: Machine, body: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def body_frame(machine: Machine, body: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origin (N, 3) and rotation (N, 3, 3) of a body's frame in the world."""
     bodies = {each.name: each for each in machine.plant.tree.bodies}
     driven = {drive.joint: k for k, drive in enumerate(machine.plant.drives)}

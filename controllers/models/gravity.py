@@ -1,0 +1,74 @@
+"""What gravity asks of the joints of a tree of rigid bodies: forces at the centres of mass, carried to the joints (2.14).
+
+The thesis puts the load at the end of the chain (2.14); at the isocentre, where the axes of a C-arm meet, that load would have no arm
+(correction to (2.15), (2.16)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True)
+class GravityTree:
+    """Bodies, parents first.
+
+    Attributes
+    ----------
+    parent : (b,) int array
+        -1: the world.
+    position_m, orientation : (b, 3), (b, 3, 3) arrays
+        Of the body's frame in its parent's, joint at zero.
+    axis : (b, 3) array
+        Of the joint, in the body's frame.
+    revolute : (b,) bool array
+    coordinate : (b,) int array
+        Which coordinate the joint is; -1: welded.
+    mass_kg, center_of_mass_m : (b,), (b, 3) arrays
+    gravity_m_s2 : (3,) array
+    """
+
+    parent: np.ndarray
+    position_m: np.ndarray
+    orientation: np.ndarray
+    axis: np.ndarray
+    revolute: np.ndarray
+    coordinate: np.ndarray
+    mass_kg: np.ndarray
+    center_of_mass_m: np.ndarray
+    gravity_m_s2: np.ndarray
+
+    def efforts(self, coordinates: np.ndarray) -> np.ndarray:
+        """(N, m) effort of gravity [Nm or N] along each of the coordinates (N, m) [rad or m]."""
+        count, bodies = len(coordinates), len(self.parent)
+        origin = np.zeros((bodies, count, 3))
+        rotation = np.zeros((bodies, count, 3, 3))
+        for b in range(bodies):
+            above = self.parent[b]
+            start = np.zeros((count, 3)) if above < 0 else origin[above]
+            turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if above < 0 else rotation[above]
+            start, turn = start + turn @ self.position_m[b], turn @ self.orientation[b]
+            if self.coordinate[b] >= 0:
+                amount = coordinates[:, self.coordinate[b], None] * self.axis[b]
+                if self.revolute[b]:
+                    turn = turn @ Rotation.from_rotvec(amount).as_matrix()
+                else:
+                    start = start + (turn @ amount[..., None])[..., 0]
+            origin[b], rotation[b] = start, turn
+        mass = self.mass_kg.astype(float).copy()
+        moment = mass[:, None, None] * (origin + (rotation @ self.center_of_mass_m[:, None, :, None])[..., 0])
+        for b in range(bodies - 1, -1, -1):
+            if self.parent[b] >= 0:
+                mass[self.parent[b]] += mass[b]
+                moment[self.parent[b]] += moment[b]
+        result = np.zeros_like(coordinates, dtype=float)
+        for b in np.flatnonzero(self.coordinate >= 0):
+            along = rotation[b] @ self.axis[b]
+            load = mass[b] * self.gravity_m_s2
+            if self.revolute[b]:
+                load = np.cross(moment[b] - mass[b] * origin[b], self.gravity_m_s2)
+            result[:, self.coordinate[b]] = np.sum(along * load, axis=1)
+        return result

@@ -1,0 +1,132 @@
+"""The flexible kinematic model fitted to phantom-calibrated poses: the thesis's model-based calibration (Sec. 2.3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controllers.models.flexible import SOURCE_NAMES, FlexibleChain
+from hil.calibration.lookup import LookUp
+from hil.calibration.model_based import free_parameters
+from hil.calibration.seen import SeenFit, fit_seen
+from hil.errors import UnusableInput
+from hil.imaging.geometry import ConeBeam
+
+SIX, NINE = np.arange(3, 9), np.arange(9)
+MOVED = 3.0
+"""A scan whose residuals differ from the others' in the mean by more than so many times their spread stood on another phantom pose."""
+
+
+@dataclass(frozen=True)
+class FlexibleFit:
+    """A model fitted to poses.
+
+    Attributes
+    ----------
+    model : FlexibleChain
+    covariance : (p, p) array
+        Scaled by the residuals' variance where that exceeds what the poses' own covariances say.
+    fit : SeenFit
+    frozen : tuple of str
+        Kept by request, or not moved by any scan, or the source of six-parameter poses.
+    residual : (N, 9) array
+        Deviation of the measured poses from the model's, as `ConeBeam.moved` takes it [m, rad].
+    chi2 : float
+        Mean squared residual in units of the poses' covariance, per degree of freedom.
+    """
+
+    model: FlexibleChain
+    covariance: np.ndarray
+    fit: SeenFit
+    frozen: tuple[str, ...]
+    residual: np.ndarray
+    chi2: float
+
+
+def beam_of(model: FlexibleChain, positions: np.ndarray) -> ConeBeam:
+    """The model's geometry at axis positions (N, axes), referred to the phantom."""
+    source, phantom, to_detector = model.poses(np.atleast_2d(positions))
+    return ConeBeam(source, phantom, np.swapaxes(to_detector, 1, 2))
+
+
+def fit_flexible(
+    start: FlexibleChain, positions: np.ndarray, measured: ConeBeam, covariance: np.ndarray, frozen: Collection[str] = ()
+) -> FlexibleFit:
+    """Fit the model to measured poses by Levenberg-Marquardt on what they see.
+
+    Parameters
+    ----------
+    start : FlexibleChain
+        Nominal parameters; what the poses do not see stays here.
+    positions : (N, axes) array
+        Of the machine's axes [rad].
+    measured : ConeBeam
+        Of the N exposures.
+    covariance : (N, 9, 9) array
+        Of their deviations; zero for a source that was held: then the six others alone are used and the source is frozen.
+    frozen : collection of str
+        Parameters not to fit.
+
+    Raises
+    ------
+    UnusableInput
+        Fewer equations than parameters, an unknown name in `frozen`, or parallel moving axes.
+    BadAnswer
+        The iteration does not converge.
+    """
+    held = not np.diagonal(covariance, axis1=1, axis2=2)[:, :3].any(axis=1).all()
+    used = SIX if held else NINE
+    angles = np.zeros((len(positions), len(start.chain.joints)))
+    for axis, joint in enumerate(start.driven):
+        if joint >= 0:
+            angles[:, joint] = positions[:, axis]
+    free = free_parameters(start.chain, start.names, angles, {*frozen, *(SOURCE_NAMES if held else ())})
+    if used.size * len(positions) <= free.size:
+        raise UnusableInput(f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more")
+    white = np.linalg.cholesky(np.linalg.inv(covariance[:, used[:, None], used]))  # residual' C^-1 residual = |white' residual|^2
+    white = np.swapaxes(white, 1, 2)
+
+    def residual_of(values: np.ndarray) -> np.ndarray:
+        deviation = measured.deviation_from(beam_of(start.with_values(values), positions))
+        return (white @ deviation[:, used, None]).ravel()
+
+    def jacobian_of(values: np.ndarray) -> np.ndarray:
+        jacobian = start.with_values(values).jacobian(positions)
+        jacobian[:, 6:] *= -1.0  # the model turns the phantom in the detector's frame, a deviation the detector in the phantom's
+        return (white @ jacobian[:, used]).reshape(-1, len(start.names))
+
+    fit = fit_seen(residual_of, jacobian_of, start.values, free, start.names)
+    model = start.with_values(fit.values)
+    chi2 = float(fit.residual @ fit.residual / (fit.residual.size - fit.rank))
+    return FlexibleFit(
+        model=model,
+        covariance=fit.covariance * max(1.0, chi2),
+        fit=fit,
+        frozen=tuple(name for k, name in enumerate(start.names) if k not in set(free)),
+        residual=measured.deviation_from(beam_of(model, positions)),
+        chi2=chi2,
+    )
+
+
+def joined(tables: Sequence[LookUp]) -> LookUp:
+    """Several scans' tables as one.
+
+    Raises
+    ------
+    UnusableInput
+        Six and nine parameters, or other axes, side by side.
+    """
+    first = tables[0]
+    for table in tables[1:]:
+        if table.axes != first.axes:
+            raise UnusableInput(f"one table is over {', '.join(first.axes)}, another over {', '.join(table.axes)}; calibrate one machine")
+        if bool(table.notes.get("six")) != bool(first.notes.get("six")):
+            raise UnusableInput("one table has six parameters, another nine; calibrate the phantom the same way for all")
+    return replace(
+        first,
+        positions=np.concatenate([table.positions for table in tables]),
+        deviation=np.concatenate([table.deviation for table in tables]),
+        covariance=np.concatenate([table.covariance for table in tables]),
+    )

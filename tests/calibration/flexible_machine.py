@@ -1,0 +1,73 @@
+"""A C-arm whose every mount gives way, as a machine file and as MuJoCo's statics of it."""
+
+import mujoco
+import numpy as np
+
+from hil.machine import machine_from_text
+from hil.machine.load import load_machine
+from hil.machine.mjcf import to_mjcf
+
+SOFT = {
+    "stiffness_Nm_rad = 4.0e7": "stiffness_Nm_rad = 6.0e4",  # ceiling
+    "stiffness_Nm_rad = 2.4e7": "stiffness_Nm_rad = 5.0e4",  # arm
+    "stiffness_Nm_rad = 1.015e4": "stiffness_Nm_rad = 6.0e3",  # panel's mount
+    "stiffness_Nm_rad = 1.07e5": "stiffness_Nm_rad = 4.0e4",  # propeller's gear
+    "stiffness_Nm_rad = 9.0e5": "stiffness_Nm_rad = 5.0e4",  # roll's gear
+    "position_m = [0.0, 0.0, -0.81]                          # its focal spot\n": (
+        "position_m = [0.01, -0.02, -0.81]\norientation_deg = [2.0, -1.0, 0.5]\n"
+    ),
+    "inertia_kg_m2 = [1.8, 1.8, 1.5, 0.0, 0.0, 0.0]\n": (
+        "inertia_kg_m2 = [1.8, 1.8, 1.5, 0.0, 0.0, 0.0]\n"
+        '[body.joint]\nname = "tube_mount"\ntype = "revolute"\naxis = [0.6, 0.0, 0.8]\nstiffness_Nm_rad = 8.0e3\ndamping_Nm_s_rad = 3.0\n'
+    ),
+    "position_m = [0.3, 0.0, -1.0]\n": "position_m = [0.3, 0.004, -1.002]\norientation_deg = [0.3, -0.2, 0.4]\n",
+}
+
+
+def machine_file(changes, name="carm"):
+    """The shipped C-arm with pieces of its file replaced."""
+    text = load_machine("carm").text
+    for old, new in changes.items():
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text.replace('name = "carm"', f'name = "{name}"')
+
+
+def soft_machine(link_encoders=True):
+    text = machine_file(SOFT)
+    if not link_encoders:
+        for axis in ("propeller", "roll"):
+            text = text.replace(f"[sensors.link_position_{axis}]\ntype", f"[sensors.other_{axis}]\ntype")
+    return machine_from_text(text, label="soft")
+
+
+class Statics:
+    """Poses of panel and tube at rest, by MuJoCo: springs against its own gravity."""
+
+    def __init__(self, machine, held=()):
+        self.machine, self.held = machine, held
+        self.model = mujoco.MjModel.from_xml_string(to_mjcf(machine.plant, "statics"))
+        self.data = mujoco.MjData(self.model)
+
+    def __call__(self, positions):
+        """Frames (4, 4) of panel centre and focal spot in the isocentre."""
+        model, data = self.model, self.data
+        driven = {drive.joint: k for k, drive in enumerate(self.machine.plant.drives)}
+        data.qpos[:] = 0.0
+        for _ in range(60):
+            mujoco.mj_forward(model, data)
+            for joint in self.machine.plant.tree.joints:
+                at = model.joint(joint.name).qposadr[0]
+                if joint.name in driven:
+                    data.qpos[at] = positions[driven[joint.name]]
+                elif joint.name not in self.held:
+                    data.qpos[at] = -data.qfrc_bias[model.joint(joint.name).dofadr[0]] / joint.stiffness
+        mujoco.mj_kinematics(model, data)
+        geometry = self.machine.geometry
+        result = []
+        for name, offset in ((geometry.detector_body, geometry.detector_center_m), (geometry.source_body, geometry.source_position_m)):
+            frame = np.eye(4)
+            frame[:3, :3] = data.body(name).xmat.reshape(3, 3)
+            frame[:3, 3] = data.body(name).xpos + frame[:3, :3] @ offset - geometry.isocenter_m
+            result.append(frame)
+        return result
