@@ -166,6 +166,16 @@ class ModalObserver:
         self.estimate[tail + 2] = mean
         self.estimate[tail + 3] = is_alarm
 
+    def skip(self, samples: int, command: np.ndarray) -> None:
+        """Samples that passed without a SYNC, before the next step, which will be given `command` (n_axes,): nothing was measured, and what
+        acted at the last sample went on acting."""
+        if not self._has_command:
+            self._held[:] = command
+            self._has_command = True
+        nothing, held = np.full(len(self._measured), np.nan), self._held.copy()
+        for _ in range(samples):
+            self.step_measured(nothing, held)
+
     def go_back(self, x: np.ndarray, factor: np.ndarray, held: np.ndarray | None) -> None:
         """Stand at an earlier row again: its state (states,), factor (states, states), and the command given in it; None for row 0."""
         self.memory.x[:] = x

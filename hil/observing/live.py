@@ -96,7 +96,7 @@ class LiveObserver:
         self._row.restart()
         self.observer.restart()
         self.estimate[:] = np.nan
-        self._without_imu = self._alarmed = self._rows = 0
+        self._without_imu = self._alarmed = self._rows = self._tick = 0
         if self.damping is not None:
             self.damping.restart(rows)
 
@@ -109,6 +109,9 @@ class LiveObserver:
             read[self._imu_at] = sample.imu
         self._row.take(read)
         observer, observed = self.observer, self._observed
+        if self._rows and tick > self._tick + 1:
+            observer.skip(tick - self._tick - 1, command)
+        self._tick = tick
         observer.step_measured(self._row.values, command)
         self.estimate[:observed] = observer.estimate
         damping = self.damping

@@ -45,8 +45,11 @@ def observe(
     values = np.zeros((len(measured), len(observer.channels)))
     innovation = np.zeros(measured.shape)
     states = np.zeros((len(measured), len(observer.state)))
+    ticks = recording.ticks
     for k in range(len(measured)):
         row.take(measured[k])
+        if k and ticks[k] > ticks[k - 1] + 1:  # skipped by the loop; live, time passed there, too
+            observer.skip(int(ticks[k] - ticks[k - 1] - 1), commands[k - 1])
         observer.step_measured(row.values, commands[max(k - 1, 0)])
         values[k], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
         if progress is not None and k % 1024 == 0:

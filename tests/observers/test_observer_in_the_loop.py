@@ -20,7 +20,7 @@ from hil.machine.effects_file import read_effects_file
 from hil.observing import ObserverDesign, observe, write_design
 from hil.observing.board import EstimateBoard, latest_estimate
 from hil.observing.live import LiveObserver
-from hil.recording import Recording, read_recording
+from hil.recording import Channel, Recording, RecordingWarning, read_recording
 from virtual_bus.lockstep import imu_line
 from virtual_bus.serial.pipe import PipeEnd
 
@@ -80,6 +80,39 @@ def test_an_imu_whose_readings_are_held_counts_as_missing_and_variances_grow(mac
     assert len(grows) > 1 and min(grows) > 1.3, grows
     assert np.isfinite(recording["command_roll"]).all()
     assert_replayed(recording, design)
+
+
+def test_ticks_the_loop_lost_are_time_that_passed_live_and_in_replay(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+    plan = PLAN.plans(machine)[0]
+    with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, LiveObserver(design.observer())) as bench:
+
+        def lose(k: int) -> None:
+            bench.wiring.clock.missed += 5 * (k > 0)  # type: ignore[misc]  # a number in lockstep
+
+        bench.run(plan, tmp_path / "lost.mf4", lose)
+    with pytest.warns(RecordingWarning, match="20 ticks are missing in 4 places"):
+        recording = read_recording(tmp_path / "lost.mf4")
+    assert (np.diff(recording.ticks) == 6).sum() > 1
+    assert_replayed(recording, design)
+
+
+def test_after_ticks_that_are_not_recorded_the_estimate_is_where_the_machine_went_meanwhile(
+    machine: Machine, design: ObserverDesign, tmp_path
+) -> None:
+    whole = scanned(machine, design, tmp_path / "whole.mf4")
+    kept = np.ones(whole.rows, dtype=bool)
+    gap = slice(whole.rows // 2, whole.rows // 2 + 6)  # in full motion
+    kept[gap] = False
+    channels = {name: Channel(channel.unit, channel.values[kept]) for name, channel in whole.channels.items()}
+    speed = np.diff(whole["estimate_link_position_roll"])[gap].mean()  # per tick
+    replayed = observe(Recording(channels, whole.metadata), design.observer())
+    after = replayed.values[gap.start]
+    estimates = whole.matrix(replayed.names)
+    column = replayed.names.index("estimate_link_position_roll")
+    assert abs(speed) > 3e-4
+    assert abs(after[column] - estimates[gap.stop, column]) < 0.05 * abs(speed)
+    variance = replayed.names.index("estimate_detector_wy_variance")
+    assert after[variance] > 1.01 * estimates[gap.stop, variance], "and it is known to be less certain"
 
 
 class Cable(PipeEnd):
