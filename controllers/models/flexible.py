@@ -17,8 +17,11 @@ from controllers.models.motions import Motion, frames_of, motion_jacobian
 
 SOURCE_NAMES = ("source_u", "source_v", "source_w")
 
-ROUNDS = 5
-"""Rounds of deflection and gravity; each gains the ratio of gravity's stiffness to the joint's, 1e-2 or less."""
+ROUNDS = 8
+"""Rounds of deflection and gravity; each gains the ratio of gravity's stiffness to the joint's, a few hundredths at most."""
+
+LEAST_STEP = 1e-12
+"""Difference of a compliance of zero [rad/Nm]: a few hundred Nm bend it by 1e-10 rad."""
 
 IN_CHAIN, AT_PANEL, AT_TUBE = "in_chain", "at_panel", "at_tube"
 
@@ -101,6 +104,14 @@ class FlexibleChain:
             compliance=np.array(values[rigid + 3 :]),
         )
 
+    def angles(self, positions: np.ndarray) -> np.ndarray:
+        """(N, n) angles of the chain's joints with axes at positions (N, axes); zero for a joint that nobody drives."""
+        angles = np.zeros((len(positions), len(self.chain.joints)))
+        for axis, row in enumerate(self.driven):
+            if row >= 0:
+                angles[:, row] = positions[:, axis]
+        return angles
+
     def deflections(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, e) deflection of the elastic joints [rad or m] with axes at positions (N, axes), and the efforts that make it [Nm or N]."""
         positions = np.atleast_2d(np.asarray(positions, dtype=float))
@@ -114,6 +125,16 @@ class FlexibleChain:
             effort = self.tree.efforts(coordinates)[:, [joint.coordinate for joint in self.elastic]]
             bent = self.compliance * effort
         return bent, effort
+
+    def _gains(self, positions: np.ndarray, bent: np.ndarray) -> np.ndarray:
+        """(N, e, e) change of every deflection with each compliance, gravity's change with the deflection included; by differences."""
+        result = np.empty((*bent.shape, len(self.elastic)))
+        for k, compliance in enumerate(self.compliance):
+            step = max(1e-4 * abs(compliance), LEAST_STEP)
+            other = self.compliance.copy()
+            other[k] += step
+            result[:, :, k] = (replace(self, compliance=other).deflections(positions)[0] - bent) / step
+        return result
 
     def poses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Focal spot and phantom, seen from the panel.
@@ -130,16 +151,13 @@ class FlexibleChain:
         rotation : (N, 3, 3) array
             From phantom to detector coordinates.
         """
-        chain, tube = self._motions(positions)
+        chain, tube = self._motions(positions, with_gains=False)
         end = frames_of(chain, len(positions))[-1]
         seen = frames_of(tube, len(positions))[-1]
         return seen[:, :3, :3] @ self.source_m + seen[:, :3, 3], end[:, :3, 3], end[:, :3, :3]
 
     def jacobian(self, positions: np.ndarray) -> np.ndarray:
-        """(N, 9, p) change of source [m], phantom [m] and rotation [rad, in detector coordinates] per unit of each parameter (2.17).
-
-        A compliance is taken to change no effort; what that leaves out is of the ratio that `ROUNDS` speaks of.
-        """
+        """(N, 9, p) change of source [m], phantom [m] and rotation [rad, in detector coordinates] per unit of each parameter (2.17)."""
         chain, tube = self._motions(positions)
         size, rigid = len(self.names), len(self.chain.names)
         result = np.zeros((len(positions), 9, size))
@@ -151,21 +169,19 @@ class FlexibleChain:
         result[:, :3, rigid : rigid + 3] = frames[-1][:, :3, :3]
         return result
 
-    def _motions(self, positions: np.ndarray) -> tuple[list[Motion], list[Motion]]:
+    def _motions(self, positions: np.ndarray, with_gains: bool = True) -> tuple[list[Motion], list[Motion]]:
         """From the panel to the phantom, and from the panel to the tube."""
-        angles = np.zeros((len(positions), len(self.chain.joints)))
-        for axis, row in enumerate(self.driven):
-            if row >= 0:
-                angles[:, row] = positions[:, axis]
-        rows = self.chain.motions(angles)
-        bent, effort = self.deflections(positions)
+        rows = self.chain.motions(self.angles(positions))
+        bent, _ = self.deflections(positions)
+        gains = self._gains(positions, bent) if with_gains else None
         first = len(self.chain.names) + len(SOURCE_NAMES)
-        tube = []
+        tube: list[Motion] = []
         for k in range(len(self.elastic) - 1, -1, -1):
             joint = self.elastic[k]
             # Who carries the panel by +q sees everything behind it move by -q; the tube itself moves by +q
             sign = 1.0 if joint.place == AT_TUBE else -1.0
-            motion = Motion(joint.revolute, joint.axis, sign * bent[:, k], ((first + k, sign * effort[:, k]),), joint.point_m)
+            parameters = () if gains is None else tuple((first + j, sign * gains[:, k, j]) for j in range(len(self.elastic)))
+            motion = Motion(joint.revolute, joint.axis, sign * bent[:, k], parameters, joint.point_m)
             if joint.place != AT_TUBE:
                 rows[joint.row].insert(0, motion)
             if joint.place != IN_CHAIN:

@@ -65,7 +65,9 @@ class GravityTree:
                 mass[self.parent[b]] += mass[b]
                 moment[self.parent[b]] += moment[b]
         result = np.zeros_like(coordinates, dtype=float)
-        for b in np.flatnonzero(self.coordinate >= 0):
+        for b in range(bodies):
+            if self.coordinate[b] < 0:
+                continue
             along = rotation[b] @ self.axis[b]
             load = mass[b] * self.gravity_m_s2
             if self.revolute[b]:

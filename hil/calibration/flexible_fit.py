@@ -10,13 +10,17 @@ import numpy as np
 from controllers.models.flexible import SOURCE_NAMES, FlexibleChain
 from hil.calibration.lookup import LookUp
 from hil.calibration.model_based import free_parameters
-from hil.calibration.seen import SeenFit, fit_seen
+from hil.calibration.seen import NullCombination, combinations_seen, fit_seen
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
 
+TOLERANCE = {"m": 5e-3, "rad": 0.02, "-": 0.01}
+"""How far off its drawing a machine may be before it is measured; a compliance, its own nominal value."""
+
+ROUNDS = 2
+"""The first round finds how large the residuals are, the second weighs the poses with that."""
+
 SIX, NINE = np.arange(3, 9), np.arange(9)
-MOVED = 3.0
-"""A scan whose residuals differ from the others' in the mean by more than so many times their spread stood on another phantom pose."""
 
 
 @dataclass(frozen=True)
@@ -27,19 +31,26 @@ class FlexibleFit:
     ----------
     model : FlexibleChain
     covariance : (p, p) array
-        Scaled by the residuals' variance where that exceeds what the poses' own covariances say.
-    fit : SeenFit
+        Of all parameters, from the poses and the drawing's tolerance; zero for what was frozen.
+    rank : int
+        Combinations of the free parameters that the poses know better than the drawing.
+    singular_values : array
+        Tolerance over standard deviation of every combination.
+    null : tuple of NullCombination
+        The other combinations: left near the drawing.
     frozen : tuple of str
         Kept by request, or not moved by any scan, or the source of six-parameter poses.
     residual : (N, 9) array
         Deviation of the measured poses from the model's, as `ConeBeam.moved` takes it [m, rad].
     chi2 : float
-        Mean squared residual in units of the poses' covariance, per degree of freedom.
+        Mean squared residual in units of the poses' covariance, per degree of freedom; where it exceeds 1 the covariances are scaled by it.
     """
 
     model: FlexibleChain
     covariance: np.ndarray
-    fit: SeenFit
+    rank: int
+    singular_values: np.ndarray
+    null: tuple[NullCombination, ...]
     frozen: tuple[str, ...]
     residual: np.ndarray
     chi2: float
@@ -54,12 +65,15 @@ def beam_of(model: FlexibleChain, positions: np.ndarray) -> ConeBeam:
 def fit_flexible(
     start: FlexibleChain, positions: np.ndarray, measured: ConeBeam, covariance: np.ndarray, frozen: Collection[str] = ()
 ) -> FlexibleFit:
-    """Fit the model to measured poses by Levenberg-Marquardt on what they see.
+    """Fit the model to measured poses by Levenberg-Marquardt, every parameter within its tolerance of the drawing.
+
+    The tolerances count as measurements of the nominal values; what the poses do not see so stays at the drawing, and what they hardly see
+    does not run away with what the model leaves out (errata: delta_theta_4 and theta_z to 3e5 rad).
 
     Parameters
     ----------
     start : FlexibleChain
-        Nominal parameters; what the poses do not see stays here.
+        Nominal parameters.
     positions : (N, axes) array
         Of the machine's axes [rad].
     measured : ConeBeam
@@ -78,17 +92,15 @@ def fit_flexible(
     """
     held = not np.diagonal(covariance, axis1=1, axis2=2)[:, :3].any(axis=1).all()
     used = SIX if held else NINE
-    angles = np.zeros((len(positions), len(start.chain.joints)))
-    for axis, joint in enumerate(start.driven):
-        if joint >= 0:
-            angles[:, joint] = positions[:, axis]
-    free = free_parameters(start.chain, start.names, angles, {*frozen, *(SOURCE_NAMES if held else ())})
+    free = free_parameters(start.chain, start.names, start.angles(positions), {*frozen, *(SOURCE_NAMES if held else ())})
     if used.size * len(positions) <= free.size:
         raise UnusableInput(f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more")
     white = np.linalg.cholesky(np.linalg.inv(covariance[:, used[:, None], used]))  # residual' C^-1 residual = |white' residual|^2
     white = np.swapaxes(white, 1, 2)
 
-    def residual_of(values: np.ndarray) -> np.ndarray:
+    nominal, tolerance = start.values, tolerances(start)
+
+    def deviation_of(values: np.ndarray) -> np.ndarray:
         deviation = measured.deviation_from(beam_of(start.with_values(values), positions))
         return (white @ deviation[:, used, None]).ravel()
 
@@ -97,17 +109,39 @@ def fit_flexible(
         jacobian[:, 6:] *= -1.0  # the model turns the phantom in the detector's frame, a deviation the detector in the phantom's
         return (white @ jacobian[:, used]).reshape(-1, len(start.names))
 
-    fit = fit_seen(residual_of, jacobian_of, start.values, free, start.names)
-    model = start.with_values(fit.values)
-    chi2 = float(fit.residual @ fit.residual / (fit.residual.size - fit.rank))
+    values, chi2 = nominal, 1.0
+    for _ in range(ROUNDS):
+        scale = 1.0 / np.sqrt(chi2)
+
+        def residual_of(values: np.ndarray, scale: float = scale) -> np.ndarray:
+            return np.concatenate([scale * deviation_of(values), (nominal - values) / tolerance])
+
+        def slope_of(values: np.ndarray, scale: float = scale) -> np.ndarray:
+            return np.concatenate([scale * jacobian_of(values), np.diag(1.0 / tolerance)])
+
+        fit = fit_seen(residual_of, slope_of, values, free, start.names)
+        values = fit.values
+        seen, null = combinations_seen(scale * jacobian_of(values)[:, free], tolerance[free], [start.names[k] for k in free])
+        rank = len(free) - len(null)
+        left = deviation_of(values)
+        chi2 = max(1.0, float(left @ left / (left.size - rank)))
+    model = start.with_values(values)
     return FlexibleFit(
         model=model,
-        covariance=fit.covariance * max(1.0, chi2),
-        fit=fit,
+        covariance=fit.covariance,
+        rank=rank,
+        singular_values=seen,
+        null=null,
         frozen=tuple(name for k, name in enumerate(start.names) if k not in set(free)),
         residual=measured.deviation_from(beam_of(model, positions)),
-        chi2=chi2,
+        chi2=float(left @ left / (left.size - rank)),
     )
+
+
+def tolerances(model: FlexibleChain) -> np.ndarray:
+    """(p,) how far each parameter may be from the drawing."""
+    rigid = len(model.names) - len(model.compliance)
+    return np.array([TOLERANCE[unit] if k < rigid else model.values[k] for k, unit in enumerate(model.units)])
 
 
 def joined(tables: Sequence[LookUp]) -> LookUp:

@@ -14,7 +14,7 @@ VISIBLE = 1e-6
 Table 2.2's chain 1e-4 or more."""
 
 FIRST_DAMPING = 1e-3
-LARGEST_DAMPING = 1e12
+LEAST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 CONVERGED = 1e-10
 """Relative fall of the weighted sum of squares at which the iteration ends."""
 MOST_STEPS = 60
@@ -100,12 +100,12 @@ def fit_seen(
             trial_cost = float(trial_residual @ trial_residual)
             if trial_cost <= cost or damping > LARGEST_DAMPING:
                 break
-            damping = max(10.0 * damping, FIRST_DAMPING)
+            damping = max(10.0 * damping, LEAST_DAMPING)
         fall = cost - trial_cost
         if fall < 0.0:
             break
         values, residual, cost = trial, trial_residual, trial_cost
-        damping *= 0.01
+        damping *= 0.1
         if fall <= CONVERGED * cost:
             break
     else:
@@ -114,23 +114,46 @@ def fit_seen(
     covariance = np.zeros((len(origin), len(origin)))
     half = seen.to_parameters / seen.s
     covariance[np.ix_(free, free)] = half @ half.T
-    labels = np.array(names)[free]
     return SeenFit(
         values=values,
         covariance=covariance,
         rank=len(seen.s),
         singular_values=seen.all_values / seen.all_values[0],
-        null=tuple(
-            NullCombination(_shares(labels, row), float(value / seen.all_values[0]))
-            for row, value in zip(seen.null, seen.all_values[len(seen.s) :], strict=True)
-        ),
+        null=_null(seen, [names[k] for k in free]),
         residual=residual,
     )
 
 
-def seen_rank(jacobian: np.ndarray) -> int:
-    """How many combinations of its columns' parameters a whitened Jacobian (M, p) sees."""
-    return len(_seen(jacobian).s)
+def combinations_seen(jacobian: np.ndarray, tolerance: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, tuple[NullCombination, ...]]:
+    """What data know better than a drawing does.
+
+    Parameters
+    ----------
+    jacobian : (M, p) array
+        Whitened.
+    tolerance : (p,) array
+        How far each parameter may be from its drawing.
+    names : sequence of str
+
+    Returns
+    -------
+    singular_values : (p,) array
+        Tolerance over the standard deviation of each combination of the parameters in units of their tolerance.
+    null : tuple of NullCombination
+        Those below 1.
+    """
+    _, s, vt = np.linalg.svd(jacobian * tolerance, full_matrices=False)
+    null = tuple(
+        NullCombination(_shares(np.array(names), row), float(value / s[0])) for row, value in zip(vt, s, strict=True) if value < 1.0
+    )
+    return s, null
+
+
+def _null(seen: _Seen, names: Sequence[str]) -> tuple[NullCombination, ...]:
+    return tuple(
+        NullCombination(_shares(np.array(names), row), float(value / seen.all_values[0]))
+        for row, value in zip(seen.null, seen.all_values[len(seen.s) :], strict=True)
+    )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from hil.cli import answers, bus, calibrate, diagnose, identify, machine, observe, physics, reconstruct, run, shape, story
+from hil.cli import answers, bus, calibrate, calibrate_model, diagnose, identify, machine, observe, physics, reconstruct, run, shape, story
 
 
 def commands(app: typer.Typer) -> None:
@@ -21,5 +21,6 @@ def commands(app: typer.Typer) -> None:
     shape.register(app)
     observe.register(app)
     calibrate.register(app)
+    calibrate_model.register(calibrate.app)
     reconstruct.register(app)
     diagnose.register(app)

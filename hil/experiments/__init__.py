@@ -7,6 +7,7 @@ from hil.experiments.multisine import Multisine
 from hil.experiments.plan import Experiment, Plan
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
+from hil.experiments.tour import Tour
 
 __all__ = [
     "Experiment",
@@ -17,6 +18,7 @@ __all__ = [
     "Plan",
     "Scan",
     "Static",
+    "Tour",
     "experiment_from_text",
     "read_experiment",
     "write_experiment",

@@ -19,6 +19,7 @@ from hil.experiments.multisine import Multisine
 from hil.experiments.plan import Experiment
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
+from hil.experiments.tour import Tour
 from hil.machine import Machine
 from hil.machine.messages import Complaint, from_validation, one_line
 from hil.machine.table import Table
@@ -106,6 +107,8 @@ def _experiment(table: Any, machine: Machine) -> Experiment:
             return Scan(**given)
         case "static":
             return Static(**given)
+        case "tour":
+            return Tour(**(given | {"stops": tuple(stop.by_axis() for stop in given["stops"])}))
         case _:
             return Move(start=given.get("start", {}), goal=given.get("goal", {}))
 

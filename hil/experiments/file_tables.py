@@ -97,13 +97,21 @@ class StaticTable(ExperimentTable):
     duration: Annotated[Positive | None, Quantity("time")] = None
 
 
-# kind -> its table, and the tables by axis it has beside it: field -> "position" or "effort"
+class TourTable(ExperimentTable):
+    """kind = "tour"."""
+
+    pace: Annotated[Positive, Field(le=1.0)] | None = None
+    dwell: Duration = None
+
+
+# kind -> its table, and the tables by axis it has beside it: field -> "position", "effort", or "positions", a list that must be there
 _KINDS: dict[str, tuple[type[ExperimentTable], dict[str, str]]] = {
     "multisine": (MultisineTable, {"pose": "position", "amplitudes": "effort"}),
     "jog": (PeriodicTable, {"pose": "position"}),
     "scan": (ScanTable, {"pose": "position"}),
     "static": (StaticTable, {"pose": "position"}),
     "move": (ExperimentTable, {"start": "position", "goal": "position"}),
+    "tour": (TourTable, {"stops": "positions"}),
 }
 
 
@@ -113,13 +121,19 @@ def validated(raw: dict[str, Any], machine: Machine) -> ExperimentTable:
     if not isinstance(kind, str) or kind not in _KINDS:
         raise Complaint(("kind",), f"{'is missing' if kind is None else 'no such kind'}; write one of {', '.join(_KINDS)}")
     base, by_axis = _KINDS[kind]
-    fields: dict[str, Any] = {name: (_axis_table(machine, what) | None, None) for name, what in by_axis.items()}
+    fields: dict[str, Any] = {name: _field(machine, what) for name, what in by_axis.items()}
     return create_model(f"{base.__name__}OfMachine", __base__=base, **fields).model_validate(raw)
 
 
 def dimension_of(unit: str) -> str:
     """Dimension a unit belongs to."""
     return next(dimension for dimension, units in UNITS.items() if unit in units)
+
+
+def _field(machine: Machine, what: str) -> tuple[Any, Any]:
+    if what == "positions":
+        return tuple[_axis_table(machine, "position"), ...], ...  # type: ignore[misc]
+    return _axis_table(machine, what) | None, None
 
 
 def _axis_table(machine: Machine, what: str) -> type[AxisTable]:

@@ -14,6 +14,7 @@ from hil.experiments.multisine import Multisine
 from hil.experiments.plan import Experiment
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
+from hil.experiments.tour import Tour
 from hil.machine import Machine
 from hil.machine.units import UNITS
 from hil.recording.toml_text import toml_text
@@ -44,6 +45,9 @@ def experiment_text(experiment: Experiment, machine: Machine) -> str:
             table = {"kind": "static", "duration_s": float(experiment.seconds), "pose": _pose(experiment.pose, machine)}
         case Move():
             table = {"kind": "move", "start": _pose(experiment.start, machine), "goal": _pose(experiment.goal, machine)}
+        case Tour():
+            stops = [_pose(stop, machine) for stop in experiment.stops]
+            table = {"kind": "tour", "pace": float(experiment.pace), "dwell_s": float(experiment.dwell_s), "stops": stops}
         case _:
             raise ExperimentError(f"a {type(experiment).__name__} has no file format")
     return toml_text({"format": FORMAT, **table})

@@ -35,7 +35,8 @@ def test_what_gives_way_gives_way_as_in_mujoco():
     chain = nominal_chain(machine)
     assert [joint.name for joint in chain.elastic] == ["detector_mount", "arm_yaw", "mount_sway", "tube_mount"]
     error = beam_of(chain, POSITIONS).deviation_from(in_mujoco(machine, held=("propeller_gear", "roll_gear")))
-    assert np.abs(beam_of(chain, POSITIONS).deviation_from(nominal_beam(machine, POSITIONS))).max(axis=0).min() > 1e-3
+    sag = np.abs(beam_of(chain, POSITIONS).deviation_from(nominal_beam(machine, POSITIONS))).max(axis=0)
+    assert (sag > 5e-5).all() and np.median(sag) > 1e-3
     np.testing.assert_allclose(error, 0.0, atol=1e-8)
 
 
@@ -53,8 +54,8 @@ def test_one_sagging_mount_is_its_weight_s_arm_over_its_stiffness():
     bent, effort = chain.deflections(np.zeros((1, 2)))
     # 40 kg at (0.05, 0.02) beside the axis (0.4, 0.9165): a x r . z = 0.4 * 0.02 - 0.9165 * 0.05, times -m g
     by_hand = 40.0 * 9.81 * (0.916515138991168 * 0.05 - 0.4 * 0.02)
-    assert effort[0, 0] == pytest.approx(by_hand, rel=2e-3)  # the mount's own sag and the mm it shifts the mass by
-    assert bent[0, 0] == pytest.approx(by_hand / 1.015e4, rel=2e-3)
+    assert effort[0, 0] == pytest.approx(by_hand, rel=0.02)  # the mount's own sag shifts the mass by 0.1 mm of 37
+    assert bent[0, 0] == pytest.approx(by_hand / 1.015e4, rel=0.02)
 
 
 def test_derivatives_are_those_of_the_poses():
@@ -68,9 +69,7 @@ def test_derivatives_are_those_of_the_poses():
         back[k] -= step
         ahead, behind = beam_of(chain.with_values(there), POSITIONS), beam_of(chain.with_values(back), POSITIONS)
         slope = ahead.deviation_from(behind) / (2.0 * step)
-        # gravity's stiffness, which the derivative by a compliance leaves out, is up to 6 % of these soft springs
-        allowed = 1e-7 + 0.1 * np.abs(slope).max() * name.startswith("compliance")
-        np.testing.assert_allclose(jacobian[:, :, k], slope, atol=allowed, err_msg=name)
+        np.testing.assert_allclose(jacobian[:, :, k], slope, atol=1e-7 + 1e-4 * np.abs(slope).max(), err_msg=name)
 
 
 def test_what_the_model_cannot_hold_is_named():

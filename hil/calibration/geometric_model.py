@@ -1,0 +1,136 @@
+"""A fitted kinematic model as a calibration: deviations from the nominal geometry for any axis positions, and its file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controllers.models.flexible import FlexibleChain
+from hil.calibration.flexible_fit import beam_of
+from hil.calibration.lookup import LookUp, read_look_up
+from hil.calibration.nominal_chain import nominal_chain
+from hil.errors import UnusableInput
+from hil.imaging.nominal import nominal_beam
+from hil.machine import Machine
+
+FORMAT = 1
+KIND = "model"
+
+
+@dataclass(frozen=True)
+class GeometricModel:
+    """The model-based calibration of a machine (thesis Sec. 2.2.3).
+
+    Attributes
+    ----------
+    machine : Machine
+        Whose file says the nominal geometry.
+    chain : FlexibleChain
+    covariance : (p, p) array
+        Of the chain's values.
+    notes : mapping
+        Machine, its hash, scans, rank, null combinations, frozen parameters.
+    """
+
+    machine: Machine
+    chain: FlexibleChain
+    covariance: np.ndarray
+    notes: Mapping[str, Any]
+
+    def require(self, machine: Machine) -> None:
+        """Refuse another machine's positions.
+
+        Raises
+        ------
+        UnusableInput
+        """
+        if machine.name != self.machine.name or machine.axes != self.machine.axes:
+            raise UnusableInput(f"the model is of {self.machine.name}; calibrate {machine.name}")
+
+    def at(self, positions: np.ndarray) -> np.ndarray:
+        """(M, 9) deviations from the nominal geometry at positions (M, axes), as `ConeBeam.moved` takes them; static poses."""
+        positions = np.atleast_2d(positions)
+        return beam_of(self.chain, positions).deviation_from(nominal_beam(self.machine, positions))
+
+    def covariance_at(self, positions: np.ndarray) -> np.ndarray:
+        """(M, 9, 9) covariance of those deviations, from the parameters' alone: what the model leaves out is not in it."""
+        jacobian = self.chain.jacobian(np.atleast_2d(positions))
+        jacobian[:, 6:] *= -1.0
+        half = jacobian @ self._root
+        return half @ np.swapaxes(half, 1, 2)
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        """(p, p) R with R R' the covariance."""
+        scale = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        size, turned = np.linalg.eigh(self.covariance / scale / scale[:, None])
+        return scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
+
+
+Calibration = LookUp | GeometricModel
+
+
+def write_model(model: GeometricModel, path: Path) -> None:
+    """As a .npz that NumPy alone can read (docs/formats.md).
+
+    Raises
+    ------
+    UnusableInput
+        The file cannot be written.
+    """
+    try:
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                format=FORMAT,
+                kind=KIND,
+                axes=np.array(model.machine.axes),
+                names=np.array(model.chain.names),
+                units=np.array(model.chain.units),
+                values=model.chain.values,
+                covariance=model.covariance,
+                notes=json.dumps(dict(model.notes)),
+            )
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def read_calibration(path: Path, machine: Machine) -> Calibration:
+    """A look-up table or a model, for a machine.
+
+    Raises
+    ------
+    UnusableInput
+        Missing, neither of the two, or another machine's.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if "kind" in file and str(file["kind"]) == KIND:
+                result: Calibration = _model(path, machine, dict(file))
+            else:
+                result = read_look_up(path)
+    except OSError as error:
+        raise UnusableInput(f"{path}: {error.strerror or error}") from None
+    except (ValueError, KeyError, EOFError) as error:
+        if isinstance(error, UnusableInput):
+            raise
+        raise UnusableInput(f"{path}: no calibration of isocenter calibrate phantom or model ({error})") from None
+    result.require(machine)
+    return result
+
+
+def _model(path: Path, machine: Machine, arrays: Mapping[str, np.ndarray]) -> GeometricModel:
+    if int(arrays["format"]) != FORMAT:
+        raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+    notes = json.loads(str(arrays["notes"]))
+    chain = nominal_chain(machine)
+    names = tuple(str(name) for name in arrays["names"])
+    if notes["machine"] != machine.name or names != chain.names:
+        raise UnusableInput(f"{path}: a model of {notes['machine']} with {len(names)} parameters; {machine.name} has {len(chain.names)}")
+    return GeometricModel(machine, chain.with_values(arrays["values"]), arrays["covariance"], notes)

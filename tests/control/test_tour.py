@@ -1,0 +1,45 @@
+"""A tour stands still at every stop, keeps to its share of the machine's pace, and its file reads back equal."""
+
+import numpy as np
+import pytest
+
+from hil.errors import ExperimentError
+from hil.experiments import Tour, experiment_from_text, read_experiment, write_experiment
+from hil.machine import load_machine
+
+CARM = load_machine("carm")
+STOPS = ({"roll": -1.0}, {"roll": 1.0}, {"propeller": 0.5}, {"roll": -0.3, "propeller": 0.0})
+
+
+def test_it_goes_to_every_stop_and_stands_there():
+    plan = Tour(STOPS, pace=0.5, dwell_s=0.5).plans(CARM)[0]
+    still = np.flatnonzero((np.abs(np.diff(plan.reference, axis=0)) < 1e-12).all(axis=1))
+    stood = [run for run in np.split(still, np.flatnonzero(np.diff(still) > 1) + 1) if len(run) >= 127]
+    places = [plan.reference[run[0] + 1] for run in stood]
+    np.testing.assert_allclose(places, [[0.0, -1.0], [0.0, 1.0], [0.5, 1.0], [0.0, -0.3]], atol=1e-9)
+    speed = np.abs(np.diff(plan.reference, axis=0)).max(axis=0) * 256.0
+    limits = 0.5 * np.array([limit.speed for limit in CARM.limits])
+    assert (speed <= limits * (1.0 + 1e-9)).all() and speed[1] > 0.95 * limits[1]  # 2 rad are enough to reach it
+
+
+def test_its_file_reads_back_equal(tmp_path):
+    tour = Tour(STOPS, pace=0.3, dwell_s=2.0)
+    write_experiment(tour, CARM, tmp_path / "tour.toml")
+    assert read_experiment(tmp_path / "tour.toml", CARM) == tour
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "stops: is missing"),
+        ("stops = 3", "stops = 3: must be a list"),
+        ("stops = [{roll_deg = 3}]", "1 stops: must be two at least"),
+        ("stops = [{rol_deg = 3}, {roll_deg = 2}]", "stops[0].rol_deg = 3: unknown key; did you mean"),
+        ("stops = [{roll_deg = 3}, {roll_deg = 200}]", "roll = 3.4907 rad is outside"),
+        ("pace = 2.0\nstops = [{roll_deg = 3}, {roll_deg = 20}]", "pace = 2.0: must be at most 1"),
+    ],
+)
+def test_a_file_that_cannot_be_run_is_one_line(text, line):
+    with pytest.raises(ExperimentError) as refused:
+        experiment_from_text(f'format = 1\nkind = "tour"\n{text}\n', CARM).plans(CARM)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
