@@ -2,7 +2,8 @@
 
 Parameters are counted from their nominal value in units of PRIOR of it. The free-run residual in units of noise is made small together with
 a weak prior (one unit of PRIOR, Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
-LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds; Nocedal and Wright 2006, ch. 10.
+LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds and a trust region; Nocedal and Wright
+2006, ch. 4 and 10.
 """
 
 from __future__ import annotations
@@ -36,7 +37,16 @@ INVISIBLE = 0.05
 UNDECIDED = 0.7
 """A parameter whose standard deviation is still above this share of the prior's is not determined by the recordings."""
 
-ITERATIONS = 12
+FIRST_RADIUS = 0.3
+"""Of the first step in every tuned coordinate, in units of PRIOR. Without one, the first step of a machine with lightly damped modes ran
+into the bounds, and the search ended at 1.3 times the noise's energy."""
+
+GOOD, FAIR, POOR = 0.7, 0.3, 0.1
+"""Shares of the expected decrease of the cost above which the radius doubles and stays, and below which the step is not taken."""
+
+SHRINK, SHRUNK_AT_MOST = 0.3, 4
+
+ITERATIONS = 30
 SETTLED = 1e-4
 SETTLED_GAIN = 0.1
 """Decrease of the cost, as a share of it and in units of noise, below which re-tuning has ended."""
@@ -124,18 +134,23 @@ def retune(runs: FreeRuns) -> Tuning:
 
 
 def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
-    """Gauss-Newton from these values, beside effects that stay as they are: sensitivities anew while steps with them are large."""
+    """Gauss-Newton in a trust region from these values, beside effects that stay as they are.
+
+    Sensitivities are taken anew while steps with them are large.
+    """
     cost = _cost(measured, tuning.predicted, tuning.offset)
+    radius = FIRST_RADIUS
     fresh = True
     for _ in range(ITERATIONS):
-        step = bounded_step(tuning.jacobian, measured - tuning.predicted, tuning.offset)
-        better = _line_search(runs, tuning, step, measured, cost, effects)
-        settled = better is None or cost - better[1] < max(SETTLED * cost, SETTLED_GAIN)
-        if better is not None:
-            tuning, cost = better
+        found = _trusted_step(runs, tuning, measured, cost, radius, effects)
+        settled = found is None or cost - found[1] < max(SETTLED * cost, SETTLED_GAIN)
+        moved = 0.0
+        if found is not None:
+            moved = float(np.abs(found[0].offset - tuning.offset).max(initial=0.0))
+            tuning, cost, radius = found
         if settled and fresh:
             break
-        fresh = settled or float(np.abs(step).max(initial=0.0)) > LARGE_STEP
+        fresh = settled or moved > LARGE_STEP
         if fresh:
             tuning = linearised(runs, tuning, effects)
     return tuning
@@ -175,15 +190,10 @@ def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: t
     return jacobian
 
 
-def bounded_step(jacobian: np.ndarray, residual: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Change of the tuned coordinates that minimises |residual - J step|^2 + |offset + step|^2 within LARGEST_CHANGE."""
-    if not len(offset):
-        return offset
-    hessian = jacobian.T @ jacobian + np.eye(len(offset))
-    root = np.linalg.cholesky(hessian).T
-    target = np.linalg.solve(root.T, jacobian.T @ residual - offset)
+def _bounded_step(root: np.ndarray, target: np.ndarray, offset: np.ndarray, radius: float) -> np.ndarray:
+    """Change of the tuned coordinates that minimises |target - root step|^2 within LARGEST_CHANGE and, in each of them, the radius."""
     bound = LARGEST_CHANGE / PRIOR
-    low, high = -bound - offset, bound - offset
+    low, high = np.maximum(-bound - offset, -radius), np.minimum(bound - offset, radius)
     return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-9), np.maximum(high, 1e-9)), method="bvls").x
 
 
@@ -193,15 +203,31 @@ def with_covariance(tuning: Tuning) -> Tuning:
     return replace(tuning, covariance=np.linalg.inv(tuning.jacobian.T @ tuning.jacobian + np.eye(count)) if count else np.eye(0))
 
 
-def _line_search(
-    runs: FreeRuns, tuning: Tuning, step: np.ndarray, measured: np.ndarray, cost: float, effects: tuple[EffectSetting, ...]
-) -> tuple[Tuning, float] | None:
-    for share in (1.0, 0.5, 0.2):
-        offset = tuning.offset + share * step
+def _trusted_step(
+    runs: FreeRuns, tuning: Tuning, measured: np.ndarray, cost: float, radius: float, effects: tuple[EffectSetting, ...]
+) -> tuple[Tuning, float, float] | None:
+    """The tuning after one step, its cost, and the radius for the next; None where no step within any radius helps.
+
+    The radius grows while the cost falls as the sensitivities say, and shrinks where it does not (Nocedal and Wright 2006, algorithm 4.1).
+    """
+    if not len(tuning.offset):
+        return None
+    residual = measured - tuning.predicted
+    hessian = tuning.jacobian.T @ tuning.jacobian + np.eye(len(tuning.offset))
+    gradient = tuning.jacobian.T @ residual - tuning.offset
+    root = np.linalg.cholesky(hessian).T
+    target = np.linalg.solve(root.T, gradient)
+    for _ in range(SHRUNK_AT_MOST):
+        step = _bounded_step(root, target, tuning.offset, radius)
+        expected = float(2.0 * step @ gradient - step @ hessian @ step)
+        offset = tuning.offset + step
         values = tuning.at(offset)
         predicted = runs.run_one(Trial(values, effects))
-        if predicted is not None and (found := _cost(measured, predicted, offset)) < cost:
-            return replace(tuning, offset=offset, values=values, predicted=predicted), found
+        gain = -np.inf if predicted is None else cost - _cost(measured, predicted, offset)
+        if predicted is not None and gain > max(POOR * expected, 0.0):
+            radius *= 2.0 if gain > GOOD * expected else 1.0 if gain > FAIR * expected else 0.5
+            return replace(tuning, offset=offset, values=values, predicted=predicted), cost - gain, radius
+        radius = SHRINK * min(radius, float(np.abs(step).max()))
     return None
 
 
