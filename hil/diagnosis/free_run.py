@@ -25,7 +25,7 @@ from virtual_bus.settings import EffectSetting
 
 TRAIN, HELD_OUT = "train", "held_out"
 
-LARGEST_STEP_s = 1.0 / 1000.0
+LARGEST_STEP_s = 1.0 / 500.0
 FINE_STEPS = 4
 """Of the plant's integration here, and by how much finer the steps are whose difference corrects all runs (see `FreeRuns.correct`): the
 second-order error of a 20 Hz mode stands out of the noise of four repeats at 1.6 kHz still."""
@@ -43,7 +43,7 @@ class Trial:
 
 
 def smooth(machine: Machine, finer: int = 1) -> Machine:
-    """The same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s, or `finer` times that.
+    """The same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s over `finer`.
 
     Rounding is noise to a recording, and it hides what a small change of a parameter does: a sensitivity through a coarse encoder is zero
     or a jump.
@@ -53,7 +53,7 @@ def smooth(machine: Machine, finer: int = 1) -> Machine:
         machine,
         plant=replace(
             plant,
-            substeps=finer * plant.substeps * max(1, math.ceil(plant.sample_period_s / plant.substeps / LARGEST_STEP_s - 1e-9)),
+            substeps=finer * math.ceil(plant.sample_period_s / LARGEST_STEP_s - 1e-9),
             drives=tuple(replace(drive, resolution=0.0) for drive in plant.drives),
             encoders=tuple(replace(encoder, resolution=0.0) for encoder in plant.encoders),
             currents=tuple(replace(current, resolution=0.0) for current in plant.currents),

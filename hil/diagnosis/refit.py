@@ -26,6 +26,11 @@ ENOUGH = 1e-3
 
 POLISHING_ROUNDS = 3
 POLISHING_STEPS = 3
+FIRST_DAMPING = 1e-3
+POLISHING_DAMPING = 1e-7
+"""In units of the curvature's diagonal. A machine's numbers that scale alike lie along a valley whose curvature is the prior's, 10^-4 and
+less of the diagonal: more damping ends a fit on its way along it, and a friction's strength, which scales with them, off by a tenth."""
+
 POLISHED_GAIN = 1.0
 """Decrease of the cost by which a round of polishing calls for another."""
 
@@ -90,9 +95,10 @@ def refit(
     starts: Sequence[tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]],
     *,
     steps: int = STEPS,
+    damping: float = FIRST_DAMPING,
 ) -> list[Fitted | None]:
     """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all."""
-    fits = [_fit(tuning, measured, names, values, steps) for names, values in starts]
+    fits = [_fit(tuning, measured, names, values, steps, damping) for names, values in starts]
     return together(runs, fits)
 
 
@@ -101,7 +107,7 @@ def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted)
     for _ in range(POLISHING_ROUNDS):
         at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         at = linearised(runs, at, fitted.settings)
-        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS)
+        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS, damping=POLISHING_DAMPING)
         if again is None or again.cost > fitted.cost - POLISHED_GAIN:
             return fitted if again is None or again.cost > fitted.cost else again
         fitted = again
@@ -127,7 +133,7 @@ def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitt
 
 
 def _fit(
-    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int
+    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int, damping: float
 ) -> Generator[list[Trial], Answers, Fitted | None]:
     """Levenberg-Marquardt as a generator of trials."""
     parameters = [effects()[name.effect].parameters for name in names]
@@ -142,7 +148,7 @@ def _fit(
     if predicted is None:
         return None
     cost = _cost(measured, predicted, offset)
-    damping = 1e-3
+    tuned = tuning.jacobian.T @ tuning.jacobian
     jacobian = np.zeros((len(predicted), len(free)))
     for _ in range(steps):
         sizes = np.array([_size(parameters[e][k], values[e][k]) for e, k in free])
@@ -153,7 +159,7 @@ def _fit(
         residual = measured - predicted
         accepted = False
         low, high = _bounds(parameters, values, free, sizes)
-        hessian, gradient = _normal_equations(tuning.jacobian, jacobian * sizes, residual, offset)
+        hessian, gradient = _normal_equations(tuned, tuning.jacobian, jacobian * sizes, residual, offset)
         for _ in range(2):
             ladder = [damping, 10.0 * damping, 100.0 * damping]
             tries = []
@@ -183,15 +189,13 @@ def _fit(
     return Fitted(names, values, offset, predicted, cost, free, jacobian)
 
 
-def _normal_equations(tuned: np.ndarray, added: np.ndarray, residual: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of |residual - [J_tuned, J_added] step|^2 + |offset + step_tuned|^2."""
-    columns = np.hstack([tuned, added])
-    hessian = columns.T @ columns
-    count = len(offset)
-    hessian[:count, :count] += np.eye(count)
-    gradient = columns.T @ residual
-    gradient[:count] -= offset
-    return hessian, gradient
+def _normal_equations(
+    tuned: np.ndarray, jacobian: np.ndarray, added: np.ndarray, residual: np.ndarray, offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of |residual - [J, J_added] step|^2 + |offset + step_tuned|^2; `tuned` is J'J."""
+    across = jacobian.T @ added
+    hessian = np.block([[tuned + np.eye(len(tuned)), across], [across.T, added.T @ added]])
+    return hessian, np.concatenate([jacobian.T @ residual - offset, added.T @ residual])
 
 
 def _bounded_step(

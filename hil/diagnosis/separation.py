@@ -236,13 +236,13 @@ def _kept(plan: Plan) -> int:
 def left_over(difference: np.ndarray, jacobian: np.ndarray, model: Model) -> float:
     """Distance that remains after the best local refit."""
     tuned = len(model.indices)
-    prior = np.zeros((tuned, jacobian.shape[1]))
-    prior[:, :tuned] = np.eye(tuned)
-    rows = np.vstack([jacobian, prior])
-    target = np.concatenate([difference, np.zeros(tuned)])
-    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    change = np.linalg.lstsq(rows / size, target, rcond=1e-10)[0]
-    return float(np.linalg.norm(target - rows / size @ change))
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    size[:tuned] = 1.0  # whose prior has the unit size
+    columns = jacobian / size
+    hessian = columns.T @ columns
+    hessian[:tuned, :tuned] += np.eye(tuned)
+    change = np.linalg.lstsq(hessian, columns.T @ difference, rcond=1e-13)[0]
+    return float(np.hypot(np.linalg.norm(difference - columns @ change), np.linalg.norm(change[:tuned])))
 
 
 def _moved(settings: tuple[EffectSetting, ...], number: int, name: str) -> tuple[tuple[EffectSetting, ...], float]:

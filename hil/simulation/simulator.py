@@ -15,7 +15,7 @@ from hil.errors import BadAnswer, ExperimentError
 from hil.machine import Machine
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel
 from virtual_bus.plant.compiled import compile_plant
-from virtual_bus.plant.statics import holding_effort, resting_state
+from virtual_bus.plant.statics import held_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import new_readings, sensor_model
 from virtual_bus.settings import EffectSetting
@@ -99,9 +99,9 @@ class Simulator:
         """
         model = self.plant.model(values, effects)
         state = resting_state(self.plant, model, inputs.start_pose, held_by_brakes=False)
+        holding = held_effort(self.plant, state)
         if inputs.start_speed is not None:
             state[[self.plant.joints + joint for joint in self.plant.joint_of_axis().values()]] = inputs.start_speed
-        holding = holding_effort(self.plant, model, inputs.start_pose)
         loop = self._closed_loop(inputs, holding) if inputs.command is None else self._open_loop
         rows = self._rows(inputs)
         settings = self.machine.plant

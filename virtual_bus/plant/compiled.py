@@ -120,6 +120,11 @@ class CompiledPlant:
         return records.work_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), len(self.settings.watched_bodies))
 
     @cached_property
+    def _lower(self) -> np.ndarray:
+        """(n, n) the triangle of the inertia that the equations write."""
+        return np.tril(np.ones((self.joints, self.joints), dtype=bool))
+
+    @cached_property
     def _query(self) -> np.ndarray:
         return self.new_work()
 
@@ -128,8 +133,8 @@ class CompiledPlant:
         work = self._query
         work["query_position"], work["query_speed"], work["query_time_s"] = q, v, STANDSTILL_TIME_s
         self.module.evaluate_equations(model, work)
-        lower = np.tril(work["mass"][0])
-        return lower + np.tril(lower, -1).T, work["bias"][0].copy()
+        mass = work["mass"][0]
+        return np.where(self._lower, mass, mass.T), work["bias"][0].copy()
 
     def drive_gains(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Joint effort per unit of every drive (axes,) at these joint positions."""
@@ -225,19 +230,22 @@ class CompiledPlant:
         generator = np.random.default_rng(0)
         stiffness, damping, rest, step_s = (model[name][0] for name in ("stiffness", "damping", "rest_position", "step_s"))
         is_revolute = [joint.kind == "revolute" for joint in self.settings.tree.joints]
-        fastest = 0.0
-        for _ in range(PROBED_POSES):
+        masses = np.empty((PROBED_POSES, n, n))
+        for mass in masses:
             q = np.where(is_revolute, generator.uniform(-np.pi, np.pi, n), 0.0)
-            mass, _ = self.inertia_and_bias(model, np.where(stiffness > 0.0, rest, q), np.zeros(n))
-            try:
-                np.linalg.cholesky(mass)
-            except np.linalg.LinAlgError:
-                if model["pair_count"][0]:
-                    raise EffectError("no joint-space inertia is like this: an axis_coupling larger than what it couples") from None
-                raise PlantError("the joint-space inertia is not positive definite: a moving body without mass or inertia") from None
-            inverse = np.linalg.inv(mass)
-            first_order = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * damping]])
-            fastest = max(fastest, float(np.abs(np.linalg.eigvals(first_order)).max()))
+            mass[:], _ = self.inertia_and_bias(model, np.where(stiffness > 0.0, rest, q), np.zeros(n))
+        try:
+            np.linalg.cholesky(masses)
+        except np.linalg.LinAlgError:
+            if model["pair_count"][0]:
+                raise EffectError("no joint-space inertia is like this: an axis_coupling larger than what it couples") from None
+            raise PlantError("the joint-space inertia is not positive definite: a moving body without mass or inertia") from None
+        inverses = np.linalg.inv(masses)
+        first_order = np.zeros((PROBED_POSES, 2 * n, 2 * n))
+        first_order[:, :n, n:] = np.eye(n)
+        first_order[:, n:, :n] = -inverses * stiffness
+        first_order[:, n:, n:] = -inverses * damping
+        fastest = float(np.abs(np.linalg.eigvals(first_order)).max())
         return max(1, int(np.ceil(SPECTRUM_MARGIN * fastest * step_s / FINEST_PHASE)))
 
     def fuse(self, name: str, text: str, depends_on: str = "") -> ModuleType:

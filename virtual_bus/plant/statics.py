@@ -92,3 +92,9 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
         drive_states[:, 1] = 0.0  # the currents' rates
     state[4 * n : plant.first_drive_state - 1] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
     return state
+
+
+def held_effort(plant: CompiledPlant, state: np.ndarray) -> np.ndarray:
+    """Drive efforts (axes,) in a resting state that the drives hold: `holding_effort` without looking for the equilibrium again."""
+    drives = state[plant.first_drive_state :][: len(plant.settings.drives) * DRIVE_STATES]
+    return drives.reshape(-1, DRIVE_STATES)[:, 0].copy()
