@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,9 @@ from hil.imaging.geometry import ConeBeam
 from hil.machine import Machine
 
 FORMAT = 1
+
+SAME_POSE = 2e-4
+"""Exposures in a row whose positions differ by less [rad or m] are of one pose: 0.2 mm at a metre."""
 
 STANDS = 0.02
 """An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by
@@ -110,6 +113,24 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
         raise UnusableInput("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
     good = fit.good
     return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
+
+
+def standing(table: LookUp) -> LookUp:
+    """The poses at which the machine stood: a roadmapping grid, the exposures of each pose averaged.
+
+    Raises
+    ------
+    UnusableInput
+        No two exposures in a row at one pose.
+    """
+    moved = np.abs(np.diff(table.positions, axis=0)).max(axis=1, initial=0.0) > SAME_POSE
+    runs = [run for run in np.split(np.arange(len(table.positions)), np.flatnonzero(moved) + 1) if len(run) >= 2]
+    if not runs:
+        raise UnusableInput(f"no two exposures in a row within {SAME_POSE:g} rad (m): the machine never stood; use a tour with dwell_s")
+    names = ("positions", "deviation", "covariance")
+    positions, deviation, covariance = ([getattr(table, name)[run].mean(axis=0) for run in runs] for name in names)
+    covariance = [each / len(run) for each, run in zip(covariance, runs, strict=True)]
+    return replace(table, positions=np.array(positions), deviation=np.array(deviation), covariance=np.array(covariance))
 
 
 def write_look_up(table: LookUp, path: Path) -> None:

@@ -4,7 +4,23 @@ from __future__ import annotations
 
 import typer
 
-from hil.cli import answers, bus, calibrate, calibrate_model, diagnose, identify, machine, observe, physics, reconstruct, run, shape, story
+from hil.cli import (
+    answers,
+    bus,
+    calibrate,
+    calibrate_model,
+    diagnose,
+    geometry,
+    identify,
+    machine,
+    observe,
+    physics,
+    reconstruct,
+    roadmap,
+    run,
+    shape,
+    story,
+)
 
 
 def commands(app: typer.Typer) -> None:
@@ -22,5 +38,7 @@ def commands(app: typer.Typer) -> None:
     observe.register(app)
     calibrate.register(app)
     calibrate_model.register(calibrate.app)
+    roadmap.register(app)
+    geometry.register(app)
     reconstruct.register(app)
     diagnose.register(app)

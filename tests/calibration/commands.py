@@ -12,9 +12,9 @@ def isocenter(*arguments):
     return ended.value.code
 
 
-def exposed_scan(folder, *exposing):
-    """A folder with scan.mf4, truth.csv and images, exposed as asked."""
+def exposed_scan(folder, *exposing, machine="carm"):
+    """A folder with scan.mf4, truth.csv and images, exposed as asked; of another machine if its file is given."""
     sweep = ["--axis", "roll", "--from", "-15", "--to", "15", "--speed", "30", "--dwell", "0.2", "--truth", folder / "truth.csv"]
-    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *sweep, "-o", folder / "scan.mf4") == 0
-    assert isocenter("expose", "carm", folder / "scan.mf4", "--truth", folder / "truth.csv", *exposing, "-o", folder / "images") == 0
+    assert isocenter("run", "scan", "-m", machine, "-b", "lockstep:", *sweep, "-o", folder / "scan.mf4") == 0
+    assert isocenter("expose", machine, folder / "scan.mf4", "--truth", folder / "truth.csv", *exposing, "-o", folder / "images") == 0
     return folder

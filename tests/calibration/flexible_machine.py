@@ -24,6 +24,17 @@ SOFT = {
 }
 
 
+OFF = {
+    "position_m = [0.3, 0.0, -1.0]\n": "position_m = [0.3, 0.0006, -1.0008]\norientation_deg = [0.05, -0.08, 0.06]\n",
+    "position_m = [0.9, 0.0, 0.0]\n": "position_m = [0.9, 0.0004, 0.0007]\norientation_deg = [0.07, 0.05, -0.09]\n",
+    "position_m = [0.0, 0.0, -0.81]  ": "position_m = [0.0012, -0.0009, -0.8115]  ",
+    "position_m = [0.0, 0.0, 0.35]\n": "position_m = [0.0008, 0.0011, 0.3512]\norientation_deg = [0.12, -0.1, 0.15]\n",
+    "stiffness_Nm_rad = 1.015e4": "stiffness_Nm_rad = 0.85e4",
+    "stiffness_Nm_rad = 4.0e7": "stiffness_Nm_rad = 4.0e6",
+}
+"""A machine that is off its drawing: axes, tube and panel misplaced by tenths and ones of a millimetre and a milliradian, softer mounts."""
+
+
 def machine_file(changes, name="carm"):
     """The shipped C-arm with pieces of its file replaced."""
     text = load_machine("carm").text

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from calibration.commands import isocenter
-from calibration.flexible_machine import Statics, machine_file
+from calibration.flexible_machine import OFF, Statics, machine_file
 
 from hil.calibration.geometric_model import read_calibration
 from hil.calibration.lookup import LookUp, write_look_up
@@ -14,14 +14,6 @@ from hil.imaging import ConeBeam
 from hil.imaging.nominal import nominal_beam
 from hil.machine import load_machine, machine_from_text
 
-OFF = {
-    "position_m = [0.3, 0.0, -1.0]\n": "position_m = [0.3, 0.0006, -1.0008]\norientation_deg = [0.05, -0.08, 0.06]\n",
-    "position_m = [0.9, 0.0, 0.0]\n": "position_m = [0.9, 0.0004, 0.0007]\norientation_deg = [0.07, 0.05, -0.09]\n",
-    "position_m = [0.0, 0.0, -0.81]  ": "position_m = [0.0012, -0.0009, -0.8115]  ",
-    "position_m = [0.0, 0.0, 0.35]\n": "position_m = [0.0008, 0.0011, 0.3512]\norientation_deg = [0.12, -0.1, 0.15]\n",
-    "stiffness_Nm_rad = 1.015e4": "stiffness_Nm_rad = 0.85e4",
-    "stiffness_Nm_rad = 4.0e7": "stiffness_Nm_rad = 4.0e6",
-}
 NOISE = np.repeat([0.1e-3, 0.05e-3, 0.2e-3], 3)
 CARM = load_machine("carm")
 

@@ -1,0 +1,30 @@
+"""Figure of overlay errors (thesis Table 2.3): every calibration's at three places of the image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.calibration.roadmap import PLACES, Overlay
+from hil.figures.geometry import COLOURS
+
+
+def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
+    """Share of the poses below an overlay error, by place and calibration."""
+    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
+    panels = figure.subplots(1, len(PLACES), sharey=True)
+    for k, (panel, place) in enumerate(zip(panels, PLACES, strict=True)):
+        for colour, (name, result) in zip(COLOURS, overlays.items(), strict=False):
+            errors = 1e3 * np.sort(result.errors_m[k])
+            panel.step(errors, np.arange(1, len(errors) + 1) / len(errors), where="post", color=colour, label=name)
+        panel.axhline(0.9, color="0.6", linewidth=0.8, linestyle="--")
+        panel.set_xscale("log")
+        panel.set_title(place if place == "centre" else f"{place} of the image", fontsize=10)
+        panel.set_xlabel("overlay error on the panel [mm]")
+        panel.grid(alpha=0.3, which="both")
+    panels[0].set_ylabel("share of poses below")
+    panels[0].legend(fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    return figure
