@@ -9,6 +9,7 @@ import numpy as np
 from controllers.models.flexible import FlexibleChain
 from hil.calibration.flexible_fit import tolerances
 from hil.calibration.model_based import free_parameters
+from hil.calibration.nominal_chain import nominal_chain
 from hil.calibration.seen import NullCombination, combinations_seen
 from hil.errors import UnusableInput
 from hil.experiments import Tour
@@ -19,6 +20,8 @@ POSE_SIGMA = np.repeat([0.05e-3, 0.05e-3, 0.2e-3], 3)
 
 PLACES = 5
 """Positions of the other axes that sweeps are tried at, over the range allowed."""
+
+MOST_POSES = 2000
 
 GRID = 9
 """Positions an axis at which predicted poses are judged."""
@@ -88,10 +91,7 @@ def propose_scan(machine: Machine, model: FlexibleChain, sweeps: int, exposures:
     UnusableInput
         An axis without limits.
     """
-    axes = [k for k, row in enumerate(model.driven) if row >= 0]
-    ends = share * np.array([[limit.lower, limit.upper] for limit in machine.limits])
-    if not np.isfinite(ends[axes]).all():
-        raise UnusableInput(f"{machine.name}: its file has no limits.AXIS.range_deg; a calibration scan stays within it")
+    axes, ends = _range(machine, model, share)
     scale = tolerances(model)
     judged = model.jacobian(_grid(ends, axes, GRID))[:, 3:] * scale
     candidates = _candidates(ends, axes, exposures)
@@ -116,6 +116,36 @@ def propose_scan(machine: Machine, model: FlexibleChain, sweeps: int, exposures:
         null=null,
         frozen=frozen,
     )
+
+
+def grid_tour(machine: Machine, step: float, share: float, pace: float, dwell_s: float) -> Tour:
+    """Poses over the range of the axes that carry the panel, at most `step` [rad] apart, row by row, there and back.
+
+    Raises
+    ------
+    UnusableInput
+        An axis without limits, or more poses than anybody waits for.
+    """
+    axes, ends = _range(machine, nominal_chain(machine), share)
+    lines = {k: np.linspace(ends[k, 0], ends[k, 1], int(np.ceil(np.ptp(ends[k]) / step)) + 1) for k in axes}
+    count = int(np.prod([len(line) for line in lines.values()]))
+    if count > MOST_POSES:
+        raise UnusableInput(f"a step of {np.degrees(step):g} deg makes {count} poses; at most {MOST_POSES}")
+    poses: list[dict[str, float]] = [{}]
+    for axis, line in lines.items():
+        poses = [
+            {**pose, machine.axes[axis]: float(place)} for k, pose in enumerate(poses) for place in (line if k % 2 == 0 else line[::-1])
+        ]
+    return Tour(tuple(poses), pace, dwell_s)
+
+
+def _range(machine: Machine, model: FlexibleChain, share: float) -> tuple[list[int], np.ndarray]:
+    """Axes that carry the panel, and (axes, 2) ends of a share of every axis's range."""
+    axes = [k for k, row in enumerate(model.driven) if row >= 0]
+    ends = share * np.array([[limit.lower, limit.upper] for limit in machine.limits])
+    if not np.isfinite(ends[axes]).all():
+        raise UnusableInput(f"{machine.name}: its file has no limits.AXIS.range_deg; a calibration stays within it")
+    return axes, ends
 
 
 def shown_by(model: FlexibleChain, positions: np.ndarray) -> tuple[int, tuple[NullCombination, ...], tuple[str, ...]]:

@@ -118,12 +118,16 @@ def phantom(
     scan_folder: ScanArgument,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="LOOKUP", help="Look-up table to write (.npz).")],
     six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal: six parameters, as today's procedure does.")] = False,
+    standing: Annotated[
+        bool, typer.Option("--standing", help="Keep the poses at which the machine stood, averaged: a roadmapping grid.")
+    ] = False,
     figure: FigureOption = None,
     jobs: JobsOption = 1,
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
     from hil.calibration.lookup import look_up_of, write_look_up
+    from hil.calibration.lookup import standing as where_it_stood
     from hil.calibration.phantom import calibrate_phantom
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.phantoms import dodecahedron
@@ -142,9 +146,10 @@ def phantom(
         follow = follower(bars, task)
         fit = calibrate_phantom(scan, dodecahedron(), nominal, not six, jobs, lambda done, total: follow(done))
     table = look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": six})
+    table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
     write_look_up(table, out)
-    answer.say(f"{out}: look-up table of {len(table.positions)} exposures")
+    answer.say(f"{out}: look-up table of {len(table.positions)} {'poses' if standing else 'exposures'}")
     if figure is not None:
         from hil.figures.geometry import deviations_figure
 

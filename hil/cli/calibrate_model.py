@@ -36,6 +36,39 @@ def register(calibrate: typer.Typer) -> None:
         "\n\nExample:  isocenter calibrate scan carm -o calibration.toml"
         "\n\nThen:  isocenter run calibration.toml -m carm -b lockstep: -o calibration.mf4",
     )(scan)
+    calibrate.command(
+        "grid",
+        short_help="Propose the poses of a roadmapping calibration.",
+        help="Proposes a grid of poses over the axes' ranges at which the machine stands, as an experiment file."
+        "\n\nExample:  isocenter calibrate grid carm --step 30 -o grid.toml"
+        "\n\nThen run it, expose the phantom, and:  isocenter calibrate phantom carm grid_scan --standing -o grid.npz",
+    )(grid)
+
+
+def grid(
+    machine_name: MachineArgument,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="Experiment file to write (.toml).")],
+    step: Annotated[float, typer.Option("--step", metavar="DEG", help="Between neighbouring poses at most, degrees.")] = 30.0,
+    dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Standstill at each pose.")] = 1.5,
+    share: Annotated[float, typer.Option("--share", min=0.05, max=1.0, help="Share of every axis's range to stay in.")] = 0.9,
+    pace: Annotated[float, typer.Option("--pace", min=0.01, max=1.0, help="Share of the machine's speed and acceleration.")] = 0.5,
+    json_to: JsonOption = None,
+) -> None:
+    """Row by row, there and back."""
+    from hil.calibration.proposal import grid_tour
+    from hil.experiments import write_experiment
+
+    for option, value in (("--step", step), ("--dwell", dwell)):
+        if not 0.0 < value < np.inf:
+            raise UnusableInput(f"{option} {value:g}: must be a positive number")
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    can_be_written(out, suffixes=(".toml",))
+    tour = grid_tour(machine, np.radians(step), share, pace, dwell)
+    seconds = tour.plans(machine)[0].rows / machine.sample_rate_Hz
+    write_experiment(tour, machine, out)
+    answer.say(f"{out}: {len(tour.stops)} poses, {seconds:.0f} s")
+    answer.write({"experiment": out, "poses": len(tour.stops), "seconds": seconds})
 
 
 def scan(

@@ -30,14 +30,14 @@ def reconstruct(
     machine_name: MachineArgument,
     scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for volume.mha and figures.")],
-    lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Calibrated geometry; nominal without.")] = None,
+    lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Look-up table or model; nominal without.")] = None,
     size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
     spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
     hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
-    from hil.calibration.lookup import read_look_up
+    from hil.calibration.geometric_model import read_calibration
     from hil.figures.reconstruction import volume_figure, wires_figure
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
@@ -56,8 +56,7 @@ def reconstruct(
     beam = nominal_beam(machine, positions)
     source = "nominal geometry"
     if lookup is not None:
-        table = read_look_up(lookup)
-        table.require(machine)
+        table = read_calibration(lookup, machine)
         if table.notes.get("hash", machine.hash) != machine.hash:
             answer.say(f"{lookup.name} was made with another version of {machine.name}'s file; its deviations are used as they are")
         beam, source = beam.moved(table.at(positions)), f"geometry from {lookup.name}"
