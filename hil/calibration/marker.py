@@ -18,6 +18,9 @@ LINEAR = PARAMETERS[:3]
 NONLINEAR = PARAMETERS[:6]
 """With the angles of (6.6)."""
 
+OFFSETS = (6, 7)
+"""offset_x and offset_y among `PARAMETERS`."""
+
 UNSEEN_M, UNSEEN_RAD = 10e-3, 50e-3
 """A parameter with a larger standard deviation than this is not measured: more than the whole machine bends."""
 
@@ -57,6 +60,7 @@ def fit_marker(
     detector: Detector,
     start: MarkerProjection,
     free: Sequence[str] = NONLINEAR,
+    spot_m: float = 0.0,
 ) -> MarkerFit:
     """Fit (6.8) to the crossings by Gauss-Newton.
 
@@ -73,6 +77,8 @@ def fit_marker(
         Where the fit starts, and the values of what is held.
     free : sequence of str
         Of `PARAMETERS`.
+    spot_m : float
+        How far the focal spot moves on the tube: by so much the plate's offsets are uncertain even where they are held.
 
     Raises
     ------
@@ -92,7 +98,7 @@ def fit_marker(
         values[columns] += np.clip(change, -0.05, 0.05)
         if np.abs(change).max() < SETTLED:
             break
-    return _result(values, columns, seen, covariance, weight, where, detector)
+    return _result(values, columns, seen, covariance, weight, where, detector, spot_m)
 
 
 def fit_marker_linear(points: MarkerPoints, plate: MarkerPlate, detector: Detector, known: MarkerProjection) -> MarkerFit:
@@ -142,14 +148,17 @@ def _result(
     weight: np.ndarray,
     where: np.ndarray,
     detector: Detector,
+    spot_m: float = 0.0,
 ) -> MarkerFit:
-    """Covariance of weighted least squares whose data are correlated: points on one line share its errors."""
-    jacobian = _jacobian(values, where)[:, columns]
+    """Covariance of weighted least squares whose data are correlated: points on one line share its errors, all the spot's place."""
+    whole = _jacobian(values, where)
+    jacobian = whole[:, columns]
     weighted = jacobian * weight[:, None]
     scale = np.linalg.norm(weighted, axis=0)
     _, strength, combinations = np.linalg.svd(weighted / scale, full_matrices=False)
     gain = (np.linalg.pinv(weighted / scale, rcond=1e-14) / scale[:, None]) * weight
-    of_free = gain @ covariance @ gain.T
+    by_spot = gain @ whole[:, [k for k in OFFSETS if k not in columns]] * spot_m
+    of_free = gain @ covariance @ gain.T + by_spot @ by_spot.T
     limit = np.array([UNSEEN_RAD if 3 <= k < 6 else UNSEEN_M for k in columns])
     if strength[-1] < 1e-10 * strength[0] or (np.sqrt(np.diag(of_free)) > limit).any():
         strongest = np.argsort(-np.abs(combinations[-1]))[:3]

@@ -20,6 +20,9 @@ from hil.imaging.scan_folder import ImageScan
 
 FORMAT = 1
 
+SPOT_M = 13e-6
+"""Motion of a focal spot on its tube, the anode's wobble and heat together (thesis Fig. 6.15)."""
+
 
 @dataclass(frozen=True)
 class MarkerScan:
@@ -107,7 +110,7 @@ def _look(
     image = scan.frame(k)
     try:
         found = find_marker(image, plate, nominal[k], scan.detector)
-        return fit_marker(found, plate, scan.detector, nominal[k], free), len(found.index), len(found.refused), ""
+        return fit_marker(found, plate, scan.detector, nominal[k], free, SPOT_M), len(found.index), len(found.refused), ""
     except UnusableInput as error:
         return None, 0, 0, str(error)
 

@@ -8,6 +8,7 @@ from hil.cli import (
     answers,
     bus,
     calibrate,
+    calibrate_data,
     calibrate_model,
     diagnose,
     geometry,
@@ -37,6 +38,7 @@ def commands(app: typer.Typer) -> None:
     shape.register(app)
     observe.register(app)
     calibrate.register(app)
+    calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
     roadmap.register(app)
     geometry.register(app)
