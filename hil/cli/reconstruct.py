@@ -31,12 +31,16 @@ def reconstruct(
     scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for volume.mha and figures.")],
     lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Look-up table or model; nominal without.")] = None,
+    geometry: Annotated[
+        Path | None, typer.Option("--geometry", metavar="FILE", help="Geometry of this very run: isocenter calibrate data.")
+    ] = None,
     size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
     spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
     hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
+    from hil.calibration.data_file import read_data_file
     from hil.calibration.geometric_model import read_calibration
     from hil.figures.reconstruction import volume_figure, wires_figure
     from hil.imaging.nominal import nominal_beam
@@ -49,6 +53,8 @@ def reconstruct(
 
     if spacing <= 0.0:
         raise UnusableInput(f"--spacing {spacing:g}: must be positive")
+    if lookup is not None and geometry is not None:
+        raise UnusableInput("--lookup and --geometry: give the one or the other")
     machine = load(machine_name)
     answer = Answer(json_to)
     scan = read_scan(scan_folder)
@@ -60,6 +66,8 @@ def reconstruct(
         if table.notes.get("hash", machine.hash) != machine.hash:
             answer.say(f"{lookup.name} was made with another version of {machine.name}'s file; its deviations are used as they are")
         beam, source = beam.moved(table.at(positions)), f"geometry from {lookup.name}"
+    if geometry is not None:
+        beam, source = read_data_file(geometry).beam(machine, scan.middle_s), f"geometry from {geometry.name}"
     _require_memory(size, (len(scan), scan.detector.rows, scan.detector.columns), answer)
     images = np.empty((len(scan), scan.detector.rows, scan.detector.columns), dtype=np.float32)
     with progress(answer.console) as bars:

@@ -86,3 +86,13 @@ def test_clocks_that_disagree_are_told(scanned, tmp_path, capsys):
     (tmp_path / "exposures.csv").write_text("\n".join([head, *later]) + "\n")
     assert isocenter("calibrate", "data", "carm", scanned / "scan.mf4", tmp_path, "-o", tmp_path / "x.npz") == 2
     assert "the panel's clock is not the loop's, or the recording is another run's" in capsys.readouterr().err
+
+
+def test_reconstruct_takes_its_geometry_and_refuses_two(scanned, tmp_path, capsys):
+    both = ["--lookup", scanned / "a.npz", "--geometry", scanned / "a.npz"]
+    assert isocenter("reconstruct", "carm", scanned / "images", *both, "-o", tmp_path) == 2
+    assert "--lookup and --geometry: give the one or the other" in capsys.readouterr().err
+    assert isocenter("reconstruct", "carm", scanned / "images", "--geometry", scanned / "scan.mf4", "-o", tmp_path) == 2
+    assert "scan.mf4: not a data-driven calibration" in capsys.readouterr().err
+    assert isocenter("reconstruct", "carm", scanned / "images", "--geometry", scanned / "a.npz", "-o", tmp_path) == 2
+    assert "a reconstruction needs" in capsys.readouterr().err  # geometry taken, the scan is too short
