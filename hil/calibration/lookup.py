@@ -18,8 +18,8 @@ from hil.machine import Machine
 
 FORMAT = 1
 
-SAME_POSE = 2e-4
-"""Exposures in a row whose positions differ by less [rad or m] are of one pose: 0.2 mm at a metre."""
+SAME_POSE = 2e-3
+"""Exposures in a row whose positions differ by less [rad or m] are of one pose: a loop that still settles, not a way."""
 
 STANDS = 0.02
 """An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by

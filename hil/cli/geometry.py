@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
 
@@ -32,6 +32,11 @@ def register(parent: typer.Typer) -> None:
         help="The true geometry of an emulated machine's exposures, as a table that other calibrations are judged by."
         "\n\nExample:  isocenter geometry truth carm scan --truth truth.csv -o scan.truth.npz",
     )(truth)
+    app.command(
+        short_help="Of a table, the poses at which the machine stood.",
+        help="Of a table, the poses at which the machine stood, the exposures of each averaged."
+        "\n\nExample:  isocenter geometry standing benchmark.true.npz -o benchmark.npz",
+    )(standing)
     app.command(
         short_help="What a scan can reconstruct.",
         help="The reconstruction volume of a scan: the points that all of its exposures see."
@@ -70,6 +75,24 @@ def truth(
     write_look_up(LookUp(scan.axes, positions, deviation, np.tile(TRUTH_COVARIANCE, (len(scan), 1, 1)), notes), out)
     answer.say(f"{out}: true geometry of {len(scan)} exposures")
     answer.write({"table": out, "exposures": len(scan), "deviation": deviation})
+
+
+def standing(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help="Look-up table (.npz).")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="TABLE", help="Table to write (.npz).")],
+    json_to: JsonOption = None,
+) -> None:
+    """As calibrate phantom --standing does with a scan's."""
+    from hil.calibration.lookup import read_look_up, write_look_up
+    from hil.calibration.lookup import standing as where_it_stood
+
+    answer = Answer(json_to)
+    can_be_written(out)
+    not_an_input(out, table)
+    poses = where_it_stood(read_look_up(table))
+    write_look_up(poses, out)
+    answer.say(f"{out}: {len(poses.positions)} poses")
+    answer.write({"table": out, "poses": poses.positions})
 
 
 TRUTH_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 1e-6], 3) ** 2)
