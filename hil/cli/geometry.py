@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from hil.cli import exchange
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
@@ -47,6 +48,7 @@ def register(parent: typer.Typer) -> None:
         help="A scan's images shifted and turned as if the machine had been where it should, as another scan folder."
         "\n\nExample:  isocenter geometry compensate carm scan --with carm.model.npz -o compensated",
     )(compensate)
+    exchange.register(app)
     parent.add_typer(app, name="geometry")
 
 

@@ -1,0 +1,152 @@
+"""isocenter geometry convert: geometry between tables, 3 x 4 matrices, RTK's XML and DICOM's attributes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.output import Answer, JsonOption
+from hil.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from hil.imaging.detector import Detector
+    from hil.imaging.geometry import ConeBeam
+    from hil.machine import Machine
+
+SUFFIXES = (".npz", ".csv", ".json", ".xml", ".dcm")
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    beam: ConeBeam
+    detector: Detector
+    positions: np.ndarray | None = None  # of the axes, where the source knows them
+    images: Path | None = None  # the scan's folder
+    notes: tuple[str, ...] = ()
+
+
+def register(geometry: typer.Typer) -> None:
+    """Add the command to the group."""
+    geometry.command(
+        "convert",
+        short_help="Geometry between programs' files.",
+        help="Geometry of exposures from one file to another: a scan's folder, .npz tables, .csv and .json 3 x 4 matrices [mm to pixels],"
+        " .xml of RTK, .dcm attributes of X-ray angiography."
+        "\n\nExample:  isocenter geometry convert carm scan scan.xml --with carm.model.npz",
+    )(convert)
+
+
+def convert(
+    machine_name: MachineArgument,
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Folder of a scan, or .npz, .csv, .json, .xml, .dcm.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="To write: .npz, .csv, .json, .xml or .dcm.")],
+    calibration: Annotated[
+        Path | None, typer.Option("--with", metavar="FILE", help="For a scan's folder: look-up table or model; nominal unless given.")
+    ] = None,
+    binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, where IN does not say.")] = 4,
+    rows_up: Annotated[bool, typer.Option("--rows-up", help="Of .xml: for images flipped up-down, with positive distances.")] = False,
+    images: Annotated[bool, typer.Option("--images", help="Of .dcm: with the scan's images.")] = False,
+    json_to: JsonOption = None,
+) -> None:
+    """Read, write, say what was lost."""
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    can_be_written(target, suffixes=SUFFIXES)
+    not_an_input(target, source)
+    if calibration is not None and not source.is_dir():
+        raise UnusableInput(f"--with {calibration}: {source.name} has a geometry of its own; --with is for a scan's folder")
+    read = _read(source, machine, calibration, binning)
+    notes = [*read.notes, *_write(target, read, machine, rows_up, images)]
+    answer.say(f"{target}: geometry of {len(read.beam)} exposures from {source.name}")
+    for note in notes:
+        answer.say(f"  {note}")
+    answer.write({"written": target, "exposures": len(read.beam), "parameters": read.beam.parameters, "notes": notes})
+
+
+def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) -> _Geometry:
+    from hil.calibration.geometric_model import read_calibration
+    from hil.calibration.lookup import LookUp
+    from hil.imaging.nominal import nominal_beam, nominal_detector
+
+    if path.is_dir():
+        from hil.imaging.scan_folder import read_scan
+
+        scan = read_scan(path)
+        positions = scan.positions_of(machine)
+        beam = nominal_beam(machine, positions)
+        if calibration is not None:
+            beam = beam.moved(read_calibration(calibration, machine).at(positions))
+        return _Geometry(beam, scan.detector, positions, path)
+    detector = nominal_detector(machine, binning)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        table = read_calibration(path, machine)
+        if not isinstance(table, LookUp):
+            raise UnusableInput(f"{path}: a model has no exposures of its own; convert a scan's folder --with it")
+        return _Geometry(nominal_beam(machine, table.positions).moved(table.deviation), detector, table.positions)
+    if suffix in (".csv", ".json"):
+        from hil.imaging.exchange.matrices import read_matrices
+
+        return _Geometry(read_matrices(path, detector), detector)
+    if suffix == ".xml":
+        from hil.imaging.exchange.rtk_xml import read_rtk
+
+        beam, flipped = read_rtk(path)
+        return _Geometry(beam, detector, notes=("its images are to be flipped up-down",) if flipped else ())
+    if suffix == ".dcm":
+        from hil.imaging.exchange.dicom_xa import read_xa
+
+        found = read_xa(path)
+        return _Geometry(found.beam, found.detector or detector)
+    raise UnusableInput(f"{path}: must be a scan's folder or end in {', '.join(SUFFIXES)}")
+
+
+def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool) -> list[str]:
+    """Write; what was lost."""
+    from hil.imaging.nominal import nominal_beam
+
+    suffix = path.suffix.lower()
+    if rows_up and suffix != ".xml":
+        raise UnusableInput(f"--rows-up: is for .xml, not {path.name}")
+    if images and (suffix != ".dcm" or read.images is None):
+        raise UnusableInput("--images: is for a scan's folder and .dcm")
+    if suffix == ".npz":
+        from hil.calibration.lookup import LookUp, write_look_up
+
+        if read.positions is None:
+            raise UnusableInput(f"{path}: a table goes by axis positions, and the input has none; convert a scan's folder or a table")
+        deviation = read.beam.deviation_from(nominal_beam(machine, read.positions))
+        notes = {"machine": machine.name, "hash": machine.hash}
+        write_look_up(LookUp(machine.axes, read.positions, deviation, np.zeros((len(deviation), 9, 9)), notes), path)
+        return ["without covariances"]
+    if suffix in (".csv", ".json"):
+        from hil.imaging.exchange.matrices import write_matrices
+
+        write_matrices(path, read.beam, read.detector)
+        return [f"for images of {read.detector.columns} x {read.detector.rows} pixels of {1e3 * read.detector.pitch_m:.4g} mm"]
+    if suffix == ".xml":
+        from hil.imaging.exchange.rtk_xml import write_rtk
+
+        write_rtk(path, read.beam, rows_up)
+        return ["for images flipped up-down"] if rows_up else []
+    from hil.imaging.exchange.dicom_xa import positioner_of, write_xa
+
+    positioner, lost = positioner_of(read.beam, read.detector)
+    write_xa(path, positioner, _images(read.images) if images and read.images is not None else None)
+    largest = np.abs(lost).max(axis=0)
+    return [
+        "DICOM's attributes hold no offsets and no turn in the panel's plane: lost up to"
+        f" {1e3 * largest[:6].max():.2f} mm and {1e3 * largest[6:].max():.2f} mrad"
+    ]
+
+
+def _images(folder: Path) -> np.ndarray:
+    from hil.imaging.scan_folder import read_scan
+
+    scan = read_scan(folder)
+    return np.array([scan.frame(k) for k in range(len(scan))])

@@ -1,0 +1,173 @@
+"""X-ray angiography attributes of DICOM (PS3.3 C.8.7.5, C.8.7.6): positioner angles, distances, pixel spacing.
+
+Patient on the table, head first, supine, feet towards the world's x, left side towards y, front towards z. With d the unit vector from the
+focal spot to the panel: PositionerPrimaryAngle (LAO positive) = atan2(d_left, d_front), PositionerSecondaryAngle (CRA positive) =
+asin(d_head) [deg]. On the C-arm they are minus propeller and minus roll.
+The attributes hold a machine without errors: no offset, no turn in the panel's plane; what is lost is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.geometry import ConeBeam
+
+XA_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.12.1"
+EXPLICIT_LITTLE_ENDIAN = "1.2.840.10008.1.2.1"
+
+
+@dataclass(frozen=True)
+class Positioner:
+    """What the attributes say of N exposures.
+
+    Attributes
+    ----------
+    primary_rad, secondary_rad : (N,) arrays
+    source_to_patient_m, source_to_detector_m : float
+        Focal spot to isocentre, and to the panel.
+    detector : Detector or None
+        None where the file names no pixels.
+    """
+
+    primary_rad: np.ndarray
+    secondary_rad: np.ndarray
+    source_to_patient_m: float
+    source_to_detector_m: float
+    detector: Detector | None
+
+    @property
+    def beam(self) -> ConeBeam:
+        """The geometry of a machine without errors, in the world's directions about the isocentre."""
+        turn = Rotation.from_euler("XY", -np.column_stack([self.primary_rad, self.secondary_rad])).as_matrix()
+        normal = turn[:, :, 2]
+        source = -self.source_to_patient_m * normal
+        return ConeBeam.from_frames(source, source + self.source_to_detector_m * normal, turn)
+
+
+def positioner_of(beam: ConeBeam, detector: Detector | None) -> tuple[Positioner, np.ndarray]:
+    """The attributes nearest to a geometry, and the deviation (N, 9) that they lose, as `ConeBeam.moved` takes it."""
+    ray = beam.detector_in_phantom_m - beam.source_in_phantom_m
+    ray = ray / np.linalg.norm(ray, axis=1)[:, None]
+    found = Positioner(
+        primary_rad=np.arctan2(ray[:, 1], ray[:, 2]),
+        secondary_rad=np.arcsin(np.clip(-ray[:, 0], -1.0, 1.0)),
+        source_to_patient_m=float(np.mean(-np.sum(beam.source_in_phantom_m * ray, axis=1))),
+        source_to_detector_m=float(np.mean(-beam.source_m[:, 2])),
+        detector=detector,
+    )
+    return found, beam.deviation_from(found.beam)
+
+
+def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = None, patient: str = "phantom") -> None:
+    """Write the attributes, and the images (N, rows, columns) uint16 where they are given.
+
+    Raises
+    ------
+    UnusableInput
+        No pydicom, or the file cannot be written.
+    """
+    pydicom = _pydicom()
+    from pydicom.dataset import Dataset, FileMetaDataset
+    from pydicom.uid import UID, generate_uid
+
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.TransferSyntaxUID = UID(XA_IMAGE_STORAGE), UID(EXPLICIT_LITTLE_ENDIAN)
+    meta.MediaStorageSOPInstanceUID = generate_uid()
+    data = Dataset()
+    data.file_meta = meta
+    data.SOPClassUID, data.SOPInstanceUID = meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID
+    data.StudyInstanceUID, data.SeriesInstanceUID = generate_uid(), generate_uid()
+    data.Modality, data.PatientName, data.PatientID = "XA", patient, patient
+    data.PositionerMotion = "DYNAMIC" if len(positioner.primary_rad) > 1 else "STATIC"
+    data.NumberOfFrames = len(positioner.primary_rad)
+    data.DistanceSourceToDetector = _decimal(1e3 * positioner.source_to_detector_m)
+    data.DistanceSourceToPatient = _decimal(1e3 * positioner.source_to_patient_m)
+    for name, angles in (("Primary", positioner.primary_rad), ("Secondary", positioner.secondary_rad)):
+        degrees = np.degrees(angles)
+        setattr(data, f"Positioner{name}Angle", _decimal(degrees[0]))
+        if len(degrees) > 1:  # increments are from the first frame (C.8.7.5.1.3)
+            setattr(data, f"Positioner{name}AngleIncrement", [_decimal(value) for value in degrees - degrees[0]])
+    if positioner.detector is not None:
+        panel = positioner.detector
+        data.Rows, data.Columns = panel.rows, panel.columns
+        data.ImagerPixelSpacing = [_decimal(1e3 * panel.pitch_m * panel.aspect), _decimal(1e3 * panel.pitch_m)]
+    if images is not None:
+        data.SamplesPerPixel, data.PhotometricInterpretation, data.PixelIntensityRelationship = 1, "MONOCHROME2", "LIN"
+        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 0
+        data.PixelData = np.ascontiguousarray(images, dtype="<u2").tobytes()
+    try:
+        pydicom.dcmwrite(path, data, enforce_file_format=True)
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def read_xa(path: Path) -> Positioner:
+    """The attributes of a file.
+
+    Raises
+    ------
+    UnusableInput
+        No pydicom, no DICOM file, or an attribute is missing.
+    """
+    pydicom = _pydicom()
+    try:
+        data = pydicom.dcmread(path, stop_before_pixels=True)
+    except OSError as error:
+        raise UnusableInput(f"{path}: {error.strerror or error}") from None
+    except pydicom.errors.InvalidDicomError:
+        raise UnusableInput(f"{path}: no DICOM file") from None
+    count = int(data.get("NumberOfFrames") or 1)
+    detector = None
+    if data.get("Rows") and data.get("Columns") and data.get("ImagerPixelSpacing"):
+        rows_mm, columns_mm = (float(value) for value in data.ImagerPixelSpacing)
+        detector = Detector(int(data.Columns), int(data.Rows), 1e-3 * columns_mm, rows_mm / columns_mm)
+    return Positioner(
+        primary_rad=_angles(path, data, "Primary", count),
+        secondary_rad=_angles(path, data, "Secondary", count),
+        source_to_patient_m=1e-3 * _number(path, data, "DistanceSourceToPatient"),
+        source_to_detector_m=1e-3 * _number(path, data, "DistanceSourceToDetector"),
+        detector=detector,
+    )
+
+
+def _angles(path: Path, data: Any, name: str, count: int) -> np.ndarray:
+    first = _number(path, data, f"Positioner{name}Angle")
+    increments = data.get(f"Positioner{name}AngleIncrement")
+    if increments is None or increments == "":
+        if count > 1 and data.get("PositionerMotion") == "DYNAMIC":
+            raise UnusableInput(f"{path}: the positioner moves over {count} frames, and there is no Positioner{name}AngleIncrement")
+        return np.full(count, np.radians(first))
+    values = np.atleast_1d(np.array(increments, dtype=float))
+    if len(values) != count:
+        raise UnusableInput(f"{path}: {len(values)} values of Positioner{name}AngleIncrement for {count} frames")
+    return np.radians(first + values)
+
+
+def _number(path: Path, data: Any, name: str) -> float:
+    value = data.get(name)
+    if value is None or value == "":
+        raise UnusableInput(f"{path}: no {name}; is it an X-ray angiography image?")
+    return float(value)
+
+
+def _decimal(value: float) -> str:
+    """A number as a decimal string of at most 16 characters."""
+    from pydicom.valuerep import format_number_as_ds
+
+    return format_number_as_ds(float(value))
+
+
+def _pydicom() -> Any:
+    try:
+        import pydicom
+        import pydicom.errors
+    except ImportError:
+        raise UnusableInput("DICOM files need pydicom: pip install 'isocenter[imaging]'") from None
+    return pydicom
