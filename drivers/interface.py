@@ -51,7 +51,15 @@ class Sample:
 
 
 class Clock(Protocol):
-    """Time as the drivers and the loop know it: wall time on a bench, virtual time in lockstep."""
+    """Time as the drivers and the loop know it: wall time on a bench, virtual time in lockstep.
+
+    Attributes
+    ----------
+    awake_s : float
+        How long after a SYNC its answers are awaited awake, looking again and again; later ones are slept for.
+    """
+
+    awake_s: float
 
     def now(self) -> float:
         """Seconds since an arbitrary start."""

@@ -92,7 +92,7 @@ class ImuPort:
     """The detector's IMU on a serial line, Xsens Xbus framing."""
 
     name: str
-    device: str  # a path such as /dev/ttyUSB0; "" when the bench says where it is
+    device: str  # a path such as /dev/ttyUSB0, or tcp:HOST:PORT; "" when the bench says where it is
     baud: int
     triggered_by_sync: bool  # False: runs on its own clock at rate_Hz
     rate_Hz: float

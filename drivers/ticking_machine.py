@@ -257,8 +257,10 @@ class TickingMachine:
     def _poll(self, sample: Sample, overdue_s: float) -> None:
         if self._imu is not None:
             arrived = self._imu.poll(sample)
-            while not arrived and self._imu_triggered and self.clock.now() < overdue_s:
-                self.clock.wait(IMU_RETRY_S)
+            asleep_s = overdue_s - self.settings.answer_timeout_s + self.clock.awake_s
+            while not arrived and self._imu_triggered and (now_s := self.clock.now()) < overdue_s:
+                if now_s >= asleep_s:
+                    self.clock.wait(IMU_RETRY_S)
                 arrived = self._imu.poll(sample)
         if self._io is not None:
             self._io.poll_due(self.clock.now())

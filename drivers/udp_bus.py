@@ -75,30 +75,36 @@ class UdpBus(UdpMulticastBus):
         except OSError as error:
             raise can.CanOperationError(f"failed to send: {error.strerror or error}", error.errno) from error
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """See `can.BusABC`, which looks at the clock and the log for every frame and every time there is none."""
+        give_up_s = None if timeout is None or timeout <= 0.0 else time.perf_counter() + timeout
         while True:
             try:
                 data, sender = self._listener.recvfrom(RECEIVE_BYTES)
             except BlockingIOError:
-                if timeout is not None and timeout <= 0.0:
-                    return None, False
-                if not select.select([self._listener], [], [], timeout)[0]:
-                    return None, False
-                timeout = 0.0
+                remaining = timeout if give_up_s is None else give_up_s - time.perf_counter()
+                if (remaining is not None and remaining <= 0.0) or not select.select([self._listener], [], [], remaining)[0]:
+                    return None
                 continue
             except OSError as error:
                 raise can.CanOperationError(f"failed to receive: {error.strerror or error}", error.errno) from error
-            if sender[:2] != self._own:
-                break
-        try:
-            return unpack_message(data, replace={"timestamp": time.time()}, check=True), False
-        except Exception as error:
-            raise can.CanOperationError(f"a datagram of {len(data)} bytes from {sender[0]} is no CAN frame: {error}") from error
+            if sender[:2] == self._own:
+                continue
+            message = _unpacked(data, sender[0])
+            if self._filters is None or self._matches_filters(message):
+                return message
 
     def shutdown(self) -> None:
         """Close both sockets."""
         super().shutdown()
         self._sender.close()
+
+
+def _unpacked(data: bytes, sender: str) -> can.Message:
+    try:
+        return unpack_message(data, replace={"timestamp": time.time()}, check=True)
+    except Exception as error:
+        raise can.CanOperationError(f"a datagram of {len(data)} bytes from {sender} is no CAN frame: {error}") from error
 
 
 def _drop_datagrams_from(listener: socket.socket, address: str, port: int) -> None:

@@ -11,6 +11,11 @@ SPIN_S = 150e-6
 (measured 46/61/84 us p50/p99/max with SCHED_FIFO asleep, 0/0/62 us with the spin)."""
 
 
+ANSWERS_AWAKE_S = 1e-3
+"""So long after a SYNC its answers are looked for, not slept for: on CAN at 1 Mbit/s six of them take 0.8 ms. A sleeper costs whoever wakes
+it as much time as it takes itself to wake, tens of microseconds for every frame."""
+
+
 class WallClock:
     """Absolute ticks of `time.perf_counter`: sleep until shortly before each, spin the rest.
 
@@ -22,9 +27,12 @@ class WallClock:
     spin_s : float
     waits : bool
         Lose no tick: all later ones come as much later. Time then is no longer the wall's, but every sample of the plan is sent.
+    awake_s : float
+        See `drivers.interface.Clock`; 0 where devices are emulated on the same processor.
     """
 
-    def __init__(self, spin_s: float = SPIN_S, waits: bool = False) -> None:
+    def __init__(self, spin_s: float = SPIN_S, waits: bool = False, awake_s: float = 0.0) -> None:
+        self.awake_s = awake_s
         self._spin_s = spin_s
         self._waits = waits
         self._period_s = 0.0
@@ -94,6 +102,7 @@ class LockstepClock:
     idle_began_s: float = 0.0
     tick_began_s: float = 0.0
     missed: int = 0
+    awake_s: float = 0.0
 
     def now(self) -> float:
         """Virtual seconds."""

@@ -20,9 +20,9 @@ from drivers.modbus.io import Io, IoDriver
 from drivers.modbus.io_process import IoProcess
 from drivers.modbus.transport import InProcessTransport
 from drivers.serial.imu import ImuDriver
-from drivers.serial.stream import SerialStream
+from drivers.serial.stream import open_stream
 from drivers.settings import BusSettings
-from hil.clock import LockstepClock, WallClock
+from hil.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
 from hil.emulation import build_emulated, opened_bus
 from hil.errors import LoopAborted, UnusableInput
 from hil.loop import StopRequest
@@ -138,9 +138,12 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
         settings = _with_ports(machine, settings, options)
-        clock = WallClock(waits=machine.waits_on_overrun)
+        clock = WallClock(waits=machine.waits_on_overrun, awake_s=ANSWERS_AWAKE_S if options.real_time else 0.0)
         refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
-        imu = ImuDriver(settings.imu, SerialStream(settings.imu.device, settings.imu.baud)) if settings.imu is not None else None
+        imu = None
+        if settings.imu is not None:
+            stream = stack.enter_context(contextlib.closing(open_stream(settings.imu.device, settings.imu.baud)))
+            imu = ImuDriver(settings.imu, stream)
         io = None
         if settings.io is not None:
             io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from virtual_bus.errors import BusLost
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
+from virtual_bus.serial.tcp_line import TcpLine
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
 AWAKE_S = 400e-6
@@ -26,7 +28,10 @@ AWAKE_S = 400e-6
 SPIN_S = 150e-6
 """So long after a SYNC was expected it goes to sleep again: a sleeper is woken tens of microseconds late, and a virtual processor that has
 gone idle later still."""
+STAY_S = 400e-6
+"""So long after a SYNC it stays awake for the commands that answer it: waking it would cost their sender as much time."""
 POLL_S = 0.001  # how long one look at the bus takes at most, and how often the other wires are looked at
+POLL_AT_LEAST_S = 0.02  # the other wires are looked at so often even when SYNCs leave no time between them
 LOOK_S = 0.02
 """A look at the bus that took longer was this process standing still, not the bus: what has come meanwhile lies in the queue. No more than
 that passes as silence, so that a loaded computer does not let the machine's time run on between two frames."""
@@ -46,9 +51,10 @@ class Emulated(Protocol):
 
 @dataclass(frozen=True)
 class Ports:
-    """Where the machine's other wires end on this host; "" where it has none."""
+    """Where the machine's other wires end on this host; "" where it has none. The IMU's serial line is a pseudo terminal and a TCP port."""
 
     imu_device: str = ""
+    imu_url: str = ""
     io_url: str = ""
     io_line: str = ""
 
@@ -91,20 +97,20 @@ def run_emulator(
         The bus cannot be read any more.
     """
     with contextlib.ExitStack() as open_ports:
-        line = None
-        io_url = ""
+        imu_device = imu_url = io_url = ""
         polls: list[Callable[[], None]] = []
         if machine.imu is not None:
-            line = open_ports.enter_context(contextlib.closing(Pty()))
-            machine.imu_out = line.write
-            polls.append(_imu_listener(machine.imu, line))
+            server = open_ports.enter_context(contextlib.closing(TcpLine()))
+            pty = open_ports.enter_context(contextlib.closing(Pty())) if hasattr(os, "openpty") else None
+            imu_device, imu_url = pty.path if pty is not None else "", server.url
+            polls.append(_connect_imu(machine, machine.imu, server, pty))
         if machine.io is not None:
-            server = open_ports.enter_context(contextlib.closing(ModbusTcpServer(machine.io)))
-            io_url = server.url
-            polls.append(server.poll)
+            modbus = open_ports.enter_context(contextlib.closing(ModbusTcpServer(machine.io)))
+            io_url = modbus.url
+            polls.append(modbus.poll)
             if io_line is not None:
                 polls.append(ModbusRtuServer(machine.io, io_line).poll)
-        ports = Ports(imu_device=line.path if line is not None else "", io_url=io_url, io_line=io_line.path if io_line is not None else "")
+        ports = Ports(imu_device, imu_url, io_url, io_line.path if io_line is not None else "")
         tick = Tick(machine.bus.sync_cob_id, machine.period_s, machine.prepare) if punctual else None
         _serve(bus, machine, lambda: on_ready(ports), polls, tick)
 
@@ -114,11 +120,22 @@ def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) 
     _serve(bus, device, on_ready, [], None)
 
 
-def _imu_listener(imu: EmulatedImu, line: Pty) -> Callable[[], None]:
-    def listen() -> None:
-        if heard := line.read():
-            line.write(imu.receive(heard))
+def _connect_imu(machine: EmulatedMachine, imu: EmulatedImu, server: TcpLine, pty: Pty | None) -> Callable[[], None]:
+    """What the IMU says goes to whoever is connected to the TCP port, else to the pseudo terminal; both are listened to."""
 
+    def say(data: bytes) -> None:
+        if server.connected:
+            server.write(data)
+        elif pty is not None:
+            pty.write(data)
+
+    def listen() -> None:
+        if heard := server.read():
+            server.write(imu.receive(heard))
+        if pty is not None and (heard := pty.read()):
+            pty.write(imu.receive(heard))
+
+    machine.imu_out = say
     return listen
 
 
@@ -130,20 +147,24 @@ class Tick:
     period_s: float
     prepare: Callable[[], None]
     _due_s: float = -math.inf
+    _stay_s: float = -math.inf
     _prepared: bool = True
 
     def heard(self, can_id: int, now_s: float) -> None:
         """A frame has come and been answered."""
         if can_id == self.sync_cob_id:
+            self._stay_s = now_s + STAY_S
             self._due_s = now_s + self.period_s
             self._prepared = False
 
     def is_near(self, now_s: float) -> bool:
-        """A SYNC is due: nothing else may take time now."""
-        return self._due_s - AWAKE_S <= now_s < self._due_s + SPIN_S
+        """A SYNC is due, or just answered: nothing else may take time now."""
+        return now_s < self._stay_s or self._due_s - AWAKE_S <= now_s < self._due_s + SPIN_S
 
     def patience(self, now_s: float) -> float:
-        """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning."""
+        """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning, and shortly after."""
+        if now_s < self._stay_s:
+            return 0.0
         ahead_s = self._due_s - AWAKE_S - now_s
         if ahead_s > 0.0:
             return min(ahead_s, POLL_S)
@@ -172,7 +193,8 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
                 device.receive(message.arbitration_id, bytes(message.data))
                 if tick is not None:
                     tick.heard(message.arbitration_id, now_s)
-            if now_s - polled_s >= POLL_S and not (tick is not None and tick.is_near(now_s)):  # time for the other wires
+            unpolled_s = now_s - polled_s
+            if unpolled_s >= POLL_AT_LEAST_S or (unpolled_s >= POLL_S and not (tick is not None and tick.is_near(now_s))):
                 polled_s = now_s
                 for poll in polls:
                     poll()

@@ -196,6 +196,7 @@ class CyclicExchange:
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
         self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
         self._alone_s = [nan] * len(self._tpdos)  # when the last one came that may be of an earlier SYNC
+        self._awake_s = network.clock.awake_s
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
         self._fault = ""
@@ -273,11 +274,16 @@ class CyclicExchange:
         overtime = came = 0
         bus, by_cob_id, now, owed = self._bus, self._by_cob_id, self._clock.now, self._owed
         in_debt = any(owed)
+        awake = self._awake_s > 0.0
+        asleep_at = max(0.0, timeout_s - self._awake_s)  # when so much remains
         while outstanding:
-            message = receive_frame(bus, remaining)
-            if message is None:
+            message = receive_frame(bus, 0.0 if awake else remaining)
+            if message is None and not awake:
                 break
             remaining = overdue_s - now()
+            if message is None:
+                awake, remaining = remaining > asleep_at, max(0.0, remaining)
+                continue
             entry = by_cob_id.get(message.arbitration_id)
             if entry is None:
                 self._other(message)

@@ -17,6 +17,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from drivers.errors import BusTimeout, BusUnavailable, ConfigurationRefused, ProtocolError
 from drivers.modbus.registers import ExceptionCode
+from drivers.tcp_url import parse_tcp_url
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
@@ -161,8 +162,8 @@ def parse_io_url(url: str) -> tuple[str, str, int]:
     BusUnavailable
         Neither of them.
     """
-    if (match := re.fullmatch(r"tcp:(\[[^\s\[\]]+\]|[^\s\[\]]+):([0-9]{1,5})", url)) and 0 < int(match[2]) <= 0xFFFF:
-        return "tcp", match[1].strip("[]"), int(match[2])
+    if address := parse_tcp_url(url):
+        return "tcp", *address
     if (match := re.fullmatch(r"rtu:(.+)@([0-9]{1,8})", url)) and int(match[2]) > 0:
         return "rtu", match[1], int(match[2])
     raise BusUnavailable(f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502 or rtu:/dev/ttyUSB1@115200")

@@ -9,6 +9,8 @@ from typing import Protocol
 import serial
 
 from drivers.errors import BusUnavailable
+from drivers.serial.tcp_stream import TcpStream
+from drivers.tcp_url import parse_tcp_url
 
 READ_BYTES = 4096
 
@@ -21,6 +23,18 @@ class ByteStream(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send; what does not fit the buffer is lost, as on a UART without handshake."""
+
+
+def open_stream(device: str, baud: int) -> SerialStream | TcpStream:
+    """The line to a serial device: a port of this computer, or `tcp:HOST:PORT` of a device server.
+
+    Raises
+    ------
+    BusUnavailable
+        It is not there, or in use.
+    """
+    address = parse_tcp_url(device)
+    return SerialStream(device, baud) if address is None else TcpStream(device, *address)
 
 
 class SerialStream:

@@ -42,7 +42,7 @@ class Watching:
 
 def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_an_estimate(running_bench, monkeypatch):
     touched = []
-    for device in ("IoProcess", "SerialStream"):
+    for device in ("IoProcess", "open_stream"):
         monkeypatch.setattr(hil.wiring, device, lambda *arguments, device=device: touched.append(device))
     options = BenchOptions(f"virtual:{CHANNEL}", imu_device="/dev/ttyS0", io_url="tcp:127.0.0.1:1", real_time=False)
     with (

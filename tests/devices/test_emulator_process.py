@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable
@@ -104,6 +105,12 @@ def test_the_whole_machine_has_its_bus_its_serial_port_and_its_modbus_server() -
         while b"\xfa\xff\x31\x00\xd0" not in said:
             said += os.read(serial_port, 256)
         os.close(serial_port)
+        host, port = ports.imu_url.removeprefix("tcp:").split(":")
+        with socket.create_connection((host, int(port)), WAIT_S) as line:
+            line.sendall(bytes.fromhex("FA FF 30 00 D1"))
+            said = b""
+            while b"\xfa\xff\x31\x00\xd0" not in said:
+                said += line.recv(256)
         for _ in range(20):
             bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
             bus.send(can.Message(arbitration_id=0x080, is_remote_frame=True, is_extended_id=False))

@@ -62,6 +62,8 @@ class ScriptedBus(can.BusABC):
 class BusClock:
     """The clock of that bus."""
 
+    awake_s = 0.0
+
     def __init__(self, bus: ScriptedBus) -> None:
         self.bus, self.missed = bus, 0
 

@@ -16,6 +16,7 @@ from drivers.canopen.supervision import Supervision
 from drivers.interface import Sample
 
 SYNC, TPDO = 0x080, 0x181
+LOOK_S = 1e-5
 
 
 class SlowBus(ScriptedBus):
@@ -52,12 +53,26 @@ class TickingClock(BusClock):
         return 0.0
 
 
-def rows(delays: list[float | None], ticks: int) -> list[float]:
+class LookedAtBus(SlowBus):
+    """To look takes time, and so it passes for who waits awake."""
+
+    looks = 0
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        self.looks += 1
+        if timeout == 0.0:
+            self.pass_time(LOOK_S)
+        return super().recv(timeout)
+
+
+def rows(delays: list[float | None], ticks: int, awake_s: float = 0.0) -> list[float]:
     """Per tick, the number of the SYNC whose answer the row holds; NaN where it holds none."""
-    bus = SlowBus(delays)
+    bus = LookedAtBus(delays)
     bus_settings = machine_settings(("roll",), io=False)
     bus_settings = dataclasses.replace(bus_settings, nodes=bus_settings.nodes[:1])
-    network = PolledNetwork(bus, TickingClock(bus))
+    clock = TickingClock(bus)
+    clock.awake_s = awake_s
+    network = PolledNetwork(bus, clock)
     cyclic = CyclicExchange(network, bus_settings, Supervision(network, bus_settings.nodes))
     resolution = bus_settings.scalings[0].sign * bus_settings.scalings[0].position_resolution
     sample = Sample(1)
@@ -65,6 +80,8 @@ def rows(delays: list[float | None], ticks: int) -> list[float]:
     for _ in range(ticks):
         cyclic.run([0.0], sample)
         seen.append(float(sample.position[0]) / resolution)
+    looks = awake_s / LOOK_S + 10.0
+    assert bus.looks <= ticks * looks, "who has waited awake for long enough sleeps"
     return seen
 
 
@@ -94,5 +111,6 @@ LOST = float("nan")
         "late three times",
     ],
 )
-def test_a_late_answer_is_not_taken_for_the_next_syncs(delays, expected):
-    assert rows(delays, len(expected)) == pytest.approx(expected, nan_ok=True)
+@pytest.mark.parametrize("awake_s", [0.0, 5e-4, 1.0], ids=["asleep", "awake at first", "awake"])
+def test_a_late_answer_is_not_taken_for_the_next_syncs(delays, expected, awake_s):
+    assert rows(delays, len(expected), awake_s) == pytest.approx(expected, nan_ok=True)
