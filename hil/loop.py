@@ -156,10 +156,7 @@ class SampleLoop:
         axes = len(self.limits)
         self.command = np.zeros(axes)
         self._position = np.full(axes, np.nan)  # the newest there is; none yet
-        self._stale = np.zeros(axes, dtype=np.int64)
-        self._lower = np.array([limit.lower for limit in self.limits])
-        self._upper = np.array([limit.upper for limit in self.limits])
-        self._tracking = np.array([limit.tracking_error for limit in self.limits])
+        self._stale = [0] * axes  # ticks since
         self._row = np.full(self.layout.width, np.nan)
         self._zeros = np.zeros(axes)
         self._added = np.zeros(axes)  # excitation and what the observer adds
@@ -236,10 +233,9 @@ class SampleLoop:
 
     def _see(self, sample: Sample) -> None:
         """Take over the positions there are, count the ticks without."""
-        position = sample.position
-        for axis in range(len(position)):
-            if position[axis] == position[axis]:
-                self._position[axis] = position[axis]
+        for axis, position in enumerate(sample.position.tolist()):
+            if position == position:
+                self._position[axis] = position
                 self._stale[axis] = 0
             else:
                 self._stale[axis] += 1
@@ -249,24 +245,23 @@ class SampleLoop:
             return sample.fault
         if sample.imu_fault and self.observer is None:  # an observer goes on without
             return sample.imu_fault
-        for axis, limit in enumerate(self.limits):
-            if self._stale[axis] > self.stale_ticks:
-                return f"{limit.axis}: no position for {self._stale[axis]} ticks, timing.stale_ticks bridges {self.stale_ticks}"
-            position = self._position[axis]
+        for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
+            if stale > self.stale_ticks:
+                return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
             if position != position:  # bridged from the first tick on: the feedback holds its last command
                 continue
-            if not self._lower[axis] <= position <= self._upper[axis]:
+            if not limit.lower <= position <= limit.upper:
                 return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
-            error = abs(reference[axis] - position)
-            if not error <= self._tracking[axis]:
+            error = abs(wanted - position)
+            if not error <= limit.tracking_error:
                 return f"{limit.axis}: tracking error {error:.4f} {limit.unit} exceeds {limit.tracking_error:.4f} {limit.unit}"
         if self.watch is not None and (reason := self.watch(sample)):
             return reason
         if self.guard_io:
             if not sample.hold_to_run:
                 return "hold-to-run was released"
-            for axis, has_brake in enumerate(self.braked):
-                if has_brake and not sample.brakes_open[axis]:
+            for axis, is_open in enumerate(sample.brakes_open.tolist()):
+                if not is_open and self.braked and self.braked[axis]:
                     return f"{self.limits[axis].axis}: its brake closed during the run"
             if not sample.door_closed:
                 return "the door was opened"

@@ -11,7 +11,7 @@ import numpy as np
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import holding_effort, resting_state
-from virtual_bus.sensors.effects import new_memory
+from virtual_bus.sensors.effects import ANY, new_memory
 from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
 from virtual_bus.settings import PlantSettings
 
@@ -68,6 +68,7 @@ class Physics:
         self._brakes = np.zeros(len(self.axes))
         self._temperature_rise = np.zeros(len(self.axes))
         self._zero_counts = np.zeros(len(self.axes), dtype=np.int64)
+        self._no_counts = np.zeros(len(self.axes), dtype=np.int64)
         self.place(np.zeros(len(self.axes)))
 
     @property
@@ -150,8 +151,9 @@ class Physics:
         self._sensors.measure(
             self._state, self._currents, self._temperature_rise, self._imu, noise, self._sensor_model, self._memory, readings
         )
-        latched.position_counts[:] = _counts(readings.position, self._sensor_model.position_resolution) - self._zero_counts
-        latched.link_counts[:] = _counts(readings.link_position, self._sensor_model.link_resolution)
+        sensors, count = self._sensor_model, self._sensors.count
+        count(readings.position, sensors.position_resolution, self._zero_counts, latched.position_counts)
+        count(readings.link_position, sensors.link_resolution, self._no_counts, latched.link_counts)
         latched.position[:] = readings.position
         latched.link_position[:] = readings.link_position
         latched.effort[:] = readings.effort
@@ -164,8 +166,10 @@ class Physics:
         self._prepared = None
         self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         self.plant.advance(self._state, self._effort, self._brakes, self.model, self._work)
-        self._sensors.warm_up(self._temperature_rise, self._currents, self._sensor_model)
-        self._sensors.remember(self._sensor_model, self._memory)
+        sensors = self._sensor_model
+        self._sensors.warm_up(self._temperature_rise, self._currents, sensors.rise_per_effort2, sensors.temperature_decay)
+        if sensors.switches[ANY]:
+            self._sensors.remember(sensors, self._memory)
         self._samples += 1
 
     def truth(self) -> dict[str, np.ndarray]:
@@ -211,15 +215,6 @@ class _Noise:
             self._used = 0
         self._used += 1
         return self._block[self._used - 1]
-
-
-def _counts(position: np.ndarray, resolution: np.ndarray) -> np.ndarray:
-    """Whole counts (axes,) of positions that are on the lattice already; 0 where there is no lattice."""
-    counts = np.zeros(len(position), dtype=np.int64)
-    for i in range(len(position)):
-        if resolution[i] > 0.0:
-            counts[i] = round(position[i] / resolution[i])
-    return counts
 
 
 def _new_latched(settings: PlantSettings) -> Latched:

@@ -97,6 +97,7 @@ class _AxisWatch:
 
     def _begin(self, travel: float, speed: float, *, sets_counter: bool) -> None:
         self._travel, self._speed, self._in_range = travel, speed, True
+        self._link_speed = max(speed, self.limits.speed)
         self._apart, self._link_may_be_silent = STANDING_SHARE * self.limits.tracking_error, False
         self._still_ticks, self._still, self._still_at = inf, 0, 0.0
         self._motor.begin(may_jump=sets_counter)
@@ -107,7 +108,7 @@ class _AxisWatch:
         """What is wrong with this tick, in words; '' when nothing is."""
         return (
             self._bounds(self._motor, position, ticks, self._speed)
-            or (self._bounds(self._link, link, ticks, max(self._speed, self.limits.speed)) if self._link is not None else "")
+            or (self._bounds(self._link, link, ticks, self._link_speed) if self._link is not None else "")
             or self._stillness(ticks)
             or self._disagreement()
             or self._range(position, link)
@@ -115,14 +116,16 @@ class _AxisWatch:
 
     def _bounds(self, track: _Track, position: float, ticks: int, speed: float) -> str:
         slow = track.update(position, ticks, speed * self._period_s)
-        limits, who = self.limits, f"{self.limits.axis}: {track.name}"
+        limits = self.limits
         if track.stale > limits.stale_ticks and not (self._link_may_be_silent and track is self._link):
-            return f"{who}: no position for {track.stale} ticks, timing.stale_ticks bridges {limits.stale_ticks}"
-        if not slow:
-            return f"{who}: moved by {track.step:+.2e} {self.unit} at once {self._doing}; {speed:.3g} {self.unit}/s is allowed"
-        if abs(track.moved) > self._travel:
-            return f"{who}: moved by {track.moved:+.2e} {self.unit} {self._doing}; {self._travel:.2e} {self.unit} is allowed"
-        return ""
+            what = f"no position for {track.stale} ticks, timing.stale_ticks bridges {limits.stale_ticks}"
+        elif not slow:
+            what = f"moved by {track.step:+.2e} {self.unit} at once {self._doing}; {speed:.3g} {self.unit}/s is allowed"
+        elif abs(track.moved) > self._travel:
+            what = f"moved by {track.moved:+.2e} {self.unit} {self._doing}; {self._travel:.2e} {self.unit} is allowed"
+        else:
+            return ""
+        return f"{limits.axis}: {track.name}: {what}"
 
     def _stillness(self, ticks: int) -> str:
         # over however many ticks it takes: a slow axis gives a count now and then
@@ -213,7 +216,7 @@ class MotionWatch:
         missed = self._clock.missed
         ticks = 1 + max(0, missed - self._missed)
         self._missed = missed
-        for index, axis in enumerate(self._axes):
-            if reason := axis.check(float(sample.position[index]), float(sample.link_position[index]), ticks):
+        for axis, position, link in zip(self._axes, sample.position.tolist(), sample.link_position.tolist(), strict=True):
+            if reason := axis.check(position, link, ticks):
                 return reason
         return ""

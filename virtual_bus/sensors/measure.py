@@ -156,10 +156,17 @@ def measure_affected(
 
 
 @compiled
-def warm_up(temperature_rise, effort, sensors):
+def warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay):
     """Temperatures one sample later, in place."""
     for i in range(len(effort)):
-        temperature_rise[i] = warmed(temperature_rise[i], effort[i], sensors.rise_per_effort2[i], sensors.temperature_decay[i])
+        temperature_rise[i] = warmed(temperature_rise[i], effort[i], rise_per_effort2[i], temperature_decay[i])
+
+
+@compiled
+def count(position, resolution, zero, counts):
+    """Whole counts from `zero` of positions that are on their lattices already; 0 where there is no lattice."""
+    for i in range(len(position)):
+        counts[i] = 0 if not resolution[i] > 0.0 else round(position[i] / resolution[i]) - zero[i]
 
 
 ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""
@@ -192,8 +199,13 @@ def remember(sensors, memory):
 
 
 @compiled_and_cached
-def warm_up(temperature_rise, effort, sensors):
-    _sensors.warm_up(temperature_rise, effort, sensors)
+def warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay):
+    _sensors.warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay)
+
+
+@compiled_and_cached
+def count(position, resolution, zero, counts):
+    _sensors.count(position, resolution, zero, counts)
 '''
 
 
@@ -204,5 +216,5 @@ def sensor_sources() -> str:
 
 
 def compiled_sensors() -> ModuleType:
-    """Module with `start`, `measure`, `remember` and `warm_up`, compiled once and cached."""
+    """Module with `start`, `measure`, `count`, `remember` and `warm_up`, compiled once and cached."""
     return load_generated("sensors", ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__), sensor_sources())
