@@ -1,7 +1,7 @@
-"""Effects refitted together with the machine file's numbers, by free runs: Levenberg-Marquardt within bounds.
+"""Effects refitted together with the machine file's numbers, by free runs: Gauss-Newton within bounds and a trust region.
 
-Nocedal and Wright 2006, ch. 10.3. Sensitivities of the tuned numbers are those of the re-tuned machine (they change little with an effect);
-sensitivities of the effects' parameters are taken anew at every step.
+Nocedal and Wright 2006, ch. 4 and 10. Sensitivities of the effects' parameters are taken anew at every step, those of the tuned numbers,
+which a small effect hardly changes, where a step does not bring what they say.
 """
 
 from __future__ import annotations
@@ -15,22 +15,17 @@ import scipy.optimize
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, linearised
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, linearised, sensitivities_from, sensitivity_trials
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
-STEPS = 7
+STEPS = 12
 ENOUGH = 1e-3
 """Relative decrease of the cost, or decrease below 0.5 in units of noise, at which a fit has ended."""
 
-POLISHING_ROUNDS = 3
+POLISHING_ROUNDS = 8
 POLISHING_STEPS = 3
-FIRST_DAMPING = 1e-3
-POLISHING_DAMPING = 1e-7
-"""In units of the curvature's diagonal. A machine's numbers that scale alike lie along a valley whose curvature is the prior's, 10^-4 and
-less of the diagonal: more damping ends a fit on its way along it, and a friction's strength, which scales with them, off by a tenth."""
-
 POLISHED_GAIN = 1.0
 """Decrease of the cost by which a round of polishing calls for another."""
 
@@ -38,13 +33,37 @@ STEP_SHARE = 0.01
 """Difference for sensitivities, as a share of a parameter's size."""
 
 SMALLEST_SHARE = 1e-7
-"""Of a parameter's range: its size is never taken for less."""
+"""Of a parameter's range: the size of one that starts at zero is never taken for less."""
+
+SMALLEST_OF_START = 0.01
+"""The same for other parameters, of their start: a range made for machines of tonnes says nothing about a spring of milligrammes."""
 
 NOT_FITTED = ("seed", "side", "sign", "length")
 """Parameters that only take some values: they stay where screening put them."""
 
 LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
+INVERSE = ("fc",)
+"""Corner frequencies: what they do is in proportion to one over them."""
+
 PHASE_STEP = 0.02
+
+WEAKER = (0.3, 0.1, 0.03)
+"""Shares of a start's strength that are tried where the start is worse than no effect."""
+
+TUNED_REACH = 1.0
+"""Of a first step in the tuned numbers, in units of their prior."""
+
+GOOD, FAIR = 0.7, 0.3
+"""Shares of the expected decrease of the cost above which the region doubles and stays as it is."""
+
+SHRINK, SHRUNK_AT_MOST = 0.3, 4
+RELINEARISED = 6
+"""Times at most that the tuned numbers' sensitivities are taken anew in one fit."""
+
+WORTH_LINEARISING = 4.0
+"""Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
+
+RIDGE = 1e-9
 
 Answers = list[np.ndarray | None]
 
@@ -95,10 +114,9 @@ def refit(
     starts: Sequence[tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]],
     *,
     steps: int = STEPS,
-    damping: float = FIRST_DAMPING,
 ) -> list[Fitted | None]:
     """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all."""
-    fits = [_fit(tuning, measured, names, values, steps, damping) for names, values in starts]
+    fits = [_fit(tuning, measured, names, values, steps) for names, values in starts]
     return together(runs, fits)
 
 
@@ -107,7 +125,7 @@ def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted)
     for _ in range(POLISHING_ROUNDS):
         at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         at = linearised(runs, at, fitted.settings)
-        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS, damping=POLISHING_DAMPING)
+        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS)
         if again is None or again.cost > fitted.cost - POLISHED_GAIN:
             return fitted if again is None or again.cost > fitted.cost else again
         fitted = again
@@ -133,60 +151,158 @@ def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitt
 
 
 def _fit(
-    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int, damping: float
+    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int
 ) -> Generator[list[Trial], Answers, Fitted | None]:
-    """Levenberg-Marquardt as a generator of trials."""
-    parameters = [effects()[name.effect].parameters for name in names]
-    free = tuple((e, k) for e, own in enumerate(parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
-    values = tuple(np.array(v, dtype=float) for v in values)
-    offset = tuning.offset.copy()
+    """Gauss-Newton in a trust region, as a generator of trials.
 
-    def trial(at: np.ndarray, of: Sequence[np.ndarray]) -> Trial:
-        return Trial(tuning.at(at), tuple(setting_of(name, v) for name, v in zip(names, of, strict=True)))
-
-    (predicted,) = yield [trial(offset, values)]
-    if predicted is None:
+    The tuned numbers' sensitivities are taken anew where a step does not bring what they say.
+    """
+    fitting = _Fitting(tuning, names, values)
+    base = _cost(measured, tuning.predicted, tuning.offset)
+    at = _Point(tuning.offset.copy(), tuple(np.array(v, dtype=float) for v in values))
+    starts = [at, *(_Point(at.offset, _weaker(names[-1], at.values, share)) for share in WEAKER)]
+    found: tuple[float, _Point, np.ndarray] | None = None
+    for start in starts:
+        (answer,) = yield [fitting.trial(start)]
+        if answer is not None and (found is None or _cost(measured, answer, start.offset) < found[0]):
+            found = _cost(measured, answer, start.offset), start, answer
+        if found is not None and found[0] <= base:
+            break
+    if found is None:
         return None
-    cost = _cost(measured, predicted, offset)
-    tuned = tuning.jacobian.T @ tuning.jacobian
-    jacobian = np.zeros((len(predicted), len(free)))
+    cost, at, predicted = found
+    tuned, stale = tuning.jacobian, RELINEARISED
+    square = tuned.T @ tuned
+    jacobian = np.zeros((len(predicted), len(fitting.free)))
+    radius = 1.0
     for _ in range(steps):
-        sizes = np.array([_size(parameters[e][k], values[e][k]) for e, k in free])
-        moves = [_moved(parameters[e][k], values[e][k], size * STEP_SHARE) for (e, k), size in zip(free, sizes, strict=True)]
-        answers = yield [trial(offset, _with(values, e, k, value)) for (e, k), value in zip(free, moves, strict=True)]
-        for column, ((e, k), value, answer) in enumerate(zip(free, moves, answers, strict=True)):
-            jacobian[:, column] = 0.0 if answer is None else (answer - predicted) / (value - values[e][k])
-        residual = measured - predicted
-        accepted = False
-        low, high = _bounds(parameters, values, free, sizes)
-        hessian, gradient = _normal_equations(tuned, tuning.jacobian, jacobian * sizes, residual, offset)
-        for _ in range(2):
-            ladder = [damping, 10.0 * damping, 100.0 * damping]
-            tries = []
-            for level in ladder:
-                step = _bounded_step(hessian, gradient, level, offset, low, high)
-                at = offset + step[: len(offset)]
-                of = values
-                for (e, k), change in zip(free, step[len(offset) :] * sizes, strict=True):
-                    of = _with(of, e, k, float(np.clip(of[e][k] + change, parameters[e][k].low, parameters[e][k].high)))
-                tries.append((at, of))
-            answers = yield [trial(at, of) for at, of in tries]
-            costs = [np.inf if answer is None else _cost(measured, answer, at) for answer, (at, _) in zip(answers, tries, strict=True)]
-            best = int(np.argmin(costs))
-            if costs[best] < cost:
-                accepted = True
+        moves = fitting.moves(at)
+        answers = yield [fitting.trial(move) for move, _ in moves]
+        for column, ((_, difference), answer) in enumerate(zip(moves, answers, strict=True)):
+            jacobian[:, column] = 0.0 if answer is None else (answer - predicted) / difference
+        gained = None
+        shrunk = 0
+        while shrunk < SHRUNK_AT_MOST:
+            hessian, gradient = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
+            step = _bounded_step(hessian, gradient, *fitting.reach(at, radius))
+            expected = float(2.0 * step @ gradient - step @ hessian @ step)
+            to = fitting.moved(at, step)
+            (answer,) = yield [fitting.trial(to)]
+            gain = -np.inf if answer is None else cost - _cost(measured, answer, to.offset)
+            fair = gain > FAIR * expected
+            if not fair and stale and expected > WORTH_LINEARISING:
+                stale -= 1
+                trials, weights = sensitivity_trials(tuning, at.offset, fitting.settings(at))
+                tuned = sensitivities_from((yield trials), weights, predicted)
+                square = tuned.T @ tuned
+                if gain <= 0.0:
+                    continue
+            if answer is not None and gain > 0.0:
+                radius *= 2.0 if gain > GOOD * expected else 1.0 if fair else 0.5
+                at, predicted, cost, gained = to, answer, cost - gain, gain
                 break
-            damping *= 1000.0
-        if not accepted:
+            radius *= SHRINK
+            shrunk += 1
+        if gained is None or gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5):
             break
-        gain, cost = cost - costs[best], costs[best]
-        offset, values = tries[best]
-        predicted = answers[best]
-        assert predicted is not None
-        damping = max(ladder[best] * 0.1, 1e-8)
-        if gain < max(ENOUGH * cost * len(offset) / len(measured), 0.5):
-            break
-    return Fitted(names, values, offset, predicted, cost, free, jacobian)
+    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Tuned coordinates and the effects' parameters."""
+
+    offset: np.ndarray
+    values: tuple[np.ndarray, ...]
+
+
+class _Fitting:
+    """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
+
+    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...]) -> None:
+        self._tuning, self._names = tuning, names
+        self._parameters = [effects()[name.effect].parameters for name in names]
+        self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
+        self._least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
+
+    def settings(self, at: _Point) -> tuple[EffectSetting, ...]:
+        return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
+
+    def trial(self, at: _Point) -> Trial:
+        return Trial(self._tuning.at(at.offset), self.settings(at))
+
+    def moves(self, at: _Point) -> list[tuple[_Point, float]]:
+        """Neighbours in every free parameter, and how far they are in units of its size."""
+        found = []
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            step = PHASE_STEP if _is_phase(parameter) else STEP_SHARE
+            if _is_inverse(parameter, value):
+                found.append((_Point(at.offset, _with(at.values, e, k, value / (1.0 + step))), step))
+                continue
+            neighbour = value + step * size
+            if neighbour > parameter.high:
+                neighbour = value - step * size
+            found.append((_Point(at.offset, _with(at.values, e, k, neighbour)), (neighbour - value) / size))
+        return found
+
+    def reach(self, at: _Point, radius: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest step of all coordinates: to their bounds, and not further than they are trusted."""
+        bound = LARGEST_CHANGE / PRIOR
+        low, high = list(np.maximum(-bound - at.offset, -TUNED_REACH * radius)), list(np.minimum(bound - at.offset, TUNED_REACH * radius))
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            up = 1.0 if _is_phase(parameter) else 3.0
+            down = 0.6 if parameter.name in LOGARITHMIC else up
+            if _is_inverse(parameter, value):
+                low.append(max(value / parameter.high - 1.0, -0.8 * min(radius, 1.0)))
+                high.append(up * radius)
+            else:
+                low.append(max((parameter.low - value) / size, -down * min(radius, 1.0) if down < 1.0 else -down * radius))
+                high.append(min((parameter.high - value) / size, up * radius))
+        return np.array(low), np.array(high)
+
+    def moved(self, at: _Point, step: np.ndarray) -> _Point:
+        """The point a step leads to."""
+        offset, values = at.offset + step[: len(at.offset)], at.values
+        for (e, k), size, change in zip(self.free, self._sizes(at), step[len(at.offset) :], strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            to = value / (1.0 + change) if _is_inverse(parameter, value) else value + change * size
+            values = _with(values, e, k, float(np.clip(to, parameter.low, parameter.high)))
+        return _Point(offset, values)
+
+    def slopes(self, at: _Point) -> np.ndarray:
+        """(F,) factors from sensitivities per size to sensitivities per unit of the parameter."""
+        found = []
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            value = at.values[e][k]
+            found.append(-1.0 / value if _is_inverse(self._parameters[e][k], value) else 1.0 / size)
+        return np.array(found)
+
+    def _sizes(self, at: _Point) -> list[float]:
+        found = []
+        for (e, k), least in zip(self.free, self._least, strict=True):
+            found.append(least if _is_phase(self._parameters[e][k]) else max(abs(at.values[e][k]), least))
+        return found
+
+
+def _weaker(name: EffectAt, values: tuple[np.ndarray, ...], share: float) -> tuple[np.ndarray, ...]:
+    """The last effect with this share of its strengths."""
+    last = values[-1].copy()
+    for k, parameter in enumerate(effects()[name.effect].parameters):
+        if parameter.is_strength and parameter.name not in NOT_FITTED:
+            last[k] = last[k] / share if _is_inverse(parameter, last[k]) else parameter.neutral + share * (last[k] - parameter.neutral)
+            last[k] = np.clip(last[k], parameter.low, parameter.high)
+    return (*values[:-1], last)
+
+
+def _is_phase(parameter: Parameter) -> bool:
+    return parameter.unit == "phase" and not parameter.is_strength
+
+
+def _is_inverse(parameter: Parameter, value: float) -> bool:
+    """Whether a parameter is fitted as one over itself, in which its effect is closer to linear."""
+    return parameter.name in INVERSE and value > 0.0
 
 
 def _normal_equations(
@@ -198,45 +314,17 @@ def _normal_equations(
     return hessian, np.concatenate([jacobian.T @ residual - offset, added.T @ residual])
 
 
-def _bounded_step(
-    hessian: np.ndarray, gradient: np.ndarray, damping: float, offset: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    damped = hessian + np.diag(damping * np.diag(hessian) + 1e-9)
-    root = np.linalg.cholesky(damped).T
+def _bounded_step(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    root = np.linalg.cholesky(hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)).T
     target = np.linalg.solve(root.T, gradient)
-    bound = LARGEST_CHANGE / PRIOR
-    lower = np.concatenate([np.minimum(-bound - offset, -1e-9), np.minimum(low, -1e-12)])
-    upper = np.concatenate([np.maximum(bound - offset, 1e-9), np.maximum(high, 1e-12)])
-    return scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls").x
+    return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls").x
 
 
-def _bounds(
-    parameters: Sequence[tuple[Parameter, ...]], values: Sequence[np.ndarray], free: Sequence[tuple[int, int]], sizes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far each free parameter may go in one step, in units of its size: to its bounds, and not further than it is trusted."""
-    low, high = [], []
-    for (e, k), size in zip(free, sizes, strict=True):
-        parameter, value = parameters[e][k], values[e][k]
-        reach = 1.0 if parameter.unit == "phase" else 3.0
-        down = 0.6 if parameter.name in LOGARITHMIC else reach
-        low.append(max((parameter.low - value) / size, -down))
-        high.append(min((parameter.high - value) / size, reach))
-    return np.array(low), np.array(high)
-
-
-def _size(parameter: Parameter, value: float) -> float:
-    """What is a large change of a parameter."""
-    if parameter.unit == "phase" and not parameter.is_strength:
+def _least_size(parameter: Parameter, start: float) -> float:
+    """What a parameter's size, a large change of it, is never taken for less than."""
+    if _is_phase(parameter):
         return 1.0
-    span = parameter.high - parameter.low
-    return max(abs(value), SMALLEST_SHARE * span, 1e-12)
-
-
-def _moved(parameter: Parameter, value: float, step: float) -> float:
-    """A neighbouring value within the bounds."""
-    if parameter.unit == "phase" and not parameter.is_strength:
-        step = PHASE_STEP
-    return value + step if value + step <= parameter.high else value - step
+    return max(SMALLEST_OF_START * abs(start) if start != 0.0 else SMALLEST_SHARE * (parameter.high - parameter.low), 1e-12)
 
 
 def _with(values: Sequence[np.ndarray], effect: int, number: int, value: float) -> tuple[np.ndarray, ...]:

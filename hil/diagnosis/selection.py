@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -27,6 +28,10 @@ REFITTED_BESIDE = 5
 POLISHED = 3
 """Fits that are continued with sensitivities taken where they are."""
 
+PAIRED = 4
+"""Single effects whose pairs are fitted where one with more parameters than any two of them comes first: a flexible law imitates two simple
+ones that act together, and alone neither of them comes near it."""
+
 MOST_EFFECTS = 3
 RIVAL_SHARE = 0.5
 """Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate."""
@@ -45,7 +50,7 @@ class Contender:
     gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
     gained_held_out: float
     left_held_out: float  # the held-out misfit
-    gates: tuple[Gate, ...]  # of the steps that added its effects, in their order
+    gates: tuple[Gate, ...]  # of the step that added each of its effects
 
     @property
     def passed(self) -> bool:
@@ -111,7 +116,10 @@ def select(
     present = tuning
     base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
     unseen_at_first = 0.0 if held_out is None else held_out.misfit(held_out.base)
+    passed_so_far: tuple[Gate, ...] = ()
     for size in range(MOST_EFFECTS):
+        if chosen is not None and len(chosen.effects) >= MOST_EFFECTS:
+            break
         report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
         settings = chosen.settings if chosen is not None else ()
         taken = set(chosen.effects) if chosen is not None else set()
@@ -133,6 +141,8 @@ def select(
         fits.sort(key=lambda fit: fit.cost)
         fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
         fits = in_order(fits, base, noise_energy)
+        if size == 0:
+            fits = in_order([*fits, *_pairs(runs, tuning, measured, fits)], base, noise_energy)
         placebo = placebo_gain(runs, present, screened, residual)
         judged = [(fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, len(found))) for fit in fits]
         closest = min(fits, key=lambda fit: fit.cost)
@@ -143,14 +153,14 @@ def select(
         before = float(residual @ residual + present.offset @ present.offset)
         unseen = 0.0 if held_out is None else held_out.misfit(held_out.predictions([(present.offset, settings)])[0])
         least = RIVAL_SHARE * passed[0][1].certain_gain if passed else 0.0
-        earlier = tuple(gates[:-1])
+        earlier = passed_so_far
         contenders = tuple(
             Contender(
                 fit,
                 base - before + gate.certain_gain,
                 unseen_at_first - unseen + (gate.held_out_gain or 0.0),
                 unseen - (gate.held_out_gain or 0.0),
-                (*earlier, gate),
+                (*earlier, *[gate] * (len(fit.effects) - len(earlier))),
             )
             for fit, gate in judged
             if gate.passed or gate.certain_gain > least
@@ -158,8 +168,21 @@ def select(
         if not passed:
             break
         chosen = passed[0][0]
+        passed_so_far = (*earlier, *[gates[-1]] * (len(chosen.effects) - len(earlier)))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
     return Selection(chosen, tuple(gates), contenders, tuple(first), closest)
+
+
+def _pairs(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, singles: Sequence[Fitted]) -> list[Fitted]:
+    """The best pair of single effects that together have no more parameters than the first one."""
+    simple = [fit for fit in singles[1:] if fit.freedom < singles[0].freedom][:PAIRED]
+    starts = [
+        ((*one.effects, *other.effects), (*one.values, *other.values))
+        for one, other in combinations(simple, 2)
+        if one.freedom + other.freedom <= singles[0].freedom
+    ]
+    fits = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
+    return [polish(runs, tuning, measured, min(fits, key=lambda fit: fit.cost))] if fits else []
 
 
 def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]:

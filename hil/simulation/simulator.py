@@ -15,7 +15,7 @@ from hil.errors import BadAnswer, ExperimentError
 from hil.machine import Machine
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel
 from virtual_bus.plant.compiled import compile_plant
-from virtual_bus.plant.statics import held_effort, resting_state
+from virtual_bus.plant.statics import held_effort, holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import new_readings, sensor_model
 from virtual_bus.settings import EffectSetting
@@ -102,7 +102,10 @@ class Simulator:
         holding = held_effort(self.plant, state)
         if inputs.start_speed is not None:
             state[[self.plant.joints + joint for joint in self.plant.joint_of_axis().values()]] = inputs.start_speed
-        loop = self._closed_loop(inputs, holding) if inputs.command is None else self._open_loop
+        if inputs.command is None:
+            loop, holding = self._started(inputs, holding, values, effects)
+        else:
+            loop = self._open_loop
         rows = self._rows(inputs)
         settings = self.machine.plant
         failed = self._kernel.run(
@@ -145,6 +148,23 @@ class Simulator:
         limit = np.array([drive.limit for drive in self.machine.plant.drives])
         axes = len(limit)
         return Loop(np.zeros((0, 6)), np.zeros((0, 2)), np.zeros((axes, 3), dtype=np.int64), limit, np.zeros((axes, 2)))
+
+    def _started(
+        self, inputs: Inputs, holding: np.ndarray, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
+    ) -> tuple[Loop, np.ndarray]:
+        """The loop and what the drives hold at row 0.
+
+        Where the machine file's own load could be held but an effect's cannot, because the loop has no integrator, row 0 is as without the
+        effects and the machine sags from there.
+        """
+        try:
+            return self._closed_loop(inputs, holding), holding
+        except ExperimentError:
+            limits = [controller.limit for controller in self.machine.controllers]
+            if not effects or np.any(np.abs(holding) > limits):
+                raise
+        own = holding_effort(self.plant, self.plant.model(values, ()), inputs.start_pose)
+        return self._closed_loop(inputs, own), own
 
     def _closed_loop(self, inputs: Inputs, holding: np.ndarray) -> Loop:
         feedback = Feedback(self.machine.controllers)
