@@ -27,7 +27,19 @@ def calibrate_phantom(
     jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> PoseFit:
-    """Geometry of every exposure of a scan, referred to the phantom.
+    """Geometry of every exposure of a scan, referred to the phantom: `look_for_bullets`, then `fit_poses`. Raises as they do."""
+    observed, sigma = look_for_bullets(scan, phantom, nominal, jobs, progress)
+    return fit_poses(phantom.centers_m, observed, sigma, nominal, nine)
+
+
+def look_for_bullets(
+    scan: ImageScan,
+    phantom: BulletPhantom,
+    nominal: ConeBeam,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where every exposure shows the phantom's bullets.
 
     Parameters
     ----------
@@ -35,17 +47,21 @@ def calibrate_phantom(
     phantom : BulletPhantom
     nominal : ConeBeam
         Expected geometry of the N exposures, the phantom near its origin.
-    nine : bool
-        Fit the source too; otherwise it is held at nominal.
     jobs : int
         Processes that look for bullets.
     progress : callable
         Told how many of how many images are done.
 
+    Returns
+    -------
+    observed_m : (N, P, 2) array
+        On the panel; NaN: not seen.
+    sigma_m : (N, P) array
+
     Raises
     ------
     UnusableInput
-        Unusable images, or no exposure shows enough of the phantom.
+        Unusable images.
     """
     if len(nominal) != len(scan):
         raise UnusableInput(f"{len(scan)} exposures, expected geometry of {len(nominal)}")
@@ -64,12 +80,10 @@ def calibrate_phantom(
         for k in range(len(scan)):
             _, observed[k], sigma[k] = look(k)
             progress(k + 1, len(scan))
-    return fit_poses(phantom.centers_m, observed, sigma, nominal, nine)
+    return observed, sigma
 
 
-def _look(
-    scan: ImageScan, phantom: BulletPhantom, nominal: ConeBeam, radius: np.ndarray, k: int
-) -> tuple[int, np.ndarray, np.ndarray]:
+def _look(scan: ImageScan, phantom: BulletPhantom, nominal: ConeBeam, radius: np.ndarray, k: int) -> tuple[int, np.ndarray, np.ndarray]:
     """Observations of one exposure."""
     found = find_bullets(scan.frame(k), float(radius[k]))
     beam = nominal[k : k + 1]

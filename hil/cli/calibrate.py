@@ -118,6 +118,7 @@ def phantom(
     scan_folder: ScanArgument,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="LOOKUP", help="Look-up table to write (.npz).")],
     six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal: six parameters, as today's procedure does.")] = False,
+    pixels: Annotated[bool, typer.Option("--pixels", help="Fit the pixels' aspect and skew (6.4) too, one for the whole scan.")] = False,
     standing: Annotated[
         bool, typer.Option("--standing", help="Keep the poses at which the machine stood, averaged: a roadmapping grid.")
     ] = False,
@@ -128,7 +129,9 @@ def phantom(
     """Find the bullets, fit the poses, write the table."""
     from hil.calibration.lookup import look_up_of, write_look_up
     from hil.calibration.lookup import standing as where_it_stood
-    from hil.calibration.phantom import calibrate_phantom
+    from hil.calibration.phantom import look_for_bullets
+    from hil.calibration.phantom_pose import fit_poses
+    from hil.calibration.pixels import fit_pixels
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.phantoms import dodecahedron
     from hil.imaging.scan_folder import read_scan
@@ -144,7 +147,15 @@ def phantom(
     with progress(answer.console) as bars:
         task = bars.add_task("bullets", total=len(scan))
         follow = follower(bars, task)
-        fit = calibrate_phantom(scan, dodecahedron(), nominal, not six, jobs, lambda done, total: follow(done))
+        bullets = dodecahedron()
+        observed, sigma = look_for_bullets(scan, bullets, nominal, jobs, lambda done, total: follow(done))
+    panel = scan.detector
+    if pixels:
+        seen = panel.to_pixels(observed)
+        panel, known = fit_pixels(bullets.centers_m, seen, sigma / panel.pitch_m, nominal, panel).of_the_panel(panel)
+        observed = panel.to_metres(seen)
+        answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
+    fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
     table = look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": six})
     table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
@@ -159,7 +170,7 @@ def phantom(
             along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
         _save(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
-    answer.write(_document(fit, table))
+    answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
 
 
 def marker(

@@ -25,6 +25,6 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
         panel.set_xlabel("overlay error on the panel [mm]")
         panel.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("share of poses below")
-    panels[0].legend(fontsize=8)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(overlays), fontsize=8)
     figure.suptitle(title, fontsize=10)
     return figure
