@@ -165,13 +165,22 @@ def quick_sensitivities(
     runs: FreeRuns, tuning: Tuning, predicted: np.ndarray, effects: tuple[EffectSetting, ...] = (), name: str = TRAIN
 ) -> np.ndarray:
     """(M, P) of the whitened free run with the tuned coordinates, by differences towards nominal: never beyond the bounds."""
-    sign = np.where(tuning.offset > 0.0, -1.0, 1.0)
-    moved = [tuning.offset + DIFFERENCE * sign[k] * unit for k, unit in enumerate(np.eye(len(tuning.offset)))]
-    answers = runs.run([Trial(tuning.at(offset), effects) for offset in moved], name)
-    jacobian = np.zeros((len(predicted), len(moved)))
+    trials, differences = sensitivity_trials(tuning, tuning.offset, effects)
+    return sensitivities_from(runs.run(trials, name), differences, predicted)
+
+
+def sensitivity_trials(tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> tuple[list[Trial], np.ndarray]:
+    """A trial for every tuned coordinate, and (P,) how far each is moved."""
+    differences = np.where(offset > 0.0, -DIFFERENCE, DIFFERENCE)
+    return [Trial(tuning.at(offset + move), effects) for move in np.diag(differences)], differences
+
+
+def sensitivities_from(answers: Sequence[np.ndarray | None], differences: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """(M, P) of those trials' answers."""
+    jacobian = np.zeros((len(predicted), len(differences)))
     for k, answer in enumerate(answers):
         if answer is not None:
-            jacobian[:, k] = (answer - predicted) * (sign[k] / DIFFERENCE)
+            jacobian[:, k] = (answer - predicted) / differences[k]
     return jacobian
 
 

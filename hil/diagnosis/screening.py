@@ -15,6 +15,7 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.projection import Projection
+from hil.diagnosis.refit import INVERSE
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.registry import effects
@@ -25,7 +26,7 @@ RESCALED_BEYOND = 1.5
 
 LARGEST_RESCALE = 30.0
 
-NONLINEAR_STRENGTH = ("imax", "fc", "b", "q", "sign", "share", "K", "D")
+NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share", "K", "D")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
 
 
@@ -105,7 +106,8 @@ def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray
         return None
     factor = float(np.clip(factor, 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
     low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
-    return np.clip(np.where(scaled, values * factor, values), low, high)
+    factors = np.array([1.0 / factor if p.name in INVERSE else factor for p in parameters])
+    return np.clip(np.where(scaled, values * factors, values), low, high)
 
 
 def _flipped(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:

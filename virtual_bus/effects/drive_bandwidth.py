@@ -12,7 +12,7 @@ EFFECT = Effect(
     name="drive_bandwidth",
     kind=LAG,
     parameters=(
-        Parameter("fc", unit="Hz", low=0.0, high=5000.0, description="natural frequency; 0: at once, no effect"),
+        Parameter("fc", unit="Hz", low=0.0, high=50000.0, description="natural frequency; 0: at once, no effect"),
         Parameter("zeta", unit="", low=0.2, high=2.0, description="damping ratio", is_strength=False),
     ),
     equation="i'' + 2 zeta wc i' + wc^2 i = wc^2 u",

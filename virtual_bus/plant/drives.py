@@ -41,6 +41,18 @@ def held_target(axis, first, begin, end, state, effort, model):
 
 
 @compiled
+def target_at_sync(axis, first, state, effort, model):
+    """Mean target of a delayed drive over the period that begins at a SYNC: a short delay reads little of the older target."""
+    samples = model.delay_samples[axis]
+    whole = int(samples)
+    held = first + axis * DRIVE_STATES + 2
+    newer = effort[axis] if whole == 0 else state[held + whole - 1]
+    if samples == whole:
+        return newer
+    return newer + (samples - whole) * (state[held + whole] - newer)
+
+
+@compiled
 def flowing(axis, current, speed, position, limited_by, model):
     """What of a current passes the drive's limit."""
     if model.limit_rows[axis, 0] < 0.0:
@@ -97,7 +109,7 @@ def drive_currents(axis_joints, first, limited_by, state, effort, model, current
         current = effort[axis]
         if model.has_drive_effects:
             j = axis_joints[axis]
-            current = held_target(axis, first, 0.0, 0.0, state, effort, model)
+            current = target_at_sync(axis, first, state, effort, model)
             if model.is_lagging[axis]:
                 current = state[first + axis * DRIVE_STATES]
             current = flowing(axis, current, state[n + j], state[j], limited_by, model)
