@@ -19,8 +19,8 @@ EFFECT = Effect(
     ),
     equation="u(t - Td)",
     convention=(
-        "the target applied at SYNC k acts from Td later on; whole and broken samples; the measured current is what the delayed target is in "
-        "the mean over the sample period that begins at the SYNC"
+        "the target applied at SYNC k acts from Td later on; whole and broken samples; the measured current is what the delayed target is "
+        "in the mean over the sample period that begins at the SYNC"
     ),
     neighbours=("clock_offset", "drive_bandwidth", "structural_mode"),
     source="Åström and Wittenmark 1997, Sec. 3.2",
