@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.calibration.image_quality import ImageQuality, quality_of
 from hil.calibration.marker import NONLINEAR, MarkerFit, fit_marker
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
-from hil.imaging.markers import MarkerPlate, MarkerProjection, find_marker
+from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection, find_marker
 from hil.imaging.markers.projection import PARAMETERS
 from hil.imaging.scan_folder import ImageScan
 
@@ -40,6 +41,7 @@ class MarkerScan:
     residual_pixels : (N,) array
     unusable : dict
         Exposure number to reason.
+    quality : ImageQuality
     """
 
     free: tuple[str, ...]
@@ -50,6 +52,7 @@ class MarkerScan:
     refused: np.ndarray
     residual_pixels: np.ndarray
     unusable: dict[int, str]
+    quality: ImageQuality
 
     @property
     def good(self) -> np.ndarray:
@@ -81,15 +84,17 @@ def calibrate_marker(
     count = len(scan)
     values, covariance = np.full((count, 9), np.nan), np.full((count, 9, 9), np.nan)
     points, refused, residual = np.zeros(count, dtype=int), np.zeros(count, dtype=int), np.full(count, np.nan)
+    quality = np.full((count, 3), np.nan)
     unusable: dict[int, str] = {}
 
-    def take(results: Iterable[tuple[MarkerFit | None, int, int, str]]) -> None:
-        for k, (fit, seen, left_out, reason) in enumerate(results):
-            if fit is None:
-                unusable[k] = reason
+    def take(results: Iterable[tuple[MarkerFit, MarkerPoints] | str]) -> None:
+        for k, result in enumerate(results):
+            if isinstance(result, str):
+                unusable[k] = result
             else:
+                fit, found = result
                 values[k], covariance[k], residual[k] = fit.projection.values, fit.covariance, fit.residual_pixels
-                points[k], refused[k] = seen, left_out
+                points[k], refused[k], quality[k] = len(found.index), len(found.refused), quality_of(found, plate)
             progress(k + 1, count)
 
     if jobs > 1:
@@ -100,19 +105,21 @@ def calibrate_marker(
     if len(unusable) == count:
         raise UnusableInput(f"{scan.folder}: no image of {count} could be used; the first: {unusable[0]}")
     names = tuple(name for name in PARAMETERS if name in free)
-    return MarkerScan(names, values, np.array([each.values for each in nominal]), covariance, points, refused, residual, unusable)
+    nominal_values = np.array([each.values for each in nominal])
+    seen = ImageQuality(quality[:, 0], quality[:, 1:])
+    return MarkerScan(names, values, nominal_values, covariance, points, refused, residual, unusable, seen)
 
 
 def _look(
     scan: ImageScan, plate: MarkerPlate, nominal: list[MarkerProjection], free: tuple[str, ...], k: int
-) -> tuple[MarkerFit | None, int, int, str]:
-    """Fit, crossings, lines left out and reason of one image."""
+) -> tuple[MarkerFit, MarkerPoints] | str:
+    """Fit and crossings of one image, or why there are none."""
     image = scan.frame(k)
     try:
         found = find_marker(image, plate, nominal[k], scan.detector)
-        return fit_marker(found, plate, scan.detector, nominal[k], free, SPOT_M), len(found.index), len(found.refused), ""
+        return fit_marker(found, plate, scan.detector, nominal[k], free, SPOT_M), found
     except UnusableInput as error:
-        return None, 0, 0, str(error)
+        return str(error)
 
 
 def write_marker_scan(result: MarkerScan, scan: ImageScan, notes: dict[str, object], path: Path) -> None:
@@ -138,6 +145,8 @@ def write_marker_scan(result: MarkerScan, scan: ImageScan, notes: dict[str, obje
                 nominal=result.nominal,
                 covariance=result.covariance,
                 points=result.points,
+                deviation_pixels=result.quality.deviation_pixels,
+                blur_pixels=result.quality.blur_pixels,
                 notes=json.dumps(notes),
             )
     except OSError as error:

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     short_help="Geometric calibration.",
-    help="Geometric calibration from recordings and images."
-    "\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz",
+    help="Geometric calibration from recordings and images.\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz",
 )
 
 ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
@@ -237,6 +236,9 @@ def marker(
             "points": result.points,
             "residual_pixels": result.residual_pixels,
             "unusable": result.unusable,
+            "deviation_pixels": result.quality.deviation_pixels,
+            "blur_pixels": result.quality.blur_pixels,
+            "suspect_exposures": result.quality.suspects,
         }
     )
 
@@ -273,6 +275,14 @@ def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
     )
     for k, reason in list(result.unusable.items())[:3]:
         answer.say(f"  exposure {k} not used: {reason}")
+    quality, blur = result.quality, np.nanmedian(result.quality.blur_pixels, axis=0)
+    answer.say(
+        f"image quality: crossings to {float(np.nanmedian(quality.deviation_pixels)):.3f} pixels, blur {blur[0]:.2f} pixels along columns,"
+        f" {blur[1]:.2f} along rows; {len(quality.suspects)} exposures stand out"
+    )
+    for k in quality.suspects[:3]:
+        across, down = quality.blur_pixels[k]
+        answer.say(f"  exposure {k}: crossings to {quality.deviation_pixels[k]:.3f} pixels, blur {across:.2f} and {down:.2f} pixels")
     for name in result.free:
         k = PARAMETERS.index(name)
         change = 1e3 * (result.values - result.nominal)[good, k]

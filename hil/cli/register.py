@@ -10,6 +10,7 @@ from hil.cli import (
     calibrate,
     calibrate_data,
     calibrate_model,
+    calibrate_spot,
     diagnose,
     geometry,
     identify,
@@ -40,6 +41,7 @@ def commands(app: typer.Typer) -> None:
     calibrate.register(app)
     calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
+    calibrate_spot.register(calibrate.app)
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)
