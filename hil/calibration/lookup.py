@@ -21,6 +21,9 @@ FORMAT = 1
 SAME_POSE = 2e-3
 """Exposures in a row whose positions differ by less [rad or m] are of one pose: a loop that still settles, not a way."""
 
+FEWEST_SHARE = 0.5
+"""Share of a scan's exposures that must fit the phantom."""
+
 STANDS = 0.02
 """An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by
 milliradians; a pose farther than this from where it stood is another scan type."""
@@ -107,11 +110,16 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
     Raises
     ------
     UnusableInput
-        The scan's axis positions are not known.
+        The scan's axis positions are not known, or most exposures do not fit the phantom.
     """
     if np.isnan(positions).any():
         raise UnusableInput("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
     good = fit.good
+    if good.sum() < FEWEST_SHARE * len(good):
+        raise UnusableInput(
+            f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected: is it this phantom, are the images those of"
+            " these positions, in their order and not mirrored?"
+        )
     return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
 
 

@@ -24,6 +24,9 @@ STEP_M, STEP_RAD = 1e-6, 1e-6
 OUTLIER = 5.0
 """A bullet this many standard deviations off, robustly estimated, is left out: a wrong match or an undetected overlap."""
 
+MISFIT = 5.0
+"""An exposure whose residuals are so many times what its bullets' deviations say shows something else than this phantom."""
+
 OVERLAP = 3.3
 """Bullets whose predicted centres are nearer than this many shadow radii disturb each other's centroid and are left out."""
 
@@ -42,7 +45,7 @@ class PoseFit:
     used : (N,) int array
         Bullets used.
     good : (N,) bool array
-        Exposures with enough bullets.
+        Exposures with enough bullets that fit the phantom.
     """
 
     beam: ConeBeam
@@ -140,12 +143,14 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
                 break
         standard = np.linalg.norm(residual, axis=2) / np.sqrt(2.0)
         if outer == 0:
-            spread = np.nanmedian(np.where(weight > 0.0, standard, np.nan), axis=1, keepdims=True)
+            shown = good[:, None] & (weight > 0.0)
+            spread = np.nanmedian(np.where(shown | ~good[:, None], np.where(shown, standard, 0.0), np.nan), axis=1, keepdims=True)
             present = present & ~(standard > OUTLIER * np.maximum(spread, 1.0))
+    used = (weight > 0.0).sum(axis=1)
+    good &= np.sum(standard**2, axis=1) * 2.0 < MISFIT**2 * np.maximum(2 * used - size, 1)
     covariance = np.zeros((count, 9, 9))
     covariance[:, fitted, fitted] = np.linalg.inv(normal)
     covariance[~good] = np.nan
-    used = (weight > 0.0).sum(axis=1)
     distance = np.where(weight[..., None] > 0.0, np.nan_to_num(observed_m - beam.project(points_m)), 0.0)
     residual_m = np.sqrt(np.sum(distance**2, axis=(1, 2)) / np.maximum(2 * used, 1))
     return PoseFit(beam, covariance, np.where(good, residual_m, np.nan), used, good)
