@@ -12,11 +12,12 @@ from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.estimates import covariance_of, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Weighed, weighed, weighed_with_nothing
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Weighed, unnamed_share, weighed, weighed_with_nothing
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
@@ -24,7 +25,7 @@ from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, certain_excess, findings_of, verdict_of, with_lost_samples
+from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_lost_samples
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -193,6 +194,8 @@ def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
         ranked = weighed_with_nothing(sets, base, noise + certain_excess(noise), len(selection.screened), _cap(runs))
     else:
         ranked = weighed(sets, base, noise, _cap(runs))
+        unnamed = unnamed_share(base.train, ranked[0].train, float(len(tuning.predicted)))
+        ranked = [replace(h, confidence=(1.0 - unnamed) * h.confidence) for h in ranked]
     unconfirmed = {id(c.fitted) for c in rivals if not c.passed}
     ranked = [_at_most(h, CAP_UNCONFIRMED) if id(h.fitted) in unconfirmed else h for h in ranked]
     return tuple(sorted(ranked, key=lambda h: -h.confidence))

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,8 +41,17 @@ SAME_BACKWARDS = 0.5
 """A response whose cosine with itself backwards is larger has no placebo of this kind (a constant has no direction in time)."""
 
 LEAST_SHARE = 0.02
-LEAST_SHARE_BESIDE = 0.005
+LEAST_SHARE_BESIDE = 0.0005
 """Of the explainable mismatch. Beside a larger effect a small one may be explained, but less than an equation's form errs is no effect."""
+
+LEAST_SHARE_OF_LEFT = 0.3
+"""Of what the effects found before leave above noise: an effect that takes a small part of it is one more symptom of what has no name."""
+
+
+STILL_SIGNIFICANT = 0.02
+STILL_SIGNIFICANT_DEVIATIONS = 4.0
+"""Excess of |residual|^2 over its noise, as a share of the noise (which is known no better) and in its standard deviations, from which what
+is left is above the noise for certain."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,7 @@ class Gate:
     held_out_gain: float | None  # fall of the held-out misfit
     placebo_gain: float
     share: float  # of what there is to explain before the first effect
+    share_of_left: float  # of what the effects before it leave above noise for certain
     is_first: bool
 
     @property
@@ -78,7 +89,9 @@ class Gate:
 
     @property
     def explains(self) -> bool:
-        return self.share > (LEAST_SHARE if self.is_first else LEAST_SHARE_BESIDE)
+        if self.is_first:
+            return self.share > LEAST_SHARE
+        return self.share > LEAST_SHARE_BESIDE and self.share_of_left > LEAST_SHARE_OF_LEFT
 
     @property
     def passed(self) -> bool:
@@ -103,6 +116,11 @@ def needed_gain(candidates: int, freedom: int, entries: int) -> float:
     It is not less than the simulator's own errors may cost over this many entries of the residual.
     """
     return max(float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1))), SIMULATOR_ERROR * entries)
+
+
+def certain_excess(noise: float) -> float:
+    """Of |residual|^2 over its expectation, from which what is left is above the noise for certain."""
+    return max(STILL_SIGNIFICANT * noise, STILL_SIGNIFICANT_DEVIATIONS * math.sqrt(2.0 * noise))
 
 
 class Scatter:

@@ -5,6 +5,10 @@ over T: a parameter that is known to one part in sqrt(g) of itself costs the log
 has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two
 names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with UNKNOWN_FREEDOM
 parameters and leaves nothing above noise.
+
+Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
+stands alone only where both agree. What even the best set leaves above noise for certain, as a share of what there was to explain, is the
+weight of something without a name.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.refit import Fitted
 
 FORM_ERROR = 0.004
@@ -21,6 +26,9 @@ FORM_ERROR = 0.004
 
 LEFT_WEIGHT = 0.02
 """The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little."""
+
+EXACT = 0.3
+"""Probability that the right name's equation errs by nothing that these recordings show."""
 
 UNKNOWN_FREEDOM = 8
 """Parameters that something without a name is charged with: it could explain whatever is above noise."""
@@ -67,7 +75,7 @@ def weighed(hypotheses: Sequence[Weighed], base: Weighed, noise: float, cap: flo
     cap : float
         Largest confidence.
     """
-    *shares, _ = _shares(hypotheses, base, noise, 0.0)
+    *shares, _ = _shares(hypotheses, base, noise, None)
     return _ranked(hypotheses, shares, cap)
 
 
@@ -80,17 +88,31 @@ def weighed_with_nothing(hypotheses: Sequence[Weighed], base: Weighed, noise: fl
     return _ranked([*hypotheses, base], shares, cap)
 
 
-def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, prior: float) -> list[float]:
-    """Of every set and, last, of nothing, which has a log prior before any of them."""
+def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, prior: float | None) -> list[float]:
+    """Of every set and, last, of nothing, which has a log prior before any of them; None: something is there for certain."""
     best = min(h.misfit for h in hypotheses)
-    temper = temperature(base.misfit - best, best - noise)
-    price = price_of_a_parameter(base.misfit - best, temper)
-    evidence = [-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses]
-    nothing = -0.5 * base.misfit / temper + prior
+    removed = base.misfit - best
+    temper = temperature(removed, best - noise)
+    price = price_of_a_parameter(removed, temper)
     unknown = -0.5 * min(noise, best) / temper - price * UNKNOWN_FREEDOM
-    everything = np.array([*evidence, nothing, unknown])
-    weights = np.exp(everything - everything.max())
-    return [float(weight) for weight in weights[:-1] / weights.sum()]
+    tempered = _normalised([*_evidence(hypotheses, base, temper, price, prior), unknown])[:-1]
+    exact = _normalised(_evidence(hypotheses, base, 1.0, price_of_a_parameter(removed, 1.0), prior))
+    return [float(share) for share in (1.0 - EXACT) * tempered + EXACT * exact]
+
+
+def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, price: float, prior: float | None) -> list[float]:
+    nothing = -np.inf if prior is None else -0.5 * base.misfit / temper + prior
+    return [*(-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses), nothing]
+
+
+def _normalised(evidence: Sequence[float]) -> np.ndarray:
+    weights = np.exp(np.array(evidence) - max(evidence))
+    return weights / weights.sum()
+
+
+def unnamed_share(before: float, after: float, noise: float) -> float:
+    """What a set of effects leaves above noise for certain, as a share of what was above noise before."""
+    return float(np.clip((after - noise - certain_excess(noise)) / max(before - noise, 1e-9), 0.0, 1.0))
 
 
 def _ranked(hypotheses: Sequence[Weighed], shares: Sequence[float], cap: float) -> list[Weighed]:

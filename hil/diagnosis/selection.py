@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import FreeRuns
-from hil.diagnosis.gate import Gate, Scatter, needed_gain, placebo_gain
+from hil.diagnosis.gate import Gate, Scatter, certain_excess, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.naming import price_of_a_parameter, temperature
 from hil.diagnosis.projection import Projection
@@ -144,7 +144,10 @@ def select(
         if size == 0:
             fits = in_order([*fits, *_pairs(runs, tuning, measured, fits)], base, noise_energy)
         placebo = placebo_gain(runs, present, screened, residual)
-        judged = [(fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, len(found))) for fit in fits]
+        judged = [
+            (fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, len(found)))
+            for fit in fits
+        ]
         closest = min(fits, key=lambda fit: fit.cost)
         passed = [(fit, gate) for fit, gate in judged if gate.passed]
         gates.append(passed[0][1] if passed else judged[0][1])
@@ -208,6 +211,7 @@ def _gate(
     placebo: float,
     residual: np.ndarray,
     explainable: float,
+    noise_energy: float,
     tried: int,
 ) -> Gate:
     gain = float(residual @ residual + present.offset @ present.offset) - after.cost
@@ -226,5 +230,6 @@ def _gate(
         held_out_gain=fall,
         placebo_gain=placebo,
         share=gain / max(explainable, gain, 1e-9),
+        share_of_left=gain / max(float(residual @ residual) - noise_energy - certain_excess(noise_energy), gain, 1e-9),
         is_first=before is None,
     )

@@ -7,6 +7,7 @@ away from them ends elsewhere.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import product
 
 import numpy as np
 
@@ -22,8 +23,13 @@ FIRST_SHARE = 0.1
 ORDERS_PER_TRAVEL = 4.0
 """Orders over position are looked for in steps of this part of a cycle per travel."""
 
+MOST_ORDERS = 8000
 HIGHEST_ORDER_Hz = 20.0
-"""Orders that pass faster than this at the top speed are not looked for: the loop and the drive do not let them through."""
+"""Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through."""
+
+
+PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
+"""Of friction over position."""
 
 
 def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
@@ -145,9 +151,10 @@ def _orders(
 def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
     """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort."""
     lowest = 2.0 * np.pi / typical.travel * 0.75
-    highest = 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / typical.speed
+    usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
+    highest = 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
-    orders = np.arange(lowest, max(highest, lowest + step), step)[:800]
+    orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     every = max(1, len(values) // 3000)
     q, v = residual.position[::every], values[::every]
     smooth = [np.ones_like(q), q, q**2, residual.speed[::every], np.sign(residual.speed[::every]), residual.acceleration[::every]]
@@ -170,6 +177,10 @@ def _position_friction(first: Start, residual: Residual, typical: _Typical) -> l
     for value in _strongest_orders(residual, against, typical, 2):
         (amplitude, phase), _ = harmonics(value * residual.position[moving], against[moving])
         found.append({**first, "Fc": 2.0 * amplitude, "k": value, "phi": phase})
+    for periods, phase in product(
+        PERIODS_PER_TRAVEL, (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0)
+    ):  # where nothing stands out of the noise
+        found.append({**first, "k": 2.0 * np.pi * periods / typical.travel, "phi": phase})
     return found
 
 
@@ -268,7 +279,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "backlash": _several("b", lambda f, r, t: [share * t.deflection for share in (0.0015, 0.006, 0.025, 0.1, 0.4)]),
     "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.1, -0.05)]),
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
-    "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s]),
+    "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s, 1.5 / t.sample_s]),
     "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "clock_offset": _several("t0", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "imu_bandwidth": _several("fc", lambda f, r, t: [0.05 / t.sample_s, 0.2 / t.sample_s]),

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hil.diagnosis.dropout import Dropout
-from hil.diagnosis.gate import Gate
+from hil.diagnosis.gate import Gate, certain_excess
 from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from hil.diagnosis.selection import Contender
@@ -15,17 +14,17 @@ from hil.diagnosis.selection import Contender
 RETUNED_GAIN = 20.0
 """Fall of |residual|^2 by re-tuning, per tuned number that the recordings show, from which the file's numbers are wrong; chance gives 1."""
 
-UNKNOWN_LEFT = 0.4
-"""Share of the explainable mismatch which the best set of known effects leaves, from which it has no name: development cases with a right
-name leave less."""
+UNKNOWN_LEFT = 0.5
+"""Share of the explainable mismatch which the best set of known effects leaves, from which it has no name."""
+
+UNNAMED_EXCESS = 0.05
+UNNAMED_GAIN = 2.0
+"""Where no effect passed the gate: excess of the misfit over the noise, as a share of it, and gain of the best candidate over what it
+needed, from which something is there. Noise spectra from three repeats err by some percent, and slow disturbances by more than their
+scatter says."""
 
 NAMED = 0.5
 """Confidence of all sets together below which something without a name is likelier."""
-
-STILL_SIGNIFICANT = 0.02
-STILL_SIGNIFICANT_DEVIATIONS = 4.0
-"""Excess of |residual|^2 over its noise, as a share of the noise (which is known no better) and in its standard deviations, from which what
-is left is above the noise for certain."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
     structured = left > certain_excess(standing.noise)
-    if structured and left > UNKNOWN_LEFT * explainable and (found or any(gate.significant for gate in standing.gates)):
+    if structured and left > UNKNOWN_LEFT * explainable and (found or _shows_without_a_name(standing, left)):
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found and sum(h.confidence for h in standing.hypotheses) < NAMED:
         return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
@@ -68,9 +67,9 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     return "consistent", "nothing differs by more than the noise of repeats"
 
 
-def certain_excess(noise: float) -> float:
-    """Of |residual|^2 over its expectation, from which what is left is above the noise for certain."""
-    return max(STILL_SIGNIFICANT * noise, STILL_SIGNIFICANT_DEVIATIONS * math.sqrt(2.0 * noise))
+def _shows_without_a_name(standing: Standing, left: float) -> bool:
+    enough = any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
+    return enough and left > UNNAMED_EXCESS * standing.noise
 
 
 def with_lost_samples(verdict: Verdict, reason: str, lost: Mapping[str, Dropout]) -> tuple[Verdict, str]:

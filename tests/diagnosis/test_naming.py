@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, Weighed, weighed
+from hil.diagnosis.gate import certain_excess
+from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, Weighed, unnamed_share, weighed
 
 NOISE = 20000.0
 
@@ -44,3 +45,15 @@ def test_what_leaves_most_of_it_is_no_name():
 
 def test_confidence_is_capped_where_the_noise_is_assumed():
     assert max(confidences(4000.0, 0.0, 3000.0, cap=CAP_ASSUMED)) == CAP_ASSUMED
+
+
+def test_a_name_stands_alone_only_where_it_would_if_equations_were_exact():
+    simple, closer = confidences(10000.0, 80.0, 0.0, freedom=[1, 4])
+    assert simple < CONFIDENT
+    assert closer > 0.04
+
+
+def test_what_is_left_above_noise_is_the_share_without_a_name():
+    assert unnamed_share(NOISE + 4000.0, NOISE, NOISE) == 0.0
+    left = 0.25 * 4000.0 + certain_excess(NOISE)
+    assert unnamed_share(NOISE + 4000.0, NOISE + left, NOISE) == pytest.approx(0.25)

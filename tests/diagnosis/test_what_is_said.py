@@ -75,7 +75,7 @@ def fitted(name: str) -> Fitted:
 
 
 def gate(share: float, *, passes: bool) -> Gate:
-    return Gate(1000.0, 20.0, 1.0, 9.0 if passes else 0.0, 500.0, 0.0, share, True)
+    return Gate(1000.0, 20.0, 1.0, 9.0 if passes else 0.0, 500.0, 0.0, share, 1.0, True)
 
 
 def contender(name: str, share: float, *, passes: bool = True) -> Contender:
