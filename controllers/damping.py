@@ -11,16 +11,10 @@ Every parameter is taken at the estimated pose.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 
-import controllers.models.chain
-import controllers.models.modal
-import controllers.models.vectors
-import controllers.observers.modal_equations
-from controllers.compiled import sources_digest
+from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.observers.modal_equations import transition
 from controllers.observers.modal_observer import ModalObserver
@@ -54,29 +48,21 @@ class DampingSettings:
     mode: int = 0
 
 
-def _compile(version: int) -> Any:
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
-        n, speed_at = constants.sizes[0], 2 * constants.sizes[0] + constants.sizes[1] + mode
-        u, next_row, row_after = scheduled.acting.copy(), x.copy(), x.copy()
-        u[:n] = acting
-        transition(constants, scheduled, x, u, next_row)
-        transition(constants, scheduled, next_row, u, row_after)
-        speed = 0.5 * (next_row[speed_at] + row_after[speed_at])
-        stretch = np.exp(x[constants.adapted[mode]]) if constants.adapted[mode] >= 0 else 1.0
-        stiffness, damping, given = scheduled.modes[mode, 0] * stretch * stretch, scheduled.modes[mode, 1] * stretch, 0.0
-        for k in range(n):
-            given += scheduled.encoders[mode, 2 * n + k] ** 2
-        missing = max(2.0 * ratio * np.sqrt(stiffness) - damping, 0.0)
-        for k in range(n):
-            effort[k] = -missing * speed * scheduled.encoders[mode, 2 * n + k] / given if version >= 0 else 0.0
-
-    return against_speed
-
-
-_against_speed = _compile(
-    sources_digest(controllers.models.chain, controllers.models.modal, controllers.models.vectors, controllers.observers.modal_equations)
-)
+@exactly_compiled
+def _against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
+    n, speed_at = constants.sizes[0], 2 * constants.sizes[0] + constants.sizes[1] + mode
+    u, next_row, row_after = scheduled.acting.copy(), x.copy(), x.copy()
+    u[:n] = acting
+    transition(constants, scheduled, x, u, next_row)
+    transition(constants, scheduled, next_row, u, row_after)
+    speed = 0.5 * (next_row[speed_at] + row_after[speed_at])
+    stretch = np.exp(x[constants.adapted[mode]]) if constants.adapted[mode] >= 0 else 1.0
+    stiffness, damping, given = scheduled.modes[mode, 0] * stretch * stretch, scheduled.modes[mode, 1] * stretch, 0.0
+    for k in range(n):
+        given += scheduled.encoders[mode, 2 * n + k] ** 2
+    missing = max(2.0 * ratio * np.sqrt(stiffness) - damping, 0.0)
+    for k in range(n):
+        effort[k] = -missing * speed * scheduled.encoders[mode, 2 * n + k] / given
 
 
 class ModalDamping:

@@ -15,14 +15,10 @@ d_r and d_i are what else pushes: gravity as a function of the pose, and disturb
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numba import njit
 
-import controllers.models.chain
-import controllers.models.vectors
-from controllers.compiled import exactly_compiled, sources_digest
+from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.models.chain import Chain, chain_motion
 
@@ -227,16 +223,10 @@ def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.nd
     return RestGradients(gradients[0], gradients[1], gradients[2], down)
 
 
-def _compile(version: int) -> Any:
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def motion_at_end(axes, points, revolute, gravity, motion, end):  # type: ignore[no-untyped-def]
-        omega, _, force = chain_motion(axes, points, revolute, gravity, motion, end)
-        return (omega, force) if version >= 0 else (force, omega)
-
-    return motion_at_end
-
-
-_motion = _compile(sources_digest(controllers.models.chain, controllers.models.vectors))
+@exactly_compiled
+def _motion(axes, points, revolute, gravity, motion, end):  # type: ignore[no-untyped-def]
+    omega, _, force = chain_motion(axes, points, revolute, gravity, motion, end)
+    return omega, force
 
 
 def basis_size(harmonics: tuple[int, ...]) -> int:

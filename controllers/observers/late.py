@@ -6,62 +6,47 @@ what it would have counted for in time; it costs as many steps as it is late.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-import controllers.models.chain
-import controllers.models.vectors
-import controllers.observers.publish
-import controllers.observers.square_root
-from controllers.compiled import sources_digest
+from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.observers.modal_observer import ModalObserver
 from controllers.observers.publish import displacement_rows, quasi_static
 from controllers.observers.square_root import triangularise, update
 
 
-def _compile(version: int) -> Any:
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def take_in(constants, values, memory, seen, std):  # type: ignore[no-untyped-def]
-        n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
-        rows = np.zeros((2 * n + 6, n + modes))
-        displacement_rows(constants, values, memory.x[:n], rows)
-        offset = np.zeros(6)
-        quasi_static(constants, values, memory.x[:n], rows, offset)
-        measured = 0
-        for j in range(6):
-            measured += (seen[j] == seen[j]) and version >= 0
-        if measured == 0:
-            return
-        array = np.zeros((measured + states, measured + states))
-        innovation = np.zeros(measured)
-        column = 0
-        for j in range(6):
-            if seen[j] != seen[j]:
-                continue
-            expected = offset[j]
-            for i in range(n + modes):
-                state = i if i < n else n + i  # [q_r, η] in the state
-                expected += rows[2 * n + j, i] * memory.x[state]
-                for s in range(states):
-                    array[measured + s, column] += memory.factor[s, state] * rows[2 * n + j, i]
-            array[column, column] = std[j]
-            innovation[column] = seen[j] - expected
-            column += 1
-        for s in range(states):
-            for k in range(states):
-                array[measured + s, measured + k] = memory.factor[s, k]
-        triangularise(array, measured + states, measured + states)
-        update(array, measured, states, innovation, memory.x, memory.factor)
-
-    return take_in
-
-
-_take_in = _compile(
-    sources_digest(controllers.models.chain, controllers.models.vectors, controllers.observers.publish, controllers.observers.square_root)
-)
+@exactly_compiled
+def _take_in(constants, values, memory, seen, std):  # type: ignore[no-untyped-def]
+    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    rows = np.zeros((2 * n + 6, n + modes))
+    displacement_rows(constants, values, memory.x[:n], rows)
+    offset = np.zeros(6)
+    quasi_static(constants, values, memory.x[:n], rows, offset)
+    measured = 0
+    for j in range(6):
+        measured += seen[j] == seen[j]
+    if measured == 0:
+        return
+    array = np.zeros((measured + states, measured + states))
+    innovation = np.zeros(measured)
+    column = 0
+    for j in range(6):
+        if seen[j] != seen[j]:
+            continue
+        expected = offset[j]
+        for i in range(n + modes):
+            state = i if i < n else n + i  # [q_r, η] in the state
+            expected += rows[2 * n + j, i] * memory.x[state]
+            for s in range(states):
+                array[measured + s, column] += memory.factor[s, state] * rows[2 * n + j, i]
+        array[column, column] = std[j]
+        innovation[column] = seen[j] - expected
+        column += 1
+    for s in range(states):
+        for k in range(states):
+            array[measured + s, measured + k] = memory.factor[s, k]
+    triangularise(array, measured + states, measured + states)
+    update(array, measured, states, innovation, memory.x, memory.factor)
 
 
 class LateImages:

@@ -9,17 +9,11 @@ With n + κ = 3 and 24 states the centre's weight would be -7 and the covariance
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-import controllers.models.chain
-import controllers.models.modal
-import controllers.models.vectors
-import controllers.observers.modal_equations
-import controllers.observers.square_root
-from controllers.compiled import exactly_called, sources_digest
+from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.modal_equations import SENSOR_SIGNALS, prepare, readings, signals, transition
 from controllers.observers.square_root import triangularise, update
 
@@ -294,37 +288,22 @@ def gradients(constants, scheduled, x, F, H):
             H[j, k] = (read[0, j] - read[1, j]) / (2.0 * REST_STEP)
 
 
-def _compile(version: int) -> Any:
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def step(constants, scheduled, memory, kind, is_first, u, z, summary):  # type: ignore[no-untyped-def]
-        if version >= 0:
-            one_step(constants, scheduled, memory, kind, is_first, u, z, summary)
-
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def rows(constants, scheduled, memory, kind, commands, measured, summaries):  # type: ignore[no-untyped-def]
-        if version >= 0:
-            nothing = np.zeros(commands.shape[1])  # what acts in row 0 is not known
-            for k in range(len(measured)):
-                u = commands[max(k - 2, 0)]  # command k-2 acts from k-1 to k; what acted before row 0 is taken for command 0
-                one_step(constants, scheduled, memory, kind, k == 0, u if k else nothing, measured[k], summaries[k])
-
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
-        if version >= 0:
-            gradients(constants, scheduled, x, F, H)
-
-    return step, rows, linearised
+@exactly_compiled
+def filter_step(constants, scheduled, memory, kind, is_first, u, z, summary):  # type: ignore[no-untyped-def]
+    """See `one_step`."""
+    one_step(constants, scheduled, memory, kind, is_first, u, z, summary)
 
 
-filter_step, filter_rows, linearised = _compile(
-    sources_digest(
-        controllers.models.vectors,
-        controllers.models.chain,
-        controllers.models.modal,
-        controllers.observers.modal_equations,
-        controllers.observers.square_root,
-    )
-)
-"""filter_step(constants, scheduled, memory, kind, is_first, u, z, summary): see `one_step`.
-filter_rows(constants, scheduled, memory, kind, commands, measured, summaries): N rows at once, for tuning.
-linearised(constants, scheduled, x, F, H): see `gradients`."""
+@exactly_compiled
+def filter_rows(constants, scheduled, memory, kind, commands, measured, summaries):  # type: ignore[no-untyped-def]
+    """N rows at once, for tuning."""
+    nothing = np.zeros(commands.shape[1])  # what acts in row 0 is not known
+    for k in range(len(measured)):
+        u = commands[max(k - 2, 0)]  # command k-2 acts from k-1 to k; what acted before row 0 is taken for command 0
+        one_step(constants, scheduled, memory, kind, k == 0, u if k else nothing, measured[k], summaries[k])
+
+
+@exactly_compiled
+def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
+    """See `gradients`."""
+    gradients(constants, scheduled, x, F, H)

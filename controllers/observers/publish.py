@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-import controllers.models.chain
-import controllers.models.vectors
-from controllers.compiled import exactly_called, sources_digest
+from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
 
@@ -131,80 +126,72 @@ def quasi_static(constants, values, motor, rows, out):
             out[j] += shift[j] * wound
 
 
-def _compile(version: int) -> Any:
-    @njit(cache=True, fastmath=False, error_model="numpy")
-    def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-untyped-def]
-        if version < 0:
-            return
-        n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
-        x, factor = memory.x, memory.factor
-        count = 2 * n + 12 + GEOMETRY
-        wide = 2 * n + 6
-        rows = np.zeros((wide, n + modes))
-        displacement_rows(constants, values, x[:n], rows)
-        offset = np.zeros(6)
-        quasi_static(constants, values, x[:n], rows, offset)
-        motion = np.zeros(wide)
-        deviations = np.zeros((states, wide))
+@exactly_compiled
+def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-untyped-def]
+    """Values and variances into `estimate[: 2 (2 axes + 21)]`."""
+    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    x, factor = memory.x, memory.factor
+    count = 2 * n + 12 + GEOMETRY
+    wide = 2 * n + 6
+    rows = np.zeros((wide, n + modes))
+    displacement_rows(constants, values, x[:n], rows)
+    offset = np.zeros(6)
+    quasi_static(constants, values, x[:n], rows, offset)
+    motion = np.zeros(wide)
+    deviations = np.zeros((states, wide))
+    for r in range(wide):
+        for i in range(n):
+            motion[r] += rows[r, i] * x[i]
+        for i in range(modes):
+            motion[r] += rows[r, n + i] * x[2 * n + i]
+    for s in range(states):
         for r in range(wide):
+            total = 0.0
             for i in range(n):
-                motion[r] += rows[r, i] * x[i]
+                total += rows[r, i] * factor[s, i]
             for i in range(modes):
-                motion[r] += rows[r, n + i] * x[2 * n + i]
+                total += rows[r, n + i] * factor[s, 2 * n + i]
+            deviations[s, r] = total
+    for r in range(wide):
+        if r >= 2 * n:
+            motion[r] += offset[r - 2 * n]
+        variance = 0.0
         for s in range(states):
-            for r in range(wide):
-                total = 0.0
-                for i in range(n):
-                    total += rows[r, i] * factor[s, i]
-                for i in range(modes):
-                    total += rows[r, n + i] * factor[s, 2 * n + i]
-                deviations[s, r] = total
-        for r in range(wide):
-            if r >= 2 * n:
-                motion[r] += offset[r - 2 * n]
-            variance = 0.0
-            for s in range(states):
-                variance += deviations[s, r] ** 2
-            estimate[r] = motion[r]
-            estimate[count + r] = variance
-        for r in range(6):
-            speed, variance = 0.0, 0.0
+            variance += deviations[s, r] ** 2
+        estimate[r] = motion[r]
+        estimate[count + r] = variance
+    for r in range(6):
+        speed, variance = 0.0, 0.0
+        for i in range(modes):
+            speed += rows[2 * n + r, n + i] * x[2 * n + modes + i]
+        for s in range(states):
+            total = 0.0
             for i in range(modes):
-                speed += rows[2 * n + r, n + i] * x[2 * n + modes + i]
-            for s in range(states):
-                total = 0.0
-                for i in range(modes):
-                    total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i]
-                variance += total * total
-            estimate[wide + r] = speed
-            estimate[count + wide + r] = variance
-        place = wide + 6
-        geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
-        gradient = np.zeros((GEOMETRY, wide))
-        geometric_parameters(constants, motion, isocenter, geometry)
-        for r in range(wide):
-            kept = motion[r]
-            motion[r] = kept + GEOMETRY_STEP
-            geometric_parameters(constants, motion, isocenter, upper)
-            motion[r] = kept - GEOMETRY_STEP
-            geometric_parameters(constants, motion, isocenter, lower)
-            motion[r] = kept
-            for g in range(GEOMETRY):
-                difference = upper[g] - lower[g]
-                if g >= 6:  # an angle may wrap between the two
-                    difference -= 2.0 * np.pi * np.round(difference / (2.0 * np.pi))
-                gradient[g, r] = difference / (2.0 * GEOMETRY_STEP)
+                total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i]
+            variance += total * total
+        estimate[wide + r] = speed
+        estimate[count + wide + r] = variance
+    place = wide + 6
+    geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
+    gradient = np.zeros((GEOMETRY, wide))
+    geometric_parameters(constants, motion, isocenter, geometry)
+    for r in range(wide):
+        kept = motion[r]
+        motion[r] = kept + GEOMETRY_STEP
+        geometric_parameters(constants, motion, isocenter, upper)
+        motion[r] = kept - GEOMETRY_STEP
+        geometric_parameters(constants, motion, isocenter, lower)
+        motion[r] = kept
         for g in range(GEOMETRY):
-            variance = 0.0
-            for s in range(states):
-                total = 0.0
-                for r in range(wide):
-                    total += gradient[g, r] * deviations[s, r]
-                variance += total * total
-            estimate[count + place + g] = variance
-
-    return publish
-
-
-publish = _compile(sources_digest(controllers.models.chain, controllers.models.vectors))
-"""publish(constants, values, memory, isocenter, estimate): values and variances into estimate[: 2 (2 axes + 21)]."""
+            difference = upper[g] - lower[g]
+            if g >= 6:  # an angle may wrap between the two
+                difference -= 2.0 * np.pi * np.round(difference / (2.0 * np.pi))
+            gradient[g, r] = difference / (2.0 * GEOMETRY_STEP)
+    for g in range(GEOMETRY):
+        variance = 0.0
+        for s in range(states):
+            total = 0.0
+            for r in range(wide):
+                total += gradient[g, r] * deviations[s, r]
+            variance += total * total
+        estimate[count + place + g] = variance
