@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from prepared import prepare
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 INSIDE = Path(__file__).parent / "inside"
@@ -16,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 1200.0
 
 
-def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)
     command = [
@@ -35,6 +36,7 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch) -> None:
         str(INSIDE),
     ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
+    environment["ISOCENTER_PREPARED"] = str(tmp_path)
     here, kernel = vcan_here(), ""
     if here:
         kernel = kernel_missing()
@@ -46,8 +48,10 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch) -> None:
             if os.environ.get("CI"):
                 pytest.fail(line)
             pytest.skip(line)
+        prepare(tmp_path)
         outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
     else:
+        prepare(tmp_path)
         done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
     where = "in a user-mode kernel" if here else "in place"

@@ -65,6 +65,12 @@ def interface() -> str:
 
 
 @pytest.fixture
+def prepared() -> Path:
+    """Where `tests/vcan/prepared.py` has put its files, on the host."""
+    return Path(os.environ["ISOCENTER_PREPARED"])
+
+
+@pytest.fixture
 def candump(tmp_path: Path) -> Iterator[Callable[[str], Candump]]:
     """Start candump on an interface; it is known to listen when this returns."""
     running: list[Candump] = []

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_bench import ISOCENTER, TIMEOUT_S, emulate, patient, run
+from test_bench import emulate, patient, run
 
-from hil.experiments import Static
-from hil.machine import load_machine
-from hil.observing import design_observer, observe, read_design, write_design
-from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.observing import observe, read_design
 from hil.recording import Recording, read_recording
 
 pytestmark = pytest.mark.vcan
 
 __all__ = ["emulate"]
-
-
-def observer_design(machine: str, path: Path) -> None:
-    """An observer about roll 30 degrees, identified on the emulated machine; not tuned, which takes longer than all else."""
-    loaded, pose = load_machine(machine), {"roll": np.radians(30.0)}
-    still = emulated_recording(loaded, Static(2.0, pose).plans(loaded)[0], 1)
-    write_design(design_observer(loaded, emulated_responses(loaded, [pose]), [still], modes=3), path)
 
 
 def assert_observed(recording: Recording, design: Path) -> None:
@@ -38,12 +27,9 @@ def assert_observed(recording: Recording, design: Path) -> None:
     assert (recording["estimate_measured"] == 10).mean() > 0.9
 
 
-def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(interface, emulate, tmp_path):
+def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(interface, prepared, emulate, tmp_path):
     machine, bus = patient(tmp_path), f"socketcan:{interface}"
-    design, shaper = tmp_path / "carm.observer.npz", tmp_path / "roll.shaper.npz"
-    observer_design(machine, design)
-    shaping = [*ISOCENTER, "shape", machine, "--axis", "roll", "-o", str(shaper)]
-    subprocess.run(shaping, capture_output=True, timeout=TIMEOUT_S, check=True)
+    design, shaper = prepared / "carm.observer.npz", prepared / "roll.shaper.npz"
     emulate(machine, "--bus", bus, "--pose", "roll=30")
     common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design))
 

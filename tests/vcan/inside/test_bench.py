@@ -69,8 +69,8 @@ def patient(tmp_path: Path, *, can_only: bool = False) -> str:
     """
     text = load_machine("carm").text
     relaxed = {
-        "heartbeat_s": 1.0,
-        "master_heartbeat_s": 0.5,
+        "heartbeat_s": 4.0,
+        "master_heartbeat_s": 1.5,
         "boot_timeout_s": 20.0,
         "stale_after_s": 10.0,
         "answer_timeout_s": '0.5\nanswers = "awaited"',
