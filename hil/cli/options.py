@@ -32,7 +32,9 @@ EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE",
 PoseOption = Annotated[
     str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
 ]
-ImuOption = Annotated[str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, where the machine file names none.")]
+ImuOption = Annotated[
+    str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, or tcp:HOST:PORT, where the machine file names none.")
+]
 IoOption = Annotated[
     str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")
 ]
