@@ -20,6 +20,9 @@ TOLERANCE = {"m": 5e-3, "rad": 0.02, "-": 0.01}
 ROUNDS = 2
 """The first round finds how large the residuals are, the second weighs the poses with that."""
 
+SMALL = 1e-3
+"""Share of the way to the next exposure over which a pose's change is differenced."""
+
 SIX, NINE = np.arange(3, 9), np.arange(9)
 
 
@@ -90,13 +93,12 @@ def fit_flexible(
     BadAnswer
         The iteration does not converge.
     """
-    held = not np.diagonal(covariance, axis1=1, axis2=2)[:, :3].any(axis=1).all()
+    held = _source_held(covariance)
     used = SIX if held else NINE
     free = free_parameters(start.chain, start.names, start.angles(positions), {*frozen, *(SOURCE_NAMES if held else ())})
     if used.size * len(positions) <= free.size:
         raise UnusableInput(f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more")
-    white = np.linalg.cholesky(np.linalg.inv(covariance[:, used[:, None], used]))  # residual' C^-1 residual = |white' residual|^2
-    white = np.swapaxes(white, 1, 2)
+    white = _whitening(covariance, used)
 
     nominal, tolerance = start.values, tolerances(start)
 
@@ -136,6 +138,49 @@ def fit_flexible(
         residual=measured.deviation_from(beam_of(model, positions)),
         chi2=float(left @ left / (left.size - rank)),
     )
+
+
+def clock_lag(fit: FlexibleFit, tables: Sequence[LookUp]) -> tuple[float, float]:
+    """How much later the images were taken than their positions say, in exposure periods, and its standard deviation.
+
+    Regresses the residuals on how the poses change from exposure to exposure, with what the parameters could have taken up projected out.
+    One direction of motion shows nothing: a lag is then an offset of the joint. Exposures of a table are taken as evenly spaced.
+
+    Parameters
+    ----------
+    fit : FlexibleFit
+    tables : sequence of LookUp
+        What it was fitted to, each in the order of time.
+    """
+    positions = np.concatenate([table.positions for table in tables])
+    covariance = np.concatenate([table.covariance for table in tables])
+    used = SIX if _source_held(covariance) else NINE
+    white = _whitening(covariance, used) / np.sqrt(max(1.0, fit.chi2))
+    step = np.concatenate([np.gradient(table.positions, axis=0) for table in tables if len(table.positions) > 1])
+    if len(step) != len(positions):
+        return 0.0, np.inf
+    ahead, behind = beam_of(fit.model, positions + SMALL * step), beam_of(fit.model, positions - SMALL * step)
+    change = (white @ (ahead.deviation_from(behind) / (2.0 * SMALL))[:, used, None]).ravel()
+    free = [k for k, name in enumerate(fit.model.names) if name not in fit.frozen]
+    jacobian = fit.model.jacobian(positions)
+    jacobian[:, 6:] *= -1.0
+    known = (white @ jacobian[:, used][..., free]).reshape(-1, len(free)) * tolerances(fit.model)[free]
+    u, s, _ = np.linalg.svd(known, full_matrices=False)
+    taken = u[:, s > 1.0]
+    change = change - taken @ (taken.T @ change)
+    seen = float(change @ change)
+    if seen < 1e-12:
+        return 0.0, np.inf
+    return float(change @ (white @ fit.residual[:, used, None]).ravel()) / seen, 1.0 / np.sqrt(seen)
+
+
+def _source_held(covariance: np.ndarray) -> bool:
+    return not np.diagonal(covariance, axis1=1, axis2=2)[:, :3].any(axis=1).all()
+
+
+def _whitening(covariance: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """(N, m, m) W with W' W the inverse of the covariance of the deviations `used`."""
+    return np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance[:, used[:, None], used])), 1, 2)
 
 
 def tolerances(model: FlexibleChain) -> np.ndarray:

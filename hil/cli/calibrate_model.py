@@ -141,7 +141,7 @@ def model(
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
-    from hil.calibration.flexible_fit import fit_flexible, joined
+    from hil.calibration.flexible_fit import clock_lag, fit_flexible, joined
     from hil.calibration.geometric_model import GeometricModel, write_model
     from hil.calibration.nominal_chain import nominal_chain
     from hil.imaging.nominal import nominal_beam
@@ -172,6 +172,17 @@ def model(
     }
     found = GeometricModel(machine, fit.model, fit.covariance, notes)
     _report(answer, fit, start.values)
+    lag, known = clock_lag(fit, fitted)
+    if abs(lag) > max(SURE * known, LEAST_LAG):
+        answer.say(
+            f"  the images were taken {lag:.3f} of an exposure's period ({known:.3f}) {'later' if lag > 0.0 else 'earlier'} than their"
+            " positions say: do the panel's clock and the loop's agree?"
+        )
+    if fit.chi2 > MISFIT**2:
+        answer.say(
+            "  the poses do not fit the model: was the phantom moved between scans, did the machine shake, or does more give way than"
+            " the machine file says?"
+        )
     judged = {}
     for path, table, held in [(p, t, False) for p, t in zip(scans, fitted, strict=True)] + [
         (p, t, True) for p, t in zip(held_out or (), others, strict=True)
@@ -193,6 +204,7 @@ def model(
             "null": [dict(each.shares) for each in fit.null],
             "frozen": fit.frozen,
             "chi2": fit.chi2,
+            "clock_lag_periods": {"value": lag, "sigma": known},
             "parameters": {
                 name: {"value": value, "nominal": nominal, "sigma": sigma, "unit": unit}
                 for name, value, nominal, sigma, unit in zip(
@@ -236,6 +248,12 @@ def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
             if abs(share) > VISIBLE_SHARE:
                 raise UnusableInput(f"{name}: these scans cannot tell it from others: {combination} changes no pose of them")
 
+
+SURE, LEAST_LAG = 5.0, 2e-3
+"""A lag is told from so many of its standard deviations, and from so much of a period, on."""
+
+MISFIT = 4.0
+"""Residuals, in units of the images' noise, from which on the model is said not to fit; sweeps at speed reach 2 from shaking alone."""
 
 VISIBLE_SHARE = 0.05
 """A parameter with a smaller share in every combination that is not seen is told by the others."""

@@ -1,6 +1,7 @@
 """isocenter calibrate model and scan: tables of a machine that is off its drawing (poses by MuJoCo) become a model that predicts others."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from calibration.commands import isocenter
 from calibration.flexible_machine import OFF, Statics, machine_file
 
 from hil.calibration.geometric_model import read_calibration
-from hil.calibration.lookup import LookUp, write_look_up
+from hil.calibration.lookup import LookUp, read_look_up, write_look_up
 from hil.experiments import read_experiment
 from hil.imaging import ConeBeam
 from hil.imaging.nominal import nominal_beam
@@ -70,6 +71,32 @@ def test_two_sweeps_predict_poses_of_other_scans_within_the_covariance(tables, t
     assert stiffness == pytest.approx(0.85e4, rel=0.05)
     assert answer["frozen"] == ["beta_panel", "beta_phantom"] and answer["chi2"] == pytest.approx(1.0, abs=0.15)
     assert (tmp_path / "m.png").stat().st_size > 10_000
+
+
+def test_a_panel_s_clock_that_lags_and_a_phantom_that_was_moved_are_told(tmp_path, capsys):
+    there = np.concatenate([sweep("roll", -85, 85, 0, 30), sweep("roll", 85, -85, 0, 30), sweep("propeller", -100, 100, 30, 30)])
+    truth = table(there, tmp_path / "all.npz", 8)
+    assert isocenter("calibrate", "model", "carm", truth, "-o", tmp_path / "m.npz") == 0
+    said = capsys.readouterr().out
+    assert "panel's clock" not in said and "do not fit" not in said
+    late = read_look_up(truth)
+    lag = 0.02  # of a period: the images show poses a little further on than the positions beside them
+    nominal = nominal_beam(CARM, there - lag * np.gradient(there, axis=0))
+    late = replace(
+        late,
+        positions=there - lag * np.gradient(there, axis=0),
+        deviation=nominal_beam(CARM, there).moved(late.deviation).deviation_from(nominal),
+    )
+    write_look_up(late, tmp_path / "late.npz")
+    assert isocenter("calibrate", "model", "carm", tmp_path / "late.npz", "-o", tmp_path / "m.npz", "--json", tmp_path / "m.json") == 0
+    assert "later than their positions say: do the panel's clock and the loop's agree?" in capsys.readouterr().out
+    found = json.loads((tmp_path / "m.json").read_text())["clock_lag_periods"]
+    assert abs(found["value"] - lag) < 5.0 * found["sigma"] and found["sigma"] < 0.2 * lag
+    moved = read_look_up(truth)
+    moved.deviation[60:, 3:6] += 2e-3
+    write_look_up(moved, tmp_path / "moved.npz")
+    assert isocenter("calibrate", "model", "carm", tmp_path / "moved.npz", "-o", tmp_path / "m.npz") == 0
+    assert "was the phantom moved between scans" in capsys.readouterr().out
 
 
 def test_six_parameters_hold_the_source_and_say_so(tables, tmp_path):
