@@ -12,6 +12,8 @@
     |   |-- DeviceFault                    the drive is in fault; carries the EMCY in words
     |   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
     |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
+    |-- imaging.SpoolError             a panel's folder does not hold frames
+    |-- imaging.ClocksDisagree         a panel's stamps and the loop's pulses tell different times
     `-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
 """
 

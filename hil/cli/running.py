@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from hil.cli.options import (
     read_effects,
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.run_images import ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -57,6 +59,10 @@ class RunOptions:
     real_time: RealTimeOption = True
     observer: ObserverOption = None
     damping: DampingOption = 0.0
+    images: ImagesOption = None
+    scene: SceneOption = "dodecahedron"
+    image_rate: ImageRateOption = 7.0
+    spool: SpoolOption = None
     json_to: JsonOption = None
 
 
@@ -72,11 +78,14 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     paths = recording_paths(run.out, plans)
     can_be_written(*paths, run.frame_log, run.truth)
     emulated = None if run.effects is None else machine.with_effects(read_effects(run.effects, machine))
-    options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, run.truth, emulated, run.real_time)
     lockstep = run.bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
     watching = live_observer(run.observer, run.damping, machine, answer)
-    with open_bench(machine, options, plans[0].start_pose, watching) as bench:
+    frames = images_beside(machine, run.images, run.scene, run.image_rate, run.spool, paths, run.truth, answer, lockstep)
+    with contextlib.ExitStack() as stack:
+        truth = stack.enter_context(frames)
+        options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)
+        bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
         with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):

@@ -1,0 +1,116 @@
+"""A panel leaves its frames in a folder, one file each; the bench takes them as they appear.
+
+A file is written under another name and renamed when it is whole, so that nobody reads half a frame. Any detector whose software can write
+a file per frame fits here; what it must say is in `Frame`.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import DriverError
+
+FORMAT = 1
+PATTERN = "frame_*.npz"
+
+
+class SpoolError(DriverError):
+    """A panel's folder does not hold what frames are made of.
+
+    Example scenarios
+    -----------------
+    - The folder does not exist, or cannot be read.
+    - A file in it is named like a frame and is none, or two frames have one number.
+    """
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One exposure.
+
+    Attributes
+    ----------
+    exposure_id : int
+        Counts up by one.
+    panel_s, width_s : float
+        Start and length by the panel's clock.
+    pulse_s : float
+        The tick of the loop at which the exposure's pulse was first seen, in the loop's time.
+    image : (rows, columns) uint16 array
+    """
+
+    exposure_id: int
+    panel_s: float
+    width_s: float
+    pulse_s: float
+    image: np.ndarray
+
+
+def write_frame(folder: Path, frame: Frame) -> None:
+    """What a panel does."""
+    whole = folder / f"frame_{frame.exposure_id:06d}.npz"
+    partial = whole.with_suffix(".partial")
+    with partial.open("wb") as file:
+        numbers = np.array([frame.panel_s, frame.width_s, frame.pulse_s])
+        np.savez(file, format=FORMAT, exposure_id=frame.exposure_id, times_s=numbers, image=frame.image)
+    os.replace(partial, whole)
+
+
+class FrameSpool:
+    """A panel's folder, read from its first frame on.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Attributes
+    ----------
+    lost : list of int
+        Numbers that were skipped: the frame after them has come.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise SpoolError(f"{folder}: no folder; the panel's software must write its frames there")
+        self.folder = folder
+        self.lost: list[int] = []
+        self._seen: set[Path] = set()
+        self._next: int | None = None
+
+    def poll(self) -> list[Frame]:
+        """Frames that have appeared since, in their order.
+
+        Raises
+        ------
+        SpoolError
+            A frame that cannot be read, or whose number has been.
+        """
+        fresh = sorted(set(self.folder.glob(PATTERN)) - self._seen)
+        frames = [self._read(path) for path in fresh]
+        self._seen.update(fresh)
+        for frame in frames:
+            if self._next is not None and frame.exposure_id < self._next:
+                raise SpoolError(f"{self.folder}: frame {frame.exposure_id} after frame {self._next - 1}; is an earlier run's still there?")
+            if self._next is not None:
+                self.lost.extend(range(self._next, frame.exposure_id))
+            self._next = frame.exposure_id + 1
+        return frames
+
+    @staticmethod
+    def _read(path: Path) -> Frame:
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                if int(file["format"]) != FORMAT:
+                    raise SpoolError(f"{path}: format {int(file['format'])}; this version reads {FORMAT}")
+                panel_s, width_s, pulse_s = (float(value) for value in file["times_s"])
+                frame = Frame(int(file["exposure_id"]), panel_s, width_s, pulse_s, file["image"])
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise SpoolError(f"{path}: no frame of a panel ({error})") from None
+        if frame.image.ndim != 2 or not np.isfinite([panel_s, width_s, pulse_s]).all() or width_s < 0.0:
+            raise SpoolError(f"{path}: a frame is one image with a start, a width of 0 or more and a pulse")
+        return frame

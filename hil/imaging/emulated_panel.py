@@ -1,0 +1,95 @@
+"""The emulated panel as a process of its own: it follows the machine's true motion as that happens and leaves frames in a spool folder.
+
+What it knows it reads from the truth file, line by line as the emulator writes it: an exposure is made once the motion is known beyond its
+end. Its clock is its own, set to another time than the loop's and 20 ppm fast.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import numpy as np
+
+from drivers.imaging import Frame, write_frame
+from hil.imaging.detector import Detector
+from hil.imaging.emulated import VIEWS, Exposures, xray_side
+from hil.imaging.markers.emulated import TubeMarker
+from hil.machine import Machine
+from virtual_bus.xray.imaging import Optics, expected, exposed
+from virtual_bus.xray.motion import FocalSpot
+from virtual_bus.xray.objects import Item
+from virtual_bus.xray.render import Panel
+
+PANEL_EPOCH_S = 5000.0
+"""What the panel's clock says when the loop's says 0."""
+
+LOOKS_EVERY_S = 0.2
+BEYOND_S = 0.05
+"""Motion is interpolated between samples: this much of it must be known after an exposure's end."""
+
+
+@dataclass(frozen=True)
+class PanelOrder:
+    """What the process is told.
+
+    Attributes
+    ----------
+    machine : Machine
+        That is emulated.
+    truth, spool : Path
+    exposures : Exposures
+    items : list of Item
+    detector : Detector
+    optics : Optics
+    spot : FocalSpot
+    marker : TubeMarker, optional
+    seed : int
+    """
+
+    machine: Machine
+    truth: Path
+    spool: Path
+    exposures: Exposures
+    items: list[Item]
+    detector: Detector
+    optics: Optics
+    spot: FocalSpot
+    marker: TubeMarker | None
+    seed: int
+
+
+def serve(order: PanelOrder, is_over: Event) -> None:
+    """Expose until the run is over and all of its motion has been looked at."""
+    machine = order.machine
+    panel = Panel(order.detector.columns, order.detector.rows, order.detector.pitch_m, order.detector.aspect, order.detector.skew)
+    rng, made, seen = np.random.default_rng(order.seed), 0, 0
+    period = 1.0 / machine.sample_rate_Hz
+    rate = 1.0 + 1e-6 * order.exposures.clock_ppm
+    whole = order.spool / "known.csv"
+    while True:
+        over = is_over.is_set()
+        text = order.truth.read_text(encoding="utf-8") if order.truth.exists() else ""
+        known = text[: text.rfind("\n") + 1]
+        if known.count("\n") > max(seen, 10):
+            seen = known.count("\n")
+            whole.write_text(known, encoding="utf-8")
+            side = xray_side(machine, whole, order.spot, order.exposures.first_s)
+            ahead = 0.0 if over else BEYOND_S
+            for start in order.exposures.starts(side.panel.last_s - ahead)[made:]:
+                width = order.exposures.width_s
+                if order.marker is None:
+                    mean = expected(side.views(float(start), width, VIEWS), panel, order.items, order.optics)
+                else:
+                    mean = order.marker.expected(side, float(start), width, VIEWS, panel, order.items, order.optics)
+                pulse = period * np.ceil(start / period)
+                stamp = PANEL_EPOCH_S + start * rate
+                write_frame(order.spool, Frame(made, stamp, width * rate, float(pulse), exposed(mean, order.optics, rng)))
+                made += 1
+        elif over:
+            whole.unlink(missing_ok=True)
+            return
+        else:
+            time.sleep(LOOKS_EVERY_S)

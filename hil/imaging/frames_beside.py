@@ -1,0 +1,102 @@
+"""Images beside a run: the receiving process, on the emulator the panel's too, and the scan folder they become."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.synchronize import Event
+
+from hil.errors import UnusableInput
+from hil.imaging import emulated_panel, receiver
+from hil.imaging.emulated import positions_at
+from hil.imaging.emulated_panel import PanelOrder
+from hil.imaging.receiver import STAMPS, TROUBLE, ReceiverOrder, received
+from hil.imaging.scan_folder import write_description, write_exposures
+from hil.machine import Machine
+from hil.recording import Recording
+
+POLITE = 10
+"""Niceness of both processes: the loop comes first."""
+
+
+@dataclass(frozen=True)
+class ReceivedScan:
+    """What came: exposures, the numbers skipped between them, and the panel's clock against the loop's."""
+
+    exposures: int
+    lost: int
+    clock_ppm: float
+    residual_s: float
+
+
+@contextmanager
+def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[None]:
+    """Receive while the block runs; leave it when all frames are in.
+
+    Parameters
+    ----------
+    order : ReceiverOrder
+    panel : PanelOrder, optional
+        The emulated panel's; without it frames come from elsewhere.
+
+    Raises
+    ------
+    UnusableInput
+        The folders cannot be made, or the spool holds an earlier run's frames.
+    """
+    try:
+        for folder in (order.folder, *([panel.spool] if panel is not None else [])):
+            folder.mkdir(parents=True, exist_ok=True)
+        (order.folder / TROUBLE).unlink(missing_ok=True)
+    except OSError as error:
+        raise UnusableInput(f"{error.filename}: {error.strerror}") from None
+    if not order.spool.is_dir():
+        raise UnusableInput(f"{order.spool}: no folder; the panel's software must write its frames there")
+    if any(order.spool.iterdir()):
+        raise UnusableInput(f"{order.spool}: is not empty; the panel's folder must be when the run begins")
+    context = multiprocessing.get_context("spawn")
+    is_over, is_exposed = context.Event(), context.Event()
+    started = [context.Process(target=_politely, args=(receiver.serve, order, is_exposed), daemon=True)]
+    if panel is not None:
+        started.append(context.Process(target=_politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
+    for process in started:
+        process.start()
+    try:
+        yield
+        is_over.set()
+        for process in started[1:]:
+            process.join()
+            if process.exitcode:
+                raise UnusableInput("the emulated panel's process ended before its images were made; its error stands above")
+        is_exposed.set()
+        started[0].join()
+    finally:
+        for process in started:
+            if process.is_alive():
+                process.terminate()
+
+
+def _politely(serve: Callable[..., None], order: object, is_over: Event) -> None:
+    os.nice(POLITE)
+    serve(order, is_over)
+
+
+def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, notes: dict[str, object]) -> ReceivedScan:
+    """Make the received frames a scan folder: starts in the loop's time, axis positions from the recording.
+
+    Raises
+    ------
+    UnusableInput
+        No frames, or frames from outside of the recording.
+    ClocksDisagree
+    """
+    numbers, start_s, width_s, clock = received(order.folder, 1.0 / machine.sample_rate_Hz)
+    write_description(order.folder, order.detector, machine.axes, {"machine": machine.name, "machine_hash": machine.hash, **notes})
+    positions = positions_at(machine, recording, start_s + 0.5 * width_s)
+    write_exposures(order.folder, numbers, start_s, width_s, {axis.axis: axis.position for axis in machine.units}, positions)
+    (order.folder / STAMPS).unlink()
+    lost = int(numbers[-1] - numbers[0] + 1 - len(numbers))
+    return ReceivedScan(len(numbers), lost, 1e6 * (1.0 / clock.rate - 1.0), clock.residual_s)

@@ -1,0 +1,17 @@
+"""Which marker plate a receiver looks for, and where it should be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.imaging.markers import PLATES, MarkerPlate, MarkerProjection
+from hil.imaging.nominal import nominal_beam
+from hil.machine import Machine
+
+
+def watched_marker(machine: Machine, name: str, distance_m: float) -> tuple[MarkerPlate | None, MarkerProjection | None]:
+    """The plate of this name and its nominal view; nothing where the name is no plate's."""
+    if name not in PLATES:
+        return None, None
+    u, v, w = nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0]
+    return PLATES[name](), MarkerProjection(np.array([u, v, -w, 0.0, 0.0, 0.0, 0.0, 0.0, distance_m]))

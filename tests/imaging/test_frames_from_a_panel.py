@@ -1,0 +1,104 @@
+"""Frames through the driver: the spool, the panel's clock against the loop's, and a run that receives them."""
+
+import csv
+
+import numpy as np
+import pytest
+from calibration.commands import isocenter
+
+from drivers.imaging import ClocksDisagree, Frame, FrameSpool, PanelClock, SpoolError, write_frame
+from hil.imaging.scan_folder import read_scan
+
+PERIOD = 1.0 / 256.0
+
+
+def stamps(count=60, rate=7.0, ppm=20.0, epoch=5000.0):
+    """Starts in the loop's time, by the panel's clock, and the ticks at which their pulses were seen."""
+    start = 0.1 + np.arange(count) / (rate * (1.0 + 1e-6 * ppm))
+    return start, epoch + start * (1.0 + 1e-6 * ppm), PERIOD * np.ceil(start / PERIOD)
+
+
+@pytest.mark.parametrize(("count", "rate", "limit_s"), [(60, 7.0, PERIOD / 7.0), (60, 7.31, PERIOD / 6.0), (300, 7.31, 0.06e-3)])
+def test_the_panels_clock_is_known_to_a_small_part_of_a_tick(count, rate, limit_s):
+    """Seven exposures a second meet 256 ticks in seven phases, and the clock is known to the distance of two of them."""
+    start, panel, pulse = stamps(count, rate)
+    clock = PanelClock(panel, pulse, PERIOD)
+    assert np.abs(clock.to_loop(panel) - start).max() < limit_s
+    assert abs(clock.residual_s - PERIOD / np.sqrt(12.0)) < 0.3 * PERIOD
+
+
+def test_clocks_that_disagree_are_told():
+    start, panel, pulse = stamps()
+    with pytest.raises(ClocksDisagree, match=r"runs \+20\d\d ppm against the loop's"):
+        PanelClock(start * 1.002, pulse, PERIOD)
+    jumped = panel + np.where(np.arange(60) > 40, 0.02, 0.0)
+    with pytest.raises(ClocksDisagree, match=r"clock was set meanwhile|ppm against"):
+        PanelClock(jumped, pulse, PERIOD)
+    with pytest.raises(ClocksDisagree, match=r"frames and pulses are not of the same exposures|ppm against"):
+        PanelClock(panel[:-1], np.delete(pulse, 30), PERIOD)
+    with pytest.raises(ClocksDisagree, match="2 exposures; the panel's clock needs 3"):
+        PanelClock(panel[:2], pulse[:2], PERIOD)
+
+
+def frame(number):
+    return Frame(number, 5000.0 + 0.1 * number, 0.008, 0.1 * number, np.full((4, 6), number, dtype=np.uint16))
+
+
+def test_frames_come_in_order_once_and_lost_ones_are_counted(tmp_path):
+    spool = FrameSpool(tmp_path)
+    assert spool.poll() == []
+    for number in (3, 4):
+        write_frame(tmp_path, frame(number))
+    (tmp_path / "frame_000005.partial").write_bytes(b"half a frame")
+    assert [each.exposure_id for each in spool.poll()] == [3, 4]
+    write_frame(tmp_path, frame(7))
+    (taken,) = spool.poll()
+    assert np.array_equal(taken.image, frame(7).image) and (taken.panel_s, taken.width_s, taken.pulse_s) == (
+        5000.7,
+        0.008,
+        0.7000000000000001,
+    )
+    assert spool.lost == [5, 6] and spool.poll() == []
+    write_frame(tmp_path, frame(2))
+    with pytest.raises(SpoolError, match="frame 2 after frame 7; is an earlier run's still there"):
+        spool.poll()
+
+
+def test_what_is_no_frame_is_named(tmp_path):
+    with pytest.raises(SpoolError, match="no folder; the panel's software must write its frames there"):
+        FrameSpool(tmp_path / "nowhere")
+    (tmp_path / "frame_000000.npz").write_bytes(b"no frame")
+    with pytest.raises(SpoolError, match=r"frame_000000\.npz: no frame of a panel"):
+        FrameSpool(tmp_path).poll()
+
+
+def test_a_run_receives_its_frames_and_looks_for_the_marker_beside_the_loop(tmp_path):
+    sweep = ["--axis", "roll", "--from", "-5", "--to", "5", "--speed", "10", "--dwell", "0.3"]
+    received = ["--images", tmp_path / "scan", "--scene", "clinical", "--image-rate", "4", "--truth", tmp_path / "t.csv"]
+    assert isocenter("run", "scan", "-m", "carm", "-b", "lockstep:", *sweep, "-o", tmp_path / "r.mf4", *received) == 0
+    scan = read_scan(tmp_path / "scan")
+    true = 0.1 + np.arange(len(scan)) / (4.0 * (1.0 + 20e-6))
+    assert len(scan) >= 4 and np.abs(scan.start_s - true).max() < PERIOD / 2 and np.isfinite(scan.positions).all()
+    with (tmp_path / "scan" / "markers.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(scan) and all(abs(float(row["focal_length [m]"]) - 1.16) < 1e-3 for row in rows)
+    # the same images afterwards, from the truth file: the same motion, exposed by the other way
+    shown = ["--truth", tmp_path / "t.csv", "--marker", "clinical", "--rate", "4", "-o", tmp_path / "again"]
+    assert isocenter("expose", "carm", tmp_path / "r.mf4", *shown) == 0
+    again = read_scan(tmp_path / "again")
+    assert len(again) == len(scan) and np.array_equal(again.frame(2), scan.frame(2))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--spool", "."], "--spool: on lockstep: the emulated panel has its own"),
+        (["--image-rate", "-1"], "--image-rate -1: must be a positive number"),
+        (["--scene", "nothing"], "scene nothing: there are dodecahedron"),
+    ],
+)
+def test_options_that_make_no_images_are_one_line(tmp_path, capsys, arguments, line):
+    static = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "0.5", "-o", tmp_path / "r.mf4", "--images", tmp_path / "s"]
+    assert isocenter(*static, *arguments) == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
