@@ -189,7 +189,7 @@ def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     train = min(c.fitted.cost for c in rivals) + max(c.gained for c in rivals)
     held_out = min(c.left_held_out for c in rivals) + max(c.gained_held_out for c in rivals)
     base = Weighed(None, train, held_out, 0)
-    sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.freedom) for c in rivals]
+    sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.decided) for c in rivals]
     if selection.chosen is None:
         ranked = weighed_with_nothing(sets, base, noise + certain_excess(noise), len(selection.screened), _cap(runs))
     else:

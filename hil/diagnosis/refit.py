@@ -45,6 +45,7 @@ LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
 INVERSE = ("fc",)
 """Corner frequencies: what they do is in proportion to one over them."""
 
+ORDER_UNIT = "cycles/turn"
 PHASE_STEP = 0.02
 
 WEAKER = (0.3, 0.1, 0.03)
@@ -64,6 +65,9 @@ WORTH_LINEARISING = 4.0
 """Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
 
 RIDGE = 1e-9
+
+DECIDED = 2.0
+"""Standard deviations from which a strength is not zero."""
 
 Answers = list[np.ndarray | None]
 
@@ -87,6 +91,9 @@ class Fitted:
         Of the columns of `jacobian`.
     jacobian : (M, F) array
         Of the prediction with the free effect parameters, in their units.
+    decided : int
+        Free parameters but those strengths that may as well be zero: a law with many strengths of which the recordings need one is no
+        worse a name than a law with one.
     """
 
     effects: tuple[EffectAt, ...]
@@ -96,6 +103,7 @@ class Fitted:
     cost: float
     free: tuple[tuple[int, int], ...]
     jacobian: np.ndarray
+    decided: int
 
     @property
     def settings(self) -> tuple[EffectSetting, ...]:
@@ -116,7 +124,8 @@ def refit(
     steps: int = STEPS,
 ) -> list[Fitted | None]:
     """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all."""
-    fits = [_fit(tuning, measured, names, values, steps) for names, values in starts]
+    way = _way(runs)
+    fits = [_fit(tuning, measured, names, values, steps, way) for names, values in starts]
     return together(runs, fits)
 
 
@@ -151,13 +160,13 @@ def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitt
 
 
 def _fit(
-    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int
+    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int, way: float
 ) -> Generator[list[Trial], Answers, Fitted | None]:
     """Gauss-Newton in a trust region, as a generator of trials.
 
     The tuned numbers' sensitivities are taken anew where a step does not bring what they say.
     """
-    fitting = _Fitting(tuning, names, values)
+    fitting = _Fitting(tuning, names, values, way)
     base = _cost(measured, tuning.predicted, tuning.offset)
     at = _Point(tuning.offset.copy(), tuple(np.array(v, dtype=float) for v in values))
     starts = [at, *(_Point(at.offset, _weaker(names[-1], at.values, share)) for share in WEAKER)]
@@ -205,7 +214,9 @@ def _fit(
             shrunk += 1
         if gained is None or gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5):
             break
-    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at))
+    hessian, _ = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
+    decided = fitting.decided(at, hessian)
+    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), decided)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,11 +230,11 @@ class _Point:
 class _Fitting:
     """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
 
-    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...]) -> None:
+    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], way: float) -> None:
         self._tuning, self._names = tuning, names
         self._parameters = [effects()[name.effect].parameters for name in names]
         self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
-        self._least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
+        self._least = [_least_size(self._parameters[e][k], starts[e][k], way) for e, k in self.free]
 
     def settings(self, at: _Point) -> tuple[EffectSetting, ...]:
         return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
@@ -279,10 +290,24 @@ class _Fitting:
             found.append(-1.0 / value if _is_inverse(self._parameters[e][k], value) else 1.0 / size)
         return np.array(found)
 
+    def decided(self, at: _Point, hessian: np.ndarray) -> int:
+        """Free parameters without the strengths that are not DECIDED standard deviations away from doing nothing; at least one."""
+        ridged = hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)
+        spreads = np.sqrt(np.diag(np.linalg.inv(ridged)))[len(at.offset) :]
+        count = 0
+        for (e, k), size, spread in zip(self.free, self._sizes(at), spreads, strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            if not parameter.is_strength or _is_inverse(parameter, value):
+                count += 1
+            else:
+                count += bool(abs(value - parameter.neutral) > DECIDED * spread * size)
+        return max(count, 1)
+
     def _sizes(self, at: _Point) -> list[float]:
         found = []
         for (e, k), least in zip(self.free, self._least, strict=True):
-            found.append(least if _is_phase(self._parameters[e][k]) else max(abs(at.values[e][k]), least))
+            fixed = _is_phase(self._parameters[e][k]) or _is_order(self._parameters[e][k])
+            found.append(least if fixed else max(abs(at.values[e][k]), least))
         return found
 
 
@@ -300,6 +325,10 @@ def _is_phase(parameter: Parameter) -> bool:
     return parameter.unit == "phase" and not parameter.is_strength
 
 
+def _is_order(parameter: Parameter) -> bool:
+    return parameter.unit == ORDER_UNIT and not parameter.is_strength
+
+
 def _is_inverse(parameter: Parameter, value: float) -> bool:
     """Whether a parameter is fitted as one over itself, in which its effect is closer to linear."""
     return parameter.name in INVERSE and value > 0.0
@@ -314,16 +343,27 @@ def _normal_equations(
     return hessian, np.concatenate([jacobian.T @ residual - offset, added.T @ residual])
 
 
+def _way(runs: FreeRuns) -> float:
+    """Longest way of any motor over all training recordings [rad or m of its own coordinate]."""
+    positions = np.concatenate([group.position for group in runs.sets[TRAIN].groups])
+    return float((np.ptp(positions, axis=0) * [drive.ratio for drive in runs.machine.plant.drives]).max())
+
+
 def _bounded_step(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     root = np.linalg.cholesky(hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)).T
     target = np.linalg.solve(root.T, gradient)
     return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls").x
 
 
-def _least_size(parameter: Parameter, start: float) -> float:
-    """What a parameter's size, a large change of it, is never taken for less than."""
+def _least_size(parameter: Parameter, start: float, way: float) -> float:
+    """What a parameter's size, a large change of it, is never taken for less than; of phases and orders it is the size itself.
+
+    An order over position turns a phase by one radian over the motor's way when it changes by one over that way.
+    """
     if _is_phase(parameter):
         return 1.0
+    if _is_order(parameter):
+        return 1.0 / max(way, 1e-12)
     return max(SMALLEST_OF_START * abs(start) if start != 0.0 else SMALLEST_SHARE * (parameter.high - parameter.low), 1e-12)
 
 

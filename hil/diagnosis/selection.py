@@ -199,7 +199,7 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[F
     best = min(fit.cost for fit in fits)
     temper = temperature(base - best, best - noise_energy)
     price = price_of_a_parameter(base - best, temper)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + fit.freedom * price)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + fit.decided * price)
 
 
 def _gate(

@@ -17,11 +17,9 @@ RETUNED_GAIN = 20.0
 UNKNOWN_LEFT = 0.5
 """Share of the explainable mismatch which the best set of known effects leaves, from which it has no name."""
 
-UNNAMED_EXCESS = 0.05
 UNNAMED_GAIN = 2.0
-"""Where no effect passed the gate: excess of the misfit over the noise, as a share of it, and gain of the best candidate over what it
-needed, from which something is there. Noise spectra from three repeats err by some percent, and slow disturbances by more than their
-scatter says."""
+"""Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
+recordings by more than the scatter of three repeats says."""
 
 NAMED = 0.5
 """Confidence of all sets together below which something without a name is likelier."""
@@ -49,7 +47,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
     structured = left > certain_excess(standing.noise)
-    if structured and left > UNKNOWN_LEFT * explainable and (found or _shows_without_a_name(standing, left)):
+    shown = found or any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
+    if structured and left > UNKNOWN_LEFT * explainable and shown:
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found and sum(h.confidence for h in standing.hypotheses) < NAMED:
         return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
@@ -65,11 +64,6 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
-
-
-def _shows_without_a_name(standing: Standing, left: float) -> bool:
-    enough = any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
-    return enough and left > UNNAMED_EXCESS * standing.noise
 
 
 def with_lost_samples(verdict: Verdict, reason: str, lost: Mapping[str, Dropout]) -> tuple[Verdict, str]:

@@ -71,7 +71,7 @@ def test_a_retuned_numbers_interval_is_of_the_fit_beside_the_effects(friction):
 
 def fitted(name: str) -> Fitted:
     nothing = np.zeros(0)
-    return Fitted((EffectAt(name, "carriage"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)))
+    return Fitted((EffectAt(name, "carriage"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)), 1)
 
 
 def gate(share: float, *, passes: bool) -> Gate:
