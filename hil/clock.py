@@ -26,7 +26,8 @@ class WallClock:
     ----------
     spin_s : float
     waits : bool
-        Lose no tick: all later ones come as much later. Time then is no longer the wall's, but every sample of the plan is sent.
+        Lose no tick: all later ones come as much later. Time then is no longer the wall's, here too: it stood still while ticks were
+        waited for, as the emulated machine's did, and every sample of the plan is sent.
     awake_s : float
         See `drivers.interface.Clock`; 0 where devices are emulated on the same processor.
     """
@@ -39,12 +40,13 @@ class WallClock:
         self._start_s = 0.0
         self._tick = 0
         self._missed = 0
+        self._waited_s = 0.0  # that ticks were put off
         self.idle_began_s = 0.0  # when the loop last came to wait: its work was done
         self.tick_began_s = 0.0  # when the present tick was let go
 
     def now(self) -> float:
-        """Seconds of the performance counter."""
-        return time.perf_counter()
+        """Seconds of the performance counter, less what ticks were put off."""
+        return time.perf_counter() - self._waited_s
 
     def wait(self, seconds: float) -> None:
         """Sleep."""
@@ -67,6 +69,7 @@ class WallClock:
             due += behind * self._period_s
             if self._waits:
                 self._start_s += behind * self._period_s
+                self._waited_s += behind * self._period_s
             else:
                 self._tick += behind
                 self._missed += behind

@@ -132,7 +132,9 @@ def test_a_clock_that_waits_loses_no_tick_and_shifts_the_later_ones(watch):
     start_s = watch.now_s
     clock.wait_tick()
     watch.work(3.4 * PERIOD_S)  # ticks 2, 3 and 4 are past when the loop comes back
+    before_s = clock.now()
     lateness_s = clock.wait_tick()
     assert lateness_s == pytest.approx(0.4 * PERIOD_S, abs=1e-5)
+    assert clock.now() == pytest.approx(before_s - 2 * PERIOD_S, abs=1e-5), "what was waited for is nobody's silence"
     clock.wait_tick()
     assert watch.now_s == pytest.approx(start_s + 5 * PERIOD_S, abs=1e-5) and clock.missed == 0
