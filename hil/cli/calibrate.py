@@ -26,6 +26,9 @@ app = typer.Typer(
     help="Geometric calibration from recordings and images.\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz",
 )
 
+MOST_NAMED = 8
+"""Exposures that a line names."""
+
 ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
 FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
 JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")]
@@ -298,6 +301,11 @@ def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
         f"{int(fit.good.sum())} of {len(fit.good)} exposures, a median of {np.median(fit.used[fit.good]):.0f} bullets,"
         f" residual {1e6 * float(np.nanmedian(fit.residual_m)):.1f} um on the panel{held}"
     )
+    if not fit.good.all():
+        left = np.flatnonzero(~fit.good)
+        more = f" and {len(left) - MOST_NAMED} others" if len(left) > MOST_NAMED else ""
+        named = ", ".join(str(k) for k in left[:MOST_NAMED])
+        answer.say(f"  not used, they show too few bullets or something else: exposures {named}{more}")
     for k, name in enumerate(DEVIATIONS):
         values, sigma = table.deviation[:, k], np.sqrt(table.covariance[:, k, k])
         unit = "mm" if k < 6 else "mrad"
