@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from hil.imaging.geometry import ConeBeam
     from hil.machine import Machine
 
+FAR = 1.25
+"""Ratio of focal lengths beyond which matrices are of other pixels: binning goes in steps of 1.5 and more."""
+
 SUFFIXES = (".npz", ".csv", ".json", ".xml", ".dcm")
 
 
@@ -92,7 +95,15 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
     if suffix in (".csv", ".json"):
         from hil.imaging.exchange.matrices import read_matrices
 
-        return _Geometry(read_matrices(path, detector), detector)
+        beam = read_matrices(path, detector)
+        expected = -nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0, 2]
+        ratio = float(np.median(-beam.source_m[:, 2])) / expected
+        if not 1.0 / FAR < ratio < FAR:
+            raise UnusableInput(
+                f"{path}: puts the focal spot {ratio * expected:.3g} m from the panel, {machine.name} has {expected:.3g} m;"
+                f" is --binning {binning} that of the images?"
+            )
+        return _Geometry(beam, detector)
     if suffix == ".xml":
         from hil.imaging.exchange.rtk_xml import read_rtk
 
