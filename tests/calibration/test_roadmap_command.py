@@ -9,6 +9,7 @@ from calibration.flexible_machine import OFF, machine_file
 
 from hil.calibration.geometric_model import read_calibration
 from hil.calibration.lookup import LookUp, write_look_up
+from hil.experiments import read_experiment
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine
@@ -84,3 +85,30 @@ def test_what_cannot_be_done_is_one_line(scanned, tmp_path, capsys):
         assert isocenter(*arguments) == 2, arguments
         error = capsys.readouterr().err
         assert line in error and error.count("\n") == 1, error
+
+
+def test_a_grid_of_poses_is_proposed_and_kept_of_what_was_exposed_on_the_way(tmp_path, capsys):
+    assert isocenter("calibrate", "grid", "carm", "--step", "60", "-o", tmp_path / "g.toml", "--json", tmp_path / "g.json") == 0
+    answer = json.loads((tmp_path / "g.json").read_text())
+    plan = read_experiment(tmp_path / "g.toml", CARM).plans(CARM)[0]
+    assert answer["poses"] == 20 and answer["seconds"] == plan.rows / 256.0  # 225 and 171 degrees in steps of 60 at most
+    positions = plan.reference[::100]
+    deviation = positions.sum(axis=1)[:, None] * np.ones(9)
+    write_look_up(
+        LookUp(CARM.axes, positions, deviation, np.tile(np.eye(9), (len(positions), 1, 1)), {"machine": "carm"}), tmp_path / "t.npz"
+    )
+    assert isocenter("geometry", "standing", tmp_path / "t.npz", "-o", tmp_path / "s.npz") == 0
+    grid = read_calibration(tmp_path / "s.npz", CARM)
+    stops = [[stop[axis] for axis in CARM.axes] for stop in read_experiment(tmp_path / "g.toml", CARM).stops]
+    np.testing.assert_allclose(grid.positions, stops, atol=1e-3)
+    between = np.array([[0.3, -0.2], [-1.1, 0.7]])  # Fig. 2.4: what is linear over the grid is interpolated exactly
+    np.testing.assert_allclose(grid.at(between), between.sum(axis=1)[:, None] * np.ones(9), atol=1e-3)
+    capsys.readouterr()
+    for arguments, line in (
+        (["calibrate", "grid", "carm", "--step", "0.5", "-o", tmp_path / "x.toml"], "at most 2000"),
+        (["calibrate", "grid", "carm", "--step", "nan", "-o", tmp_path / "x.toml"], "--step nan: must be a positive number"),
+        (["calibrate", "grid", "emps", "-o", tmp_path / "x.toml"], "emps: its file has no [geometry]"),
+    ):
+        assert isocenter(*arguments) == 2
+        error = capsys.readouterr().err
+        assert line in error and error.count("\n") == 1
