@@ -15,8 +15,8 @@ from hil.errors import UnusableInput
 from hil.experiments import Tour
 from hil.machine import Machine
 
-POSE_SIGMA = np.repeat([0.05e-3, 0.05e-3, 0.2e-3], 3)
-"""Of a phantom-calibrated pose: source and phantom [m], rotation [rad] (thesis Sec. 2.4, noise of Table 2.2's test)."""
+POSE_SIGMA = np.array([0.45e-3, 0.45e-3, 0.5e-3, 0.15e-3, 0.15e-3, 0.15e-3, 0.4e-3, 0.4e-3, 0.02e-3])
+"""Of one exposure's nine parameters [m, rad], as the dodecahedron gives them at 2000 photons."""
 
 PLACES = 5
 """Positions of the other axes that sweeps are tried at, over the range allowed."""
