@@ -149,6 +149,12 @@ class TickingMachine:
         sample.arrived_s = time.perf_counter()
         return sample
 
+    def rehearse(self) -> None:
+        """Go through the motions of a tick shortly before it; nothing is sent and nothing changes."""
+        if self._imu is not None:
+            self._imu.rehearse()
+        self._cyclic.rehearse()
+
     def stop(self) -> None:
         """Quick stop, brakes closed, voltage off, nodes pre-operational; from any state, any number of times, never raising.
 

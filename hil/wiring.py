@@ -147,7 +147,9 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         io = None
         if settings.io is not None:
             io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
-        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, False)
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io)
+        clock.rehearse = link.rehearse if options.real_time else None
+        yield Wiring(link, clock, False)
 
 
 @contextlib.contextmanager

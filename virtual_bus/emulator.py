@@ -111,7 +111,13 @@ def run_emulator(
             if io_line is not None:
                 polls.append(ModbusRtuServer(machine.io, io_line).poll)
         ports = Ports(imu_device, imu_url, io_url, io_line.path if io_line is not None else "")
-        tick = Tick(machine.bus.sync_cob_id, machine.period_s, machine.prepare) if punctual else None
+        rehearse: Callable[[], None] = getattr(bus, "rehearse", lambda: None)  # some buses can
+
+        def prepare() -> None:
+            machine.prepare()
+            rehearse()
+
+        tick = Tick(machine.bus.sync_cob_id, machine.period_s, prepare) if punctual else None
         _serve(bus, machine, lambda: on_ready(ports), polls, tick)
 
 

@@ -133,11 +133,18 @@ class EmulatedMachine:
             self._advance()
 
     def prepare(self) -> None:
-        """A SYNC is near: measure what it will most likely ask for. What the devices then say does not depend on it."""
+        """A SYNC is near: measure what it will most likely ask for, and go through the motions of answering, which are then at hand.
+
+        What the devices will say does not depend on it.
+        """
         self.physics.prepare(np.array([drive.foreseen() for _, drive in self._drives]))
+        if self.imu is not None:
+            self.imu.rehearse()
+        for node in self._sync_nodes:
+            node.rehearse()
 
     def _sync(self, data: bytes) -> None:
-        """SYNC k: what is due first, then targets, sensors, TPDOs in node-id order, then physics to k+1.
+        """SYNC k: what is due first, then targets, sensors, TPDOs in node-id order, the IMU, then physics to k+1.
 
         Heartbeats go before the TPDOs: a master that waits for the last TPDO has then heard everything of this SYNC, and the order of
         frames on the bus depends on no race.
@@ -150,10 +157,10 @@ class EmulatedMachine:
         self._act()
         latched = self.physics.latch()
         self._read(latched)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
-            self.imu_out(said)
         for node in self._sync_nodes:
             node.end_sync(counter)
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+            self.imu_out(said)  # the master is busy with the TPDOs meanwhile
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers: whoever writes it down must not delay them
         self._advance()

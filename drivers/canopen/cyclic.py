@@ -26,6 +26,7 @@ INT16_MAX = 32767
 ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
 """Frames read at most outside the answer time: a device that babbles must not keep the loop from its tick."""
+NOTHING = bytes(8)  # a frame of zeros
 ANSWER_SPREAD = 0.1
 """Of a period: so near to its usual time after SYNC a TPDO comes that answers it. One of an earlier SYNC comes whenever it is done."""
 USUAL_OVER = 16
@@ -196,6 +197,7 @@ class CyclicExchange:
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
         self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
         self._alone_s = [nan] * len(self._tpdos)  # when the last one came that may be of an earlier SYNC
+        self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # some buses can
         self._awake_s = network.clock.awake_s
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
@@ -249,6 +251,13 @@ class CyclicExchange:
         self._fault = self._fault or self._supervision.take_fault()
         sample.fault, self._fault = self._fault, ""
         return overdue_s
+
+    def rehearse(self) -> None:
+        """Go through the motions of a tick shortly before it, as far as they change nothing; see `drivers.udp_bus.UdpBus.rehearse`."""
+        if self._rehearse_bus is not None:
+            self._rehearse_bus()
+        for tpdo in self._tpdos:
+            tpdo.unpack(NOTHING)
 
     @property
     def missing(self) -> list[str]:

@@ -218,3 +218,12 @@ def test_any_text_is_a_bus_url_or_one_clear_error(text):
         assert str(error)
     else:
         assert parsed.interface == "lockstep" or parsed.interface in can.interfaces.VALID_INTERFACES
+
+
+def test_nobody_hears_a_udp_bus_rehearse():
+    url = _udp_url()
+    with open_bus(url, 1) as left, open_bus(url, 1) as right:
+        left.rehearse()
+        left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01"))
+        assert right.recv(2.0).arbitration_id == 0x181
+        assert right.recv(0.0) is None and left.recv(0.0) is None

@@ -210,6 +210,11 @@ class Node:
         for tpdo in self._event_tpdos:
             tpdo.check_event()
 
+    def rehearse(self) -> None:
+        """Go through the motions of answering a SYNC; nothing changes."""
+        for tpdo in self._sync_tpdos:
+            tpdo.rehearse()
+
     def _on_nmt(self, data: bytes) -> None:
         if len(data) != 2 or data[1] not in (0, self.node_id):
             return

@@ -210,6 +210,10 @@ class Tpdo:
             self._send(self._layout.pack())
         self._counted += 1
 
+    def rehearse(self) -> None:
+        """Pack what is in the dictionary, and send nothing."""
+        self._layout.pack()
+
     def check_event(self) -> None:
         """Send when a mapped value has changed since the last transmission and the inhibit time allows."""
         data = self._layout.pack()

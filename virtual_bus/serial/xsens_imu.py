@@ -139,6 +139,13 @@ class EmulatedImu:
         self._measuring_since = self._time_s * self._clock_rate
         self._sent = self._pulses = 0
 
+    def rehearse(self) -> None:
+        """Go through the motions of a message; nothing is said."""
+        if self._state is State.MEASUREMENT:
+            counter = self._counter
+            self._mtdata2(self._time_s, 0)
+            self._counter = counter
+
     def _mtdata2(self, device_time_s: float, status: int) -> bytes:
         """One message of what is configured."""
         precision = self._precision
