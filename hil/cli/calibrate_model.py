@@ -125,7 +125,7 @@ def _stop(stop: Mapping[str, float], machine: Machine) -> str:
 def model(
     machine_name: MachineArgument,
     scans: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Tables of isocenter calibrate phantom, or scan folders of the phantom.")
+        list[Path], typer.Argument(metavar="SCAN", help="Tables of isocenter calibrate phantom, or scan folders of the phantom.")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="Model to write (.npz).")],
     held_out: Annotated[

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli import exchange
-from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.options import MachineArgument, PoseOption, can_be_written, load, not_an_input, parse_pose
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
 
@@ -28,6 +28,11 @@ WithOption = Annotated[
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
+    app.command(
+        short_help="The nine parameters of a pose.",
+        help="The nine parameters (2.2) of a pose, as a look-up table or a model predicts them."
+        "\n\nExample:  isocenter geometry at carm carm.model.npz --pose propeller=20,roll=-45",
+    )(at)
     app.command(
         short_help="The true geometry of an emulated scan.",
         help="The true geometry of an emulated machine's exposures, as a table that other calibrations are judged by."
@@ -50,6 +55,44 @@ def register(parent: typer.Typer) -> None:
     )(compensate)
     exchange.register(app)
     parent.add_typer(app, name="geometry")
+
+
+def at(
+    machine_name: MachineArgument,
+    calibration: Annotated[Path, typer.Argument(metavar="FILE", help="Look-up table or model (.npz).")],
+    pose: PoseOption = "",
+    json_to: JsonOption = None,
+) -> None:
+    """Nominal, predicted, and how sure a model is."""
+    from hil.calibration.geometric_model import GeometricModel, read_calibration
+    from hil.imaging.geometry import DEVIATIONS, NAMES
+    from hil.imaging.nominal import nominal_beam
+
+    machine = load(machine_name)
+    answer = Answer(json_to)
+    wanted = parse_pose(pose, machine)
+    positions = np.array([[wanted.get(axis, 0.0) for axis in machine.axes]])
+    found = read_calibration(calibration, machine)
+    nominal = nominal_beam(machine, positions)
+    deviation = found.at(positions)
+    beam = nominal.moved(deviation)
+    sigma = np.full(9, np.nan)
+    if isinstance(found, GeometricModel):
+        sigma = np.sqrt(np.diag(found.covariance_at(positions)[0]))
+    for k, name in enumerate(NAMES):
+        unit = "mm" if k < 6 else "mrad"
+        known = "" if np.isnan(sigma[k]) else f", sigma {1e3 * sigma[k]:.3f}"
+        off = f"deviation in {DEVIATIONS[k]} {1e3 * deviation[0, k]:+.3f}{known}"
+        answer.say(f"  {name:10s} {1e3 * beam.parameters[0, k]:10.3f} {unit:4s} nominal {1e3 * nominal.parameters[0, k]:10.3f}; {off}")
+    answer.write(
+        {
+            "pose": dict(zip(machine.axes, positions[0], strict=True)),
+            "parameters": dict(zip(NAMES, beam.parameters[0], strict=True)),
+            "nominal": dict(zip(NAMES, nominal.parameters[0], strict=True)),
+            "deviation": dict(zip(DEVIATIONS, deviation[0], strict=True)),
+            "sigma": dict(zip(DEVIATIONS, sigma, strict=True)),
+        }
+    )
 
 
 def truth(

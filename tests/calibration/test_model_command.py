@@ -64,6 +64,13 @@ def test_two_sweeps_predict_poses_of_other_scans_within_the_covariance(tables, t
     sigma = np.sqrt(np.diagonal(model.covariance_at(positions), axis1=1, axis2=2))
     assert np.sqrt(np.mean((error / sigma) ** 2)) < 1.6
     assert np.sqrt(np.mean(np.sum(error[:, 3:6] ** 2, axis=1))) < 0.05e-3  # of 4 mm
+    assert isocenter("geometry", "at", "carm", tmp_path / "m.npz", "--pose", "propeller=30,roll=-20", "--json", tmp_path / "at.json") == 0
+    told = json.loads((tmp_path / "at.json").read_text())
+    there = np.radians([[30.0, -20.0]])
+    np.testing.assert_allclose(list(told["deviation"].values()), model.at(there)[0], atol=1e-12)
+    np.testing.assert_allclose(
+        list(told["parameters"].values()), nominal_beam(CARM, there).moved(model.at(there)).parameters[0], atol=1e-12
+    )
     answer = json.loads((tmp_path / "m.json").read_text())
     judged = answer["scans"][str(tables / "other.npz")]
     assert judged["held_out"] and judged["model"]["position_m"] < 0.12e-3 < 2e-3 < judged["nominal"]["position_m"]
