@@ -58,8 +58,15 @@ GOOD, FAIR = 0.7, 0.3
 """Shares of the expected decrease of the cost above which the region doubles and stays as it is."""
 
 SHRINK, SHRUNK_AT_MOST = 0.3, 4
-RELINEARISED = 6
-"""Times at most that the tuned numbers' sensitivities are taken anew in one fit."""
+RELINEARISED, RELINEARISED_NEAR = 6, 1
+"""Times at most that the tuned numbers' sensitivities are taken anew in one fit, far from the noise and near it: near it, polishing
+does so for the few that are worth it."""
+
+NEAR = 2.0
+"""Misfit, in units of the noise's, below which a fit is near it."""
+
+HOPELESS_AFTER = 4
+"""Steps after which a fit that is worse than no effect ends."""
 
 WORTH_LINEARISING = 4.0
 """Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
@@ -180,11 +187,14 @@ def _fit(
     if found is None:
         return None
     cost, at, predicted = found
-    tuned, stale = tuning.jacobian, RELINEARISED
+    tuned = tuning.jacobian
+    stale = RELINEARISED if NEAR * len(measured) < cost < base else RELINEARISED_NEAR
     square = tuned.T @ tuned
     jacobian = np.zeros((len(predicted), len(fitting.free)))
     radius = 1.0
-    for _ in range(steps):
+    for number in range(steps):
+        if number >= HOPELESS_AFTER and cost > base:
+            break
         moves = fitting.moves(at)
         answers = yield [fitting.trial(move) for move, _ in moves]
         for column, ((_, difference), answer) in enumerate(zip(moves, answers, strict=True)):
