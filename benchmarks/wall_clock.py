@@ -6,17 +6,21 @@
 The scheduler that was granted stands in the result: figures without SCHED_FIFO say more about the machine's other work than about the loop.
 The machine file's limits of lost ticks and stale positions are lifted, so that a stall of the host is counted instead of ending the run.
 `work_time` runs from the SYNC until the loop is ready to wait again; `answer_time` is the part of it spent waiting for the devices'
-answers. `host` is what the computer does to a loop that has no bus: `computing` is how long 300 us of computing take at each tick, under
-the same scheduler, before the run; `stolen_share` is the processor time that the hypervisor gave to others during the run.
+answers, `own_work_time` the rest. `host` is what the computer does to processes that do nothing else, under the same scheduler, before
+the run: `lateness` of a loop without a bus, `computing`, how long 300 us of computing take at each tick, and `echo`, how long one UDP
+datagram takes at each tick to a process that awaits it awake and back; `stolen_share` is the processor time that the hypervisor gave to
+others during the run.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import platform
 import re
+import socket
 import subprocess
 import sys
 import tempfile
@@ -33,11 +37,12 @@ ISOCENTER = [sys.executable, "-m", "hil"]
 COMPUTING_S = 300e-6
 RATE_Hz = 256.0
 FLOOR_S = 20.0
+ECHO_AWAKE_S = 400e-6  # as virtual_bus.emulator.AWAKE_S
 GAP_S = 1e-6  # between two looks at the clock of a loop that nobody interrupts
 
 
 def host_floor(seconds: float) -> dict[str, float]:
-    """Lateness of ticks, and time that `COMPUTING_S` of computing takes at each [us], with no bus and nobody else in the loop."""
+    """Percentiles [us] of `lateness`, `computing` and `echo`: see the head of this file."""
     clock = WallClock()
     lateness, computing = np.zeros(round(seconds * RATE_Hz)), np.zeros(round(seconds * RATE_Hz))
     with real_time():
@@ -50,11 +55,62 @@ def host_floor(seconds: float) -> dict[str, float]:
                 now_s, before_s = time.perf_counter(), now_s
                 computed_s += min(now_s - before_s, GAP_S)
             computing[k] = now_s - last_s
+    return percentiles({"lateness": lateness, "computing": computing, "echo": echoes(seconds)})
+
+
+def percentiles(measured: dict[str, np.ndarray]) -> dict[str, float]:
+    """Of each row of seconds, in microseconds."""
     table: dict[str, float] = {}
-    for name, values in {"lateness": lateness, "computing": computing}.items():
+    for name, values in measured.items():
         p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
         table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
     return table
+
+
+def echoes(seconds: float) -> np.ndarray:
+    """Seconds from each tick until a datagram has come back from a process that looks for it from `ECHO_AWAKE_S` before the tick on."""
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.bind(("127.0.0.1", 0))
+    other = multiprocessing.get_context("spawn").Process(target=_echo, args=(line.getsockname(),), daemon=True)
+    other.start()
+    _, address = line.recvfrom(16)
+    line.setblocking(False)
+    clock, took = WallClock(), np.zeros(round(seconds * RATE_Hz))
+    with real_time():
+        clock.start_ticks(1.0 / RATE_Hz)
+        for k in range(len(took)):
+            clock.wait_tick()
+            line.sendto(b"x", address)
+            while not _came(line):
+                pass
+            took[k] = time.perf_counter() - clock.tick_began_s
+    line.sendto(b"", address)
+    other.join()
+    line.close()
+    return took
+
+
+def _came(line: socket.socket) -> bool:
+    try:
+        return bool(line.recv(16))
+    except BlockingIOError:
+        return False
+
+
+def _echo(address: tuple[str, int]) -> None:
+    """Until an empty datagram comes."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line, real_time():
+        line.connect(address)
+        line.send(b"ready")
+        line.setblocking(False)
+        while True:
+            try:
+                if not line.recv(16):
+                    return
+            except BlockingIOError:
+                continue
+            line.send(b"x")
+            time.sleep(1.0 / RATE_Hz - ECHO_AWAKE_S)
 
 
 def processor_times() -> tuple[int, int]:

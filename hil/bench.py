@@ -18,6 +18,7 @@ import numpy as np
 from controllers.feedback import Feedback
 from drivers.errors import MotionRefused
 from drivers.interface import Sample
+from hil.clock import WallClock
 from hil.errors import RecordingError, UnusableInput
 from hil.experiments import Move, Plan, Static
 from hil.experiments.safety import gravity_feedforward
@@ -364,7 +365,9 @@ def open_bench(
             observer=observer,
         )
         pose = _look(machine, model, wiring)
-        if observer is not None and not lockstep:
+        if observer is not None and isinstance(wiring.clock, WallClock):
+            if options.real_time:
+                wiring.clock.rehearsals.append(observer.rehearse)
             stack.enter_context(observer.shown(options.bus_url))  # only now: a second bench has been refused
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
 

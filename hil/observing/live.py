@@ -85,6 +85,7 @@ class LiveObserver:
             known = ", ".join(channels[2 * axes :])
             raise UnusableInput(f"--damping: acts on an IMU's word; the bench has {imu or 'none'}, the observer's model looks at {known}")
         self._board: EstimateBoard | None = None
+        self._understudy = ModalObserver(observer.model, observer.noise, observer.kind, observer.adapted)
         nothing = np.zeros(axes)
         observer.step_measured(self._row.values, nothing)  # compiled before a tick waits for it
         if damping is not None:
@@ -95,10 +96,15 @@ class LiveObserver:
         """Before row 0 of a plan of so many ticks: a replay starts there, too."""
         self._row.restart()
         self.observer.restart()
+        self._understudy.restart()
         self.estimate[:] = np.nan
         self._without_imu = self._alarmed = self._rows = self._tick = 0
         if self.damping is not None:
             self.damping.restart(rows)
+
+    def rehearse(self) -> None:
+        """Step another filter on the last row, shortly before a tick: the step that counts then takes half the time."""
+        self._understudy.step_measured(self._row.values, self.effort)
 
     def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
         """Before the feedback of a tick of the plan: its sample and the previous row's command (n_axes,), which is on the wire."""

@@ -60,7 +60,7 @@ def test_it_sleeps_most_of_the_time_and_spins_the_last_stretch(watch):
 def test_a_rehearsal_is_between_sleep_and_tick_and_none_is_held_when_the_tick_is_due(watch):
     clock, start_s = ticking(watch)
     held: list[float] = []
-    clock.rehearse = lambda: held.append((watch.now_s - start_s) / PERIOD_S)
+    clock.rehearsals.append(lambda: held.append((watch.now_s - start_s) / PERIOD_S))
     clock.wait_tick()
     assert held == [pytest.approx(1.0 - SPIN_S / PERIOD_S, abs=0.01)]
     watch.work(1.5 * PERIOD_S)

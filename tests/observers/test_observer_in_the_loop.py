@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import BusUnavailable
+from drivers.interface import Sample
 from hil.bench import BenchOptions, open_bench
 from hil.cli import main
 from hil.errors import LoopAborted, UnusableInput
@@ -113,6 +114,18 @@ def test_after_ticks_that_are_not_recorded_the_estimate_is_where_the_machine_wen
     assert abs(after[column] - estimates[gap.stop, column]) < 0.05 * abs(speed)
     variance = replayed.names.index("estimate_detector_wy_variance")
     assert after[variance] > 1.01 * estimates[gap.stop, variance], "and it is known to be less certain"
+
+
+def test_a_rehearsal_changes_no_estimate(design: ObserverDesign) -> None:
+    plain, rehearsing, generator = LiveObserver(design.observer()), LiveObserver(design.observer()), np.random.default_rng(7)
+    sample, command = Sample(2), np.zeros(2)
+    for k in range(50):
+        sample.position[:] = sample.link_position[:] = generator.normal(scale=1e-4, size=2)
+        sample.imu[:] = generator.normal(size=6)
+        for observer in (plain, rehearsing):
+            observer.step(sample, command, k)
+        assert np.array_equal(plain.estimate, rehearsing.estimate, equal_nan=True)
+        rehearsing.rehearse()
 
 
 class Cable(PipeEnd):
