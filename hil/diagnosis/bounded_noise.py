@@ -29,16 +29,20 @@ WORTH_A_ROUND = 0.9
 
 
 def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], Sequence[Candidate]]:
-    """Candidates with start values from the longest training group, given the effects found so far."""
+    """Candidates with start values from the longest training groups, given the effects found so far."""
     train = runs.sets[TRAIN]
 
     def found_beside(found: Fitted | None) -> Sequence[Candidate]:
         values = tuning.values if found is None else tuning.at(found.offset)
         rows = runs.rows(Trial(values, () if found is None else found.settings))
         assert rows is not None
-        largest = max(range(len(rows)), key=lambda g: len(rows[g]))
-        group = replace(train.groups[largest], simulated=rows[largest])
-        return candidates(Motion(train.machine, values, group, train.channels), train.channels)
+        longest = max(len(simulated) for simulated in rows)
+        first, *others = [
+            Motion(train.machine, values, replace(group, simulated=simulated), train.channels)
+            for group, simulated in zip(train.groups, rows, strict=True)
+            if len(simulated) == longest
+        ]
+        return candidates(replace(first, others=tuple(others)), train.channels)
 
     return found_beside
 

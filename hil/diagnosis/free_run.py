@@ -71,19 +71,23 @@ class _Runner:
         self._noise = noise
 
     @cached_property
-    def _simulators(self) -> dict[str, list[Simulator]]:
-        return {name: [Simulator(smooth(group.machine)) for group in found.groups] for name, found in self._sets.items()}
+    def _simulators(self) -> dict[tuple[int, int], Simulator]:
+        """By machine and how much finer its steps are: groups of one machine share its simulator."""
+        return {}
 
-    @cached_property
-    def _fine_simulators(self) -> dict[str, list[Simulator]]:
-        return {name: [Simulator(smooth(group.machine, FINE_STEPS)) for group in found.groups] for name, found in self._sets.items()}
+    def _simulator(self, machine: Machine, finer: int) -> Simulator:
+        key = id(machine), finer
+        if key not in self._simulators:
+            self._simulators[key] = Simulator(smooth(machine, finer))
+        return self._simulators[key]
 
     def rows(self, name: str, trial: Trial, *, fine: bool = False) -> list[np.ndarray] | None:
         """(N, C) simulated channels per group; None where the machine cannot stand or the simulation diverges."""
         found = self._sets[name]
         effects = (*found.machine.plant.effects, *trial.effects)
         folded = []
-        for group, simulator in zip(found.groups, (self._fine_simulators if fine else self._simulators)[name], strict=True):
+        for group in found.groups:
+            simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
             try:
                 outputs = simulator.run(group.inputs, trial.values, effects)
             except (BenchError, EmulatorError, ControlError):

@@ -11,7 +11,7 @@ import scipy.signal
 from hil.diagnosis.mismatch import RepeatGroup
 from hil.machine import Machine
 from virtual_bus.effects.places import joint_at, next_axis, spring_at
-from virtual_bus.effects.residual import Residual
+from virtual_bus.effects.residual import Residual, joined
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
 from virtual_bus.plant.linearise import linearised
 
@@ -34,12 +34,15 @@ class Motion:
         Plant parameters the group was simulated with.
     group : RepeatGroup
     channels : tuple of str
+    others : tuple of Motion
+        Of other groups as long as this one, such as the pieces of one long record: a residual is of all of them.
     """
 
     machine: Machine
     values: np.ndarray
     group: RepeatGroup
     channels: tuple[str, ...]
+    others: tuple[Motion, ...] = ()
 
     @cached_property
     def plant(self) -> CompiledPlant:
@@ -48,7 +51,8 @@ class Motion:
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(N, n_axes)"""
-        rows = max(5, 2 * round(0.5 * ACCELERATION_WINDOW_s * self.machine.sample_rate_Hz) + 1)
+        shortest, longest = 5, (len(self.group.position) - 1) // 2 * 2 + 1
+        rows = max(shortest, min(2 * round(0.5 * ACCELERATION_WINDOW_s * self.machine.sample_rate_Hz) + 1, longest))
         step_s = 1.0 / self.machine.sample_rate_Hz
         return scipy.signal.savgol_filter(self.group.position, rows, 3, deriv=2, delta=step_s, axis=0)
 
@@ -146,6 +150,9 @@ class Motion:
 
         `coupled`: the other joint is the next axis; otherwise the spring's deflection under the drive's effort.
         """
+        return joined([motion._residual(at, coupled) for motion in (self, *self.others)])
+
+    def _residual(self, at: str, coupled: bool) -> Residual:
         k = self.axis_of(at)
         group, stiffness = self.group, self.stiffness(at)
         other = group.position[:, k], group.speed[:, k], self.acceleration[:, k]

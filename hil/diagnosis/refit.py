@@ -129,11 +129,24 @@ def refit(
     starts: Sequence[tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]],
     *,
     steps: int = STEPS,
+    from_nominal: bool = True,
 ) -> list[Fitted | None]:
-    """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all."""
+    """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all.
+
+    Far from the noise, what is missing has bent the tuned numbers: there every set is also fitted from the nominal ones (unless not
+    `from_nominal`), and the better fit counts.
+    """
     way = _way(runs)
-    fits = [_fit(tuning, measured, names, values, steps, way) for names, values in starts]
-    return together(runs, fits)
+    offsets: list[np.ndarray | None] = [None]
+    if from_nominal and _cost(measured, tuning.predicted, tuning.offset) > NEAR * len(measured):
+        offsets.append(np.zeros_like(tuning.offset))
+    fits = [_fit(tuning, measured, names, values, steps, way, offset) for names, values in starts for offset in offsets]
+    done = together(runs, fits)
+    best = []
+    for first in range(0, len(done), len(offsets)):
+        found = [fit for fit in done[first : first + len(offsets)] if fit is not None]
+        best.append(min(found, key=lambda fit: fit.cost) if found else None)
+    return best
 
 
 def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted) -> Fitted:
@@ -141,7 +154,7 @@ def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted)
     for _ in range(POLISHING_ROUNDS):
         at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         at = linearised(runs, at, fitted.settings)
-        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS)
+        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS, from_nominal=False)
         if again is None or again.cost > fitted.cost - POLISHED_GAIN:
             return fitted if again is None or again.cost > fitted.cost else again
         fitted = again
@@ -167,15 +180,21 @@ def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitt
 
 
 def _fit(
-    tuning: Tuning, measured: np.ndarray, names: tuple[EffectAt, ...], values: tuple[np.ndarray, ...], steps: int, way: float
+    tuning: Tuning,
+    measured: np.ndarray,
+    names: tuple[EffectAt, ...],
+    values: tuple[np.ndarray, ...],
+    steps: int,
+    way: float,
+    offset: np.ndarray | None,
 ) -> Generator[list[Trial], Answers, Fitted | None]:
-    """Gauss-Newton in a trust region, as a generator of trials.
+    """Gauss-Newton in a trust region, as a generator of trials, from the tuned numbers or from this offset.
 
     The tuned numbers' sensitivities are taken anew where a step does not bring what they say.
     """
     fitting = _Fitting(tuning, names, values, way)
-    base = _cost(measured, tuning.predicted, tuning.offset)
-    at = _Point(tuning.offset.copy(), tuple(np.array(v, dtype=float) for v in values))
+    base = _cost(measured, tuning.predicted, tuning.offset) if offset is None else np.inf
+    at = _Point(tuning.offset.copy() if offset is None else offset, tuple(np.array(v, dtype=float) for v in values))
     starts = [at, *(_Point(at.offset, _weaker(names[-1], at.values, share)) for share in WEAKER)]
     found: tuple[float, _Point, np.ndarray] | None = None
     for start in starts:
@@ -189,6 +208,9 @@ def _fit(
     cost, at, predicted = found
     tuned = tuning.jacobian
     stale = RELINEARISED if NEAR * len(measured) < cost < base else RELINEARISED_NEAR
+    if offset is not None:
+        trials, differences = sensitivity_trials(tuning, at.offset, fitting.settings(at))
+        tuned = sensitivities_from((yield trials), differences, predicted)
     square = tuned.T @ tuned
     jacobian = np.zeros((len(predicted), len(fitting.free)))
     radius = 1.0
@@ -211,8 +233,8 @@ def _fit(
             fair = gain > FAIR * expected
             if not fair and stale and expected > WORTH_LINEARISING:
                 stale -= 1
-                trials, weights = sensitivity_trials(tuning, at.offset, fitting.settings(at))
-                tuned = sensitivities_from((yield trials), weights, predicted)
+                trials, differences = sensitivity_trials(tuning, at.offset, fitting.settings(at))
+                tuned = sensitivities_from((yield trials), differences, predicted)
                 square = tuned.T @ tuned
                 if gain <= 0.0:
                     continue

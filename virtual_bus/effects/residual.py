@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+
+HIGHEST_ORDER = 200
+"""Cycles per turn that are looked for: a motor of 36 slots and 48 poles has 144."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,15 @@ class Residual:
         return np.abs(self.speed) > 0.05 * np.abs(self.speed).max(initial=0.0)
 
 
+def joined(parts: Sequence[Residual]) -> Residual:
+    """One after the other; ratio and stiffness are those of the first."""
+    if len(parts) == 1:
+        return parts[0]
+    names = [field.name for field in fields(Residual) if isinstance(getattr(parts[0], field.name), np.ndarray)]
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **whole)
+
+
 def fitted(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray:
     """Least-squares weights of the columns; 0 for what the data do not excite."""
     return np.linalg.lstsq(np.column_stack(columns), values, rcond=1e-10)[0]
@@ -55,7 +69,7 @@ def harmonics(phase: np.ndarray, values: np.ndarray, orders: tuple[int, ...] = (
     return [(float(np.hypot(c, s)), float(np.arctan2(-s, c))) for c, s in zip(weights[::2], weights[1::2], strict=True)]
 
 
-def strongest_order(angle: np.ndarray, values: np.ndarray, highest: int = 60) -> int:
+def strongest_order(angle: np.ndarray, values: np.ndarray, highest: int = HIGHEST_ORDER) -> int:
     """The whole number of cycles per turn that explains most of the values."""
     centred = values - values.mean()
     power = [abs(np.sum(centred * np.exp(-1j * order * angle))) for order in range(1, highest + 1)]

@@ -1,0 +1,76 @@
+"""Fits move parameters of light machines and orders over long ways; loads act on loops that have no integrator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.bounded_noise import candidates_for
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.refit import refit
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import retune
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation import simulate
+from virtual_bus.settings import EffectSetting
+
+EMPS = load_machine("emps")
+SILVERBOX = load_machine("silverbox")
+ROTOR = load_machine("laas_anti_cogging")
+
+
+def driven(machine, command, **initial) -> Recording:
+    units = machine.units[0]
+    channels = {
+        "time": Channel("s", np.arange(len(command)) / machine.sample_rate_Hz),
+        f"command_{units.axis}": Channel(units.effort, command),
+    }
+    return Recording(channels, recording_metadata(machine, initial=initial))
+
+
+def recorded(machine, inputs: Recording, *hidden: EffectSetting) -> Recording:
+    answer = simulate(machine, inputs, hidden)
+    return Recording({**inputs.channels, **answer.channels}, inputs.metadata)
+
+
+def test_a_load_displaces_a_loop_without_an_integrator_by_load_over_its_stiffness():
+    rows = 2000
+    time = Channel("s", np.arange(rows) / EMPS.sample_rate_Hz)
+    held = {"time": time, "reference_carriage": Channel("m", np.full(rows, 0.1)), "excitation_carriage": Channel("V", np.zeros(rows))}
+    load = EffectSetting("constant_load", "carriage", {"tau0": 30.0})
+    position = simulate(EMPS, Recording(held, {}), (load,))["position_carriage"]
+    assert position[-1] - 0.1 == pytest.approx(30.0 / (35.15065 * 38995.821), abs=6e-8)
+
+
+def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
+    command = 0.1 * np.random.default_rng(1).standard_normal(3000)
+    recording = recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0}))
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
+        (fit,) = refit(runs, retune(runs), runs.measured(), [((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0]),))])
+    assert fit.values[0][0] == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def pieces():
+    """Pieces of 20 ms of a rotor at various places and speeds, with cogging 72 times a turn."""
+    cogging = EffectSetting("cogging", "rotor", {"Np": 72.0, "A1": 0.1, "phi1": 0.4, "A2": 0.0, "phi2": 0.0})
+    random = np.random.default_rng(3)
+    found = {}
+    for number in range(24):
+        inputs = driven(ROTOR, np.full(20, 0.2), speeds=[float(random.uniform(4.0, 8.0))])
+        start = {"position_rotor": Channel("rad", np.full(20, random.uniform(0.0, 30.0)))}
+        found[str(number)] = recorded(ROTOR, Recording({**inputs.channels, **start}, inputs.metadata), cogging)
+    return found
+
+
+def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth(pieces):
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, pieces))}, found.noise) as runs:
+        tuning = retune(runs)
+        guessed = next(c for c in candidates_for(runs, tuning)(None) if c.effect.effect == "cogging")
+        nearest = min(guessed.starts, key=lambda start: abs(start[0] - 72.0))
+        assert nearest[0] == pytest.approx(72.0, abs=0.1)
+        (fit,) = refit(runs, tuning, runs.measured(), [((guessed.effect,), (nearest,))])
+    assert fit.values[0][0] == pytest.approx(72.0, abs=0.07)
+    assert fit.values[0][1] == pytest.approx(0.1, rel=0.1)
