@@ -146,3 +146,17 @@ def test_every_offset_moves_the_geometry_as_its_body_does(where):
             beam = ConeBeam.from_frames(source if where == "detector" else moved(source), moved(center), moved_panel)
             column = MODEL.names.index(f"{where}_{kind}_{'xyz'[k]}")
             assert np.abs(beam.deviation_from(nominal) / SMALL - rows[:, :, column]).max() < 1e-5
+
+
+def test_slow_change_is_followed_from_scan_to_scan_by_three_images_each():
+    observed = path()
+    start = calibrate_data(MODEL, observed, images(observed, 20), Parameters.unknown(MODEL)).parameters
+    followed, drift = start, np.array([0.1e-3, -0.15e-3, 0.05e-3])
+    for scan in range(1, 11):
+        shift = scan * drift
+        now = calibrate_data(MODEL, observed, images(observed, 3, 0, shift, seed=scan), followed.aged(MODEL))
+        followed = now.parameters
+        left = np.sqrt(np.mean(error(observed, now.final, shift)[:, 3:6] ** 2))
+        assert left < 0.1e-3, f"scan {scan}: {1e3 * left:.3f} mm"
+    stale = calibrate_data(MODEL, observed, [], start)
+    assert np.sqrt(np.mean(error(observed, stale.final, shift)[:, 3:6] ** 2)) > 0.8e-3
