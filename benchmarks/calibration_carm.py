@@ -67,7 +67,7 @@ def recorded(work: Path, name: str, rate: float, binning: int, seed: int) -> Pat
         isocenter("run", work / f"{name}.toml", "-m", work / "true.toml", "-b", "lockstep:", "-o", recording, "--truth", truth)
         exposing = ["--rate", rate, "--binning", binning, "--seed", seed, "-o", folder]
         isocenter("expose", work / "true.toml", recording, "--truth", truth, *exposing)
-        isocenter("geometry", "truth", "carm", folder, "--truth", truth, "-o", work / f"{name}.true.npz")
+        isocenter("geometry", "truth", "carm", folder, "--truth", truth, "--emulated", work / "true.toml", "-o", work / f"{name}.true.npz")
     return folder
 
 
@@ -145,7 +145,7 @@ def measure(work: Path) -> dict[str, object]:
         isocenter("roadmap", "carm", work / "standing.npz", *judged, f"--{how}", "--json", work / f"{how}.json")
         result[f"overlay {how}"] = json.loads((work / f"{how}.json").read_text())["overlay_m"]
     fitted = json.loads((work / "model.json").read_text())
-    result["model"] = {name: fitted[name] for name in ("exposures", "rank", "chi2", "frozen")}
+    result["model"] = {name: fitted[name] for name in ("exposures", "rank", "unmodelled_m", "frozen")}
     return result
 
 

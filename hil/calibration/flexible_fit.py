@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from controllers.models.flexible import SOURCE_NAMES, FlexibleChain
 from hil.calibration.lookup import LookUp
@@ -17,8 +18,14 @@ from hil.imaging.geometry import ConeBeam
 TOLERANCE = {"m": 5e-3, "rad": 0.02, "-": 0.01}
 """How far off its drawing a machine may be before it is measured; a compliance, its own nominal value."""
 
-ROUNDS = 2
-"""The first round finds how large the residuals are, the second weighs the poses with that."""
+ROUNDS = 4
+"""Rounds of fitting and of asking what the residuals leave unexplained."""
+
+SHAPE = np.diag(np.repeat([1.0, 1.0, 1.0 / 0.5], 3) ** 2)
+"""What is not modelled moves source and phantom alike, and turns the panel as at the end of half a metre."""
+
+FIRST_UNMODELLED_M, LEAST_UNMODELLED_M = 1e-4, 1e-7
+"""An image sees some combinations to micrometres: taken at their word at first, those would bend the model to what it leaves out."""
 
 SMALL = 1e-3
 """Share of the way to the next exposure over which a pose's change is differenced."""
@@ -46,7 +53,10 @@ class FlexibleFit:
     residual : (N, 9) array
         Deviation of the measured poses from the model's, as `ConeBeam.moved` takes it [m, rad].
     chi2 : float
-        Mean squared residual in units of the poses' covariance, per degree of freedom; where it exceeds 1 the covariances are scaled by it.
+        Mean squared residual in units of the poses' covariance, per degree of freedom.
+    unmodelled_m : float
+        What the poses scatter by besides [m], and over half a metre in angle: shaking, and what the model leaves out. It is added to the
+        poses' covariance.
     """
 
     model: FlexibleChain
@@ -57,6 +67,7 @@ class FlexibleFit:
     frozen: tuple[str, ...]
     residual: np.ndarray
     chi2: float
+    unmodelled_m: float
 
 
 def beam_of(model: FlexibleChain, positions: np.ndarray) -> ConeBeam:
@@ -98,46 +109,62 @@ def fit_flexible(
     free = free_parameters(start.chain, start.names, start.angles(positions), {*frozen, *(SOURCE_NAMES if held else ())})
     if used.size * len(positions) <= free.size:
         raise UnusableInput(f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more")
-    white = _whitening(covariance, used)
-
     nominal, tolerance = start.values, tolerances(start)
-
-    def deviation_of(values: np.ndarray) -> np.ndarray:
-        deviation = measured.deviation_from(beam_of(start.with_values(values), positions))
-        return (white @ deviation[:, used, None]).ravel()
-
-    def jacobian_of(values: np.ndarray) -> np.ndarray:
-        jacobian = start.with_values(values).jacobian(positions)
-        jacobian[:, 6:] *= -1.0  # the model turns the phantom in the detector's frame, a deviation the detector in the phantom's
-        return (white @ jacobian[:, used]).reshape(-1, len(start.names))
-
-    values, chi2 = nominal, 1.0
+    values, unmodelled = nominal, FIRST_UNMODELLED_M
     for _ in range(ROUNDS):
-        scale = 1.0 / np.sqrt(chi2)
+        white = _whitening(covariance + unmodelled**2 * SHAPE, used)
 
-        def residual_of(values: np.ndarray, scale: float = scale) -> np.ndarray:
-            return np.concatenate([scale * deviation_of(values), (nominal - values) / tolerance])
+        def deviation_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
+            deviation = measured.deviation_from(beam_of(start.with_values(values), positions))
+            return (white @ deviation[:, used, None]).ravel()
 
-        def slope_of(values: np.ndarray, scale: float = scale) -> np.ndarray:
-            return np.concatenate([scale * jacobian_of(values), np.diag(1.0 / tolerance)])
+        def jacobian_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
+            jacobian = start.with_values(values).jacobian(positions)
+            jacobian[:, 6:] *= -1.0  # the model turns the phantom in the detector's frame, a deviation the detector in the phantom's
+            return (white @ jacobian[:, used]).reshape(-1, len(start.names))
+
+        def residual_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
+            return np.concatenate([deviation_of(values, white), (nominal - values) / tolerance])
+
+        def slope_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
+            return np.concatenate([jacobian_of(values, white), np.diag(1.0 / tolerance)])
 
         fit = fit_seen(residual_of, slope_of, values, free, start.names)
         values = fit.values
-        seen, null = combinations_seen(scale * jacobian_of(values)[:, free], tolerance[free], [start.names[k] for k in free])
+        seen, null = combinations_seen(jacobian_of(values)[:, free], tolerance[free], [start.names[k] for k in free])
         rank = len(free) - len(null)
-        left = deviation_of(values)
-        chi2 = max(1.0, float(left @ left / (left.size - rank)))
-    model = start.with_values(values)
+        residual = measured.deviation_from(beam_of(start.with_values(values), positions))
+        freedom = used.size * len(positions) - rank
+        unmodelled = _unmodelled(residual, covariance, used, freedom)
     return FlexibleFit(
-        model=model,
+        model=start.with_values(values),
         covariance=fit.covariance,
         rank=rank,
         singular_values=seen,
         null=null,
         frozen=tuple(name for k, name in enumerate(start.names) if k not in set(free)),
-        residual=measured.deviation_from(beam_of(model, positions)),
-        chi2=float(left @ left / (left.size - rank)),
+        residual=residual,
+        chi2=_chi2(residual, covariance, used) / freedom,
+        unmodelled_m=unmodelled,
     )
+
+
+def _unmodelled(residual: np.ndarray, covariance: np.ndarray, used: np.ndarray, freedom: int) -> float:
+    """How far every pose must be off besides its covariance for residuals (N, 9) as large as these [m]; 0 where it need not."""
+
+    def excess(unmodelled_m: float) -> float:
+        return _chi2(residual, covariance + unmodelled_m**2 * SHAPE, used) - freedom
+
+    if excess(LEAST_UNMODELLED_M) <= 0.0:
+        return 0.0
+    most = LEAST_UNMODELLED_M
+    while excess(most) > 0.0:
+        most *= 2.0
+    return float(brentq(excess, 0.5 * most, most, xtol=1e-9))
+
+
+def _chi2(residual: np.ndarray, covariance: np.ndarray, used: np.ndarray) -> float:
+    return float(np.sum((_whitening(covariance, used) @ residual[:, used, None]) ** 2))
 
 
 def clock_lag(fit: FlexibleFit, tables: Sequence[LookUp]) -> tuple[float, float]:
@@ -155,7 +182,7 @@ def clock_lag(fit: FlexibleFit, tables: Sequence[LookUp]) -> tuple[float, float]
     positions = np.concatenate([table.positions for table in tables])
     covariance = np.concatenate([table.covariance for table in tables])
     used = SIX if _source_held(covariance) else NINE
-    white = _whitening(covariance, used) / np.sqrt(max(1.0, fit.chi2))
+    white = _whitening(covariance + fit.unmodelled_m**2 * SHAPE, used)
     step = np.concatenate([np.gradient(table.positions, axis=0) for table in tables if len(table.positions) > 1])
     if len(step) != len(positions):
         return 0.0, np.inf

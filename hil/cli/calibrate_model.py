@@ -178,7 +178,7 @@ def model(
             f"  the images were taken {lag:.3f} of an exposure's period ({known:.3f}) {'later' if lag > 0.0 else 'earlier'} than their"
             " positions say: do the panel's clock and the loop's agree?"
         )
-    if fit.chi2 > MISFIT**2:
+    if fit.unmodelled_m > MISFIT_M:
         answer.say(
             "  the poses do not fit the model: was the phantom moved between scans, did the machine shake, or does more give way than"
             " the machine file says?"
@@ -204,6 +204,7 @@ def model(
             "null": [dict(each.shares) for each in fit.null],
             "frozen": fit.frozen,
             "chi2": fit.chi2,
+            "unmodelled_m": fit.unmodelled_m,
             "clock_lag_periods": {"value": lag, "sigma": known},
             "parameters": {
                 name: {"value": value, "nominal": nominal, "sigma": sigma, "unit": unit}
@@ -252,8 +253,8 @@ def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
 SURE, LEAST_LAG = 5.0, 2e-3
 """A lag is told from so many of its standard deviations, and from so much of a period, on."""
 
-MISFIT = 4.0
-"""Residuals, in units of the images' noise, from which on the model is said not to fit; sweeps at speed reach 2 from shaking alone."""
+MISFIT_M = 0.3e-3
+"""Scatter of the poses besides the images' noise from which on the model is said not to fit; sweeps at speed shake by less."""
 
 VISIBLE_SHARE = 0.05
 """A parameter with a smaller share in every combination that is not seen is told by the others."""
@@ -263,7 +264,7 @@ def _report(answer: Answer, fit: FlexibleFit, nominal: np.ndarray) -> None:
     sigma = np.sqrt(np.diag(fit.covariance))
     answer.say(
         f"{len(fit.residual)} exposures show {fit.rank} combinations of {len(fit.model.names) - len(fit.frozen)} free parameters;"
-        f" residuals {np.sqrt(fit.chi2):.1f} times what the images' noise explains"
+        f" besides the images' noise poses scatter by {1e3 * fit.unmodelled_m:.3f} mm and {2e3 * fit.unmodelled_m:.3f} mrad"
     )
     for name, unit, value, was, deviation in zip(fit.model.names, fit.model.units, fit.model.values, nominal, sigma, strict=True):
         if name in fit.frozen:

@@ -100,6 +100,9 @@ def truth(
     scan_folder: ScanArgument,
     truth_file: Annotated[Path, typer.Option("--truth", metavar="FILE", help="Truth file of the scan's run.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="TABLE", help="Table to write (.npz).")],
+    emulated: Annotated[
+        str | None, typer.Option("--emulated", metavar="M", help="Machine that was emulated, where it is another than M, the drawing.")
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Without what the focal spot does on the tube."""
@@ -114,7 +117,7 @@ def truth(
     can_be_written(out)
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
-    true = true_beam(xray_side(machine, truth_file, STILL, 0.0), scan.start_s, scan.width_s)
+    true = true_beam(xray_side(load(emulated or machine_name), truth_file, STILL, 0.0), scan.start_s, scan.width_s)
     deviation = true.deviation_from(nominal_beam(machine, positions))
     notes = {"machine": machine.name, "hash": machine.hash, "truth": truth_file.name}
     write_look_up(LookUp(scan.axes, positions, deviation, np.tile(TRUTH_COVARIANCE, (len(scan), 1, 1)), notes), out)

@@ -22,7 +22,21 @@ def scanned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("roadmap")
     (folder / "off.toml").write_text(machine_file(OFF))
     exposed_scan(folder, "--scene", "dodecahedron", "--rate", "4", machine=folder / "off.toml")
-    assert isocenter("geometry", "truth", "carm", folder / "images", "--truth", folder / "truth.csv", "-o", folder / "true.npz") == 0
+    assert (
+        isocenter(
+            "geometry",
+            "truth",
+            "carm",
+            folder / "images",
+            "--truth",
+            folder / "truth.csv",
+            "-o",
+            folder / "true.npz",
+            "--emulated",
+            folder / "off.toml",
+        )
+        == 0
+    )
     assert isocenter("calibrate", "phantom", "carm", folder / "images", "-o", folder / "phantom.npz") == 0
     return folder
 
