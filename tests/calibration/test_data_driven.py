@@ -88,9 +88,10 @@ def test_one_axis_alone_does_not_tell_the_other_axis_poses():
 def test_an_image_that_comes_late_counts_for_what_it_would_have_in_time():
     observed = replace(path(), displacement_std=np.full(6, 3e-4))  # so that the displacement of another instant would count otherwise
     seen = images(observed, 40)
-    prompt, late = (calibrate_data(MODEL, observed, seen, Parameters.unknown(MODEL), late_s=late) for late in (0.0, 2.6))
+    prompt, late = (calibrate_data(MODEL, observed, seen, Parameters.unknown(MODEL), late_s=late) for late in (0.0, 1.5))
     assert np.abs(prompt.parameters.values - late.parameters.values).max() < 1e-9
     assert np.allclose(prompt.parameters.covariance, late.parameters.covariance, rtol=1e-6, atol=1e-16)
+    assert np.abs(prompt.live[-1] - late.live[-1]).max() < 1e-9 and np.allclose(prompt.sigma[-1], late.sigma[-1], rtol=1e-6)
     row = int(np.searchsorted(observed.time_s, seen[0].time_s + 0.3))
     assert late.sigma[row, 3] > 2.0 * prompt.sigma[row, 3]  # but it is not known before it is there
 
