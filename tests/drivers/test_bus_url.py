@@ -227,3 +227,23 @@ def test_nobody_hears_a_udp_bus_rehearse():
         left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01"))
         assert right.recv(2.0).arbitration_id == 0x181
         assert right.recv(0.0) is None and left.recv(0.0) is None
+
+
+def test_python_cans_own_bus_hears_every_frame_as_it_was_sent_and_no_rehearsal():
+    url = _udp_url()
+    port = int(url.partition("@")[2])
+    sent, heard = [], []
+    with open_bus(url, 1) as ours, can.Bus(interface="udp_multicast", channel="239.74.163.2", port=port, fd=False) as theirs:
+        for number in range(300):
+            can_id, data = number * 7 % 0x800, bytes(number % 256 for _ in range(number % 9))
+            if number % 2:
+                ours.send_frame(can_id, data)
+            else:
+                ours.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+            ours.rehearse()
+            sent.append((can_id, data, len(data)))
+            message = theirs.recv(2.0)
+            assert message is not None and not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+            heard.append((message.arbitration_id, bytes(message.data), message.dlc))
+        assert theirs.recv(0.0) is None
+    assert heard == sent
