@@ -183,6 +183,7 @@ def diagnose(
 def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
     """Every set that competes for the name, on training and held-out recordings; nothing is among them where none passed the gate."""
     noise = float(len(tuning.predicted)) + (0.0 if judged is None else len(judged.measured))
+    noise += certain_excess(noise)  # what is left within this is nothing that needs a name
     rivals = selection.contenders
     if not rivals:
         return ()
@@ -191,7 +192,7 @@ def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     base = Weighed(None, train, held_out, 0)
     sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.decided) for c in rivals]
     if selection.chosen is None:
-        ranked = weighed_with_nothing(sets, base, noise + certain_excess(noise), len(selection.screened), _cap(runs))
+        ranked = weighed_with_nothing(sets, base, noise, len(selection.screened), _cap(runs))
     else:
         ranked = weighed(sets, base, noise, _cap(runs))
         unnamed = unnamed_share(base.train, ranked[0].train, float(len(tuning.predicted)))
