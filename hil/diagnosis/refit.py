@@ -26,7 +26,7 @@ ENOUGH = 1e-3
 
 POLISHING_ROUNDS = 8
 POLISHING_STEPS = 3
-POLISHED_GAIN = 1.0
+POLISHED_GAIN = 2.0
 """Decrease of the cost by which a round of polishing calls for another."""
 
 STEP_SHARE = 0.01
