@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.calibration.quasi_static import QuasiStatic
+from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.recording import Channel, Recording
 
@@ -18,7 +19,15 @@ NOT_OFFSETS = ("detector_sag", "source_sag")
 
 
 def levelled(machine: Machine, recording: Recording, model: QuasiStatic, values: np.ndarray) -> Recording:
-    """The recording with its detector's inertial measurements turned back by the offsets among the parameters (p,)."""
+    """The recording with its detector's inertial measurements turned back by the offsets among the parameters (p,).
+
+    Raises
+    ------
+    UnusableInput
+        The machine has no IMU.
+    """
+    if not machine.plant.imus:
+        raise UnusableInput(f"{machine.name}: has no IMU; there is nothing to turn back")
     imu = machine.plant.imus[0]
     gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
     names = [[f"{first}_{axis}" for axis in "xyz"] for first in (imu.name, gyro)]
