@@ -263,9 +263,10 @@ class TickingMachine:
     def _poll(self, sample: Sample, overdue_s: float) -> None:
         if self._imu is not None:
             arrived = self._imu.poll(sample)
-            asleep_s = overdue_s - self.settings.answer_timeout_s + self.clock.awake_s
+            awake_s = self.clock.awake_s
+            asleep_s = overdue_s - self.settings.answer_timeout_s + awake_s
             while not arrived and self._imu_triggered and (now_s := self.clock.now()) < overdue_s:
-                if now_s >= asleep_s:
+                if awake_s <= 0.0 or now_s >= asleep_s:  # rounding may put asleep_s after now_s, and virtual time passes by waiting alone
                     self.clock.wait(IMU_RETRY_S)
                 arrived = self._imu.poll(sample)
         if self._io is not None:

@@ -13,7 +13,7 @@ from drivers.errors import (
     MotionRefused,
 )
 from drivers.machine_link import CanMachine
-from drivers.settings import Pdo
+from drivers.settings import ImuPort, Pdo
 
 
 @pytest.fixture
@@ -111,6 +111,40 @@ def test_waiting_for_a_missing_pdo_ends_with_the_answer_time(rig):
     start = rig.bus.time_s
     rig.machine.exchange(ZERO)
     assert rig.bus.time_s - start == pytest.approx(PERIOD_S + 0.0025, abs=1e-9)
+
+
+class SilentImu:
+    """Configured, and then nothing."""
+
+    looks = 0
+
+    def configure(self, wait):
+        pass
+
+    def before_sync(self):
+        self.looks = 0
+
+    def poll(self, sample):
+        self.looks += 1
+        assert self.looks < 1000, "time stands still"
+        return False
+
+
+def test_a_silent_imu_is_waited_for_until_the_answer_time_whatever_the_time_is(rig):
+    settings = dataclasses.replace(rig.settings, imu=ImuPort("imu", "", 921600, triggered_by_sync=True, rate_Hz=256.0))
+    rig.machine = CanMachine(settings, rig.bus, rig.clock, SilentImu(), rig.io)
+    rig.machine.start()
+    patience_s = settings.answer_timeout_s
+    while rig.bus.time_s < 1.98:
+        rig.machine.exchange(ZERO)
+    starts = np.linspace(1.99, 2.0, 2000)
+    syncs = starts + PERIOD_S
+    rounded_up = starts[syncs + patience_s - patience_s > syncs]
+    assert len(rounded_up) > 5
+    for start in rounded_up[:5].tolist():
+        rig.bus.time_s = start
+        rig.machine.exchange(ZERO)
+        assert rig.bus.time_s == pytest.approx(start + PERIOD_S + patience_s, abs=1e-4)
 
 
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig):
