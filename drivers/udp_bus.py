@@ -80,7 +80,7 @@ class UdpBus(UdpMulticastBus):
         """
         if self._mirror is not None:
             sender, listener = self._mirror
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, can.CanError):  # somebody else's datagram may have found the port
                 sender.send(msgpack.packb(self._fields))
                 _unpacked(*listener.recvfrom(RECEIVE_BYTES))
 
@@ -110,7 +110,7 @@ class UdpBus(UdpMulticastBus):
                 return message
 
     def shutdown(self) -> None:
-        """Close both sockets."""
+        """Close all sockets."""
         super().shutdown()
         for one in (self._sender, *(self._mirror or ())):
             one.close()

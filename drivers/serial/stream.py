@@ -31,10 +31,14 @@ def open_stream(device: str, baud: int) -> SerialStream | TcpStream:
     Raises
     ------
     BusUnavailable
-        It is not there, or in use.
+        It is not there, or in use, or no such address.
     """
+    if not device.startswith("tcp:"):
+        return SerialStream(device, baud)
     address = parse_tcp_url(device)
-    return SerialStream(device, baud) if address is None else TcpStream(device, *address)
+    if address is None:
+        raise BusUnavailable(f"serial line {device}: a device server's reads tcp:HOST:PORT, e.g. tcp:192.168.0.5:4001")
+    return TcpStream(device, *address)
 
 
 class SerialStream:

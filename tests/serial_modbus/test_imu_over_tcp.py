@@ -61,6 +61,12 @@ def test_nobody_listening_is_named(line):
         open_stream(line.url, 921600)
 
 
+@pytest.mark.parametrize("url", ["tcp:", "tcp:127.0.0.1", "tcp:127.0.0.1:99999", "tcp:127.0.0.1:port"])
+def test_an_address_that_is_none_is_told_what_would_be_right(url):
+    with pytest.raises(BusUnavailable, match=rf"serial line {url}: a device server's reads tcp:HOST:PORT"):
+        open_stream(url, 921600)
+
+
 def test_one_listener_at_a_time_and_the_next_when_it_has_left(line):
     first = open_stream(line.url, 921600)
     line.read()
