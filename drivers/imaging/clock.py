@@ -59,8 +59,12 @@ class PanelClock:
         panel, middles = np.asarray(panel_s, float), np.asarray(pulse_s, float) - 0.5 * period_s
         if len(panel) < FEWEST:
             raise ClocksDisagree(f"{len(panel)} exposures; the panel's clock needs {FEWEST} pulses at least to be known in the loop's time")
+        if not (np.ptp(panel) > 0.0 and np.ptp(middles) > 0.0):
+            raise ClocksDisagree(f"{len(panel)} exposures at one time: the panel's clock or the loop's pulses stand still")
         self._origin = float(panel.mean())
         along, (doubt, by_squares) = panel - self._origin, _rate(panel - panel.mean(), middles, period_s)
+        if by_squares <= 0.0:
+            raise ClocksDisagree("the panel's stamps do not grow with the loop's pulses; frames and pulses are not of the same exposures")
         if abs(by_squares - 1.0) > RATE_TRUST + doubt:
             raise ClocksDisagree(
                 f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
