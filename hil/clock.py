@@ -10,7 +10,6 @@ SPIN_S = 400e-6
 """The last stretch before a tick is spent spinning, not sleeping: it brings wake-up lateness from tens of microseconds to none
 (measured 46/61/84 us p50/p99/max with SCHED_FIFO asleep, 0/0/62 us with a spin of 150 us). The rehearsals take the rest."""
 
-
 ANSWERS_AWAKE_S = 1e-3
 """So long after a SYNC its answers are looked for, not slept for: on CAN at 1 Mbit/s six of them take 0.8 ms. A sleeper costs whoever wakes
 it as much time as it takes itself to wake, tens of microseconds for every frame."""
@@ -29,7 +28,7 @@ class WallClock:
         Lose no tick: all later ones come as much later. Time then is no longer the wall's, here too: it stood still while ticks were
         waited for, as the emulated machine's did, and every sample of the plan is sent.
     awake_s : float
-        See `drivers.interface.Clock`; 0 where devices are emulated on the same processor.
+        See `drivers.interface.Clock`; 0 without a real-time scheduler.
     """
 
     def __init__(self, spin_s: float = SPIN_S, waits: bool = False, awake_s: float = 0.0) -> None:

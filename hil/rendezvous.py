@@ -1,4 +1,4 @@
-"""Where an emulator on this host says which pty and which Modbus port belong to its CAN bus, so that `run --bus URL` finds all three.
+"""Where an emulator on this host says which ports of IMU and I/O belong to its CAN bus, so that `run --bus URL` finds all three.
 
 A real machine needs none of this: its serial device and I/O address stand in the machine file or on the command line.
 """
@@ -23,7 +23,7 @@ class EmulatorCard:
 
     bus: str
     pid: int
-    imu_device: str  # "" when the machine has no IMU
+    imu_device: str  # tcp:HOST:PORT; "" when the machine has no IMU
     io_url: str  # "" when it has no I/O
 
 

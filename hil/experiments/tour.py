@@ -60,6 +60,8 @@ class Tour:
             blocks.append(np.tile(there, (still, 1)))
             here = there
         reference = np.vstack(blocks)
+        if not len(reference):
+            raise ExperimentError("tour: dwell_s = 0 and one pose throughout: must dwell, or go somewhere")
         safety = Safety(machine, start)
         safety.check_reference("tour", reference)
         peaks = safety.check_motion("tour", reference)

@@ -31,7 +31,7 @@ class Table(BaseModel):
     @classmethod
     def _read_keys(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(data, dict):
-            raise PydanticCustomError("table", "must be a table; write [name] or {{ key = value }}")
+            raise PydanticCustomError("table", "must be a table; write [name] or { key = value }")
         values: dict[str, Any] = {}
         keys: dict[str, str] = {}
         for key, value in data.items():
