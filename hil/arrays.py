@@ -31,5 +31,5 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = Unusab
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as problem:
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as problem:
         raise error(f"{path}: not {what} ({problem})") from None

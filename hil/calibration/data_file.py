@@ -119,5 +119,8 @@ def read_data_file(path: Path) -> DataFile:
     arrays = read_arrays(path, "a data-driven calibration")
     if int(arrays.get("data_calibration_format", -1)) != FORMAT:
         raise UnusableInput(f"{path}: no data-driven calibration of format {FORMAT}; `isocenter calibrate data` writes one")
+    absent = [name for name in ("machine", "axes", "names", *_ARRAYS) if name not in arrays]
+    if absent:
+        raise UnusableInput(f"{path}: holds no {', '.join(absent)}; `isocenter calibrate data` writes a whole one")
     text = {name: tuple(str(each) for each in arrays[name]) for name in ("axes", "names")}
     return DataFile(str(arrays["machine"]), text["axes"], text["names"], *(arrays[name] for name in _ARRAYS))

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from controllers.models.flexible import FlexibleChain
+from hil.arrays import read_arrays
 from hil.calibration.flexible_fit import beam_of
-from hil.calibration.lookup import LookUp, read_look_up
+from hil.calibration.lookup import LookUp, look_up_from
 from hil.calibration.nominal_chain import nominal_chain
 from hil.errors import UnusableInput
 from hil.imaging.nominal import nominal_beam
@@ -109,28 +110,28 @@ def read_calibration(path: Path, machine: Machine) -> Calibration:
     UnusableInput
         Missing, neither of the two, or another machine's.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if "kind" in file and str(file["kind"]) == KIND:
-                result: Calibration = _model(path, machine, dict(file))
-            else:
-                result = read_look_up(path)
-    except OSError as error:
-        raise UnusableInput(f"{path}: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError) as error:
-        if isinstance(error, UnusableInput):
-            raise
-        raise UnusableInput(f"{path}: no calibration of isocenter calibrate phantom or model ({error})") from None
+    arrays = read_arrays(path, "a calibration of isocenter calibrate phantom or model")
+    is_model = str(arrays.get("kind", "")) == KIND
+    result: Calibration = _model(path, machine, arrays) if is_model else look_up_from(path, arrays)
     result.require(machine)
     return result
 
 
 def _model(path: Path, machine: Machine, arrays: Mapping[str, np.ndarray]) -> GeometricModel:
-    if int(arrays["format"]) != FORMAT:
-        raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
-    notes = json.loads(str(arrays["notes"]))
     chain = nominal_chain(machine)
-    names = tuple(str(name) for name in arrays["names"])
-    if notes["machine"] != machine.name or names != chain.names:
-        raise UnusableInput(f"{path}: a model of {notes['machine']} with {len(names)} parameters; {machine.name} has {len(chain.names)}")
-    return GeometricModel(machine, chain.with_values(arrays["values"]), arrays["covariance"], notes)
+    size = len(chain.names)
+    try:
+        if int(arrays["format"]) != FORMAT:
+            raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+        notes = json.loads(str(arrays["notes"]))
+        made_for, names = notes["machine"], tuple(str(name) for name in arrays["names"])
+        values, covariance = arrays["values"], arrays["covariance"]
+    except UnusableInput:
+        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnusableInput(f"{path}: no model of isocenter calibrate model ({error})") from None
+    if made_for != machine.name or names != chain.names:
+        raise UnusableInput(f"{path}: a model of {made_for} with {len(names)} parameters; {machine.name} has {size}")
+    if values.shape != (size,) or covariance.shape != (size, size):
+        raise UnusableInput(f"{path}: values and covariance must be of {size} parameters; they are {values.shape} and {covariance.shape}")
+    return GeometricModel(machine, chain.with_values(values), covariance, notes)

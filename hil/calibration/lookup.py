@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
+from hil.arrays import read_arrays
 from hil.calibration.phantom_pose import PoseFit
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
@@ -172,13 +173,28 @@ def read_look_up(path: Path) -> LookUp:
     UnusableInput
         Missing, or no look-up table.
     """
+    return look_up_from(path, read_arrays(path, "a look-up table"))
+
+
+def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
+    """A look-up table from the arrays of its file.
+
+    Raises
+    ------
+    UnusableInput
+        An array is missing or of another shape, or of another version.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if int(file["format"]) != FORMAT:
-                raise UnusableInput(f"{path}: format {int(file['format'])}; this version reads {FORMAT}")
-            axes = tuple(str(axis) for axis in file["axes"])
-            return LookUp(axes, file["positions"], file["deviation"], file["covariance"], json.loads(str(file["notes"])))
-    except OSError as error:
-        raise UnusableInput(f"{path}: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError) as error:
+        if int(arrays["format"]) != FORMAT:
+            raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+        axes, notes = tuple(str(axis) for axis in arrays["axes"]), json.loads(str(arrays["notes"]))
+        table = LookUp(axes, arrays["positions"], arrays["deviation"], arrays["covariance"], notes)
+    except UnusableInput:
+        raise
+    except (ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None
+    count = len(table.positions) if table.positions.ndim else 0
+    shapes = (table.positions.shape, table.deviation.shape, table.covariance.shape)
+    if not count or shapes != ((count, len(axes)), (count, 9), (count, 9, 9)) or not isinstance(notes, dict):
+        raise UnusableInput(f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance")
+    return table

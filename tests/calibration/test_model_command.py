@@ -134,14 +134,36 @@ def test_what_one_sweep_cannot_show_is_one_line(tables, tmp_path, capsys, more, 
     assert not (tmp_path / "m.npz").exists()
 
 
+def _spoilt(table, folder):
+    """Files like a table that are none, and what is said of each."""
+    (folder / "junk.npz").write_bytes(b"junk")
+    (folder / "cut.npz").write_bytes(table.read_bytes()[:-200])
+    with (folder / "one_array.npz").open("wb") as file:
+        np.save(file, np.zeros(3))
+    with np.load(table) as file:
+        arrays = dict(file)
+    np.savez(folder / "short.npz", **{**arrays, "deviation": arrays["deviation"][:5]})
+    np.savez(folder / "no_axes.npz", **{name: value for name, value in arrays.items() if name != "axes"})
+    return {
+        "junk.npz": "not a look-up table",
+        "cut.npz": "not a look-up table",
+        "one_array.npz": "not a look-up table",
+        "short.npz": "arrays do not belong together",
+        "no_axes.npz": "'axes'",
+    }
+
+
 def test_files_that_are_no_calibration_of_this_machine_are_one_line(tables, tmp_path, capsys):
     other = table(sweep("roll", -85, 85, 0, 3), tmp_path / "few.npz", 7)
     assert isocenter("calibrate", "model", "carm", other, "-o", tmp_path / "m.npz") == 2
     assert "3 exposures give 27 equations for" in capsys.readouterr().err
-    (tmp_path / "junk.npz").write_bytes(b"junk")
-    assert isocenter("calibrate", "model", "carm", tmp_path / "junk.npz", "-o", tmp_path / "m.npz") == 2
-    error = capsys.readouterr().err
-    assert "junk.npz" in error and error.count("\n") == 1
+    for name, line in _spoilt(tables / "roll.npz", tmp_path).items():
+        assert isocenter("calibrate", "model", "carm", tmp_path / name, "-o", tmp_path / "m.npz") == 2
+        error = capsys.readouterr().err
+        assert name in error and line in error and error.count("\n") == 1
+        assert isocenter("geometry", "at", "carm", tmp_path / name) == 2
+        error = capsys.readouterr().err
+        assert name in error and error.count("\n") == 1
     assert isocenter("calibrate", "model", "emps", tables / "roll.npz", "-o", tmp_path / "m.npz") == 2
     assert capsys.readouterr().err.count("\n") == 1
 

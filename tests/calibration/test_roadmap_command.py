@@ -83,8 +83,8 @@ def test_what_cannot_be_done_is_one_line(scanned, tmp_path, capsys):
     write_look_up(LookUp(("a", "b"), outside.positions, outside.deviation, outside.covariance, {}), tmp_path / "other.npz")
     commands = [
         (["roadmap", "carm", scanned / "true.npz", "--with", tmp_path / "outside.npz"], "roll goes from"),
-        (["roadmap", "carm", tmp_path / "junk.npz"], "junk.npz: no calibration of isocenter"),
-        (["roadmap", "carm", tmp_path / "missing.npz"], "missing.npz: No such file"),
+        (["roadmap", "carm", tmp_path / "junk.npz"], "junk.npz: not a calibration of isocenter"),
+        (["roadmap", "carm", tmp_path / "missing.npz"], "missing.npz: no such file"),
         (["roadmap", "carm", tmp_path / "other.npz"], "with axes a, b; carm has propeller, roll"),
         (["roadmap", "emps", scanned / "true.npz"], "calibrate this machine"),
         (["roadmap", "carm", scanned / "true.npz", "--figure", tmp_path / "no" / "f.png"], "there is no folder"),
