@@ -95,7 +95,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
     if suffix in (".csv", ".json"):
         from hil.imaging.exchange.matrices import read_matrices
 
-        beam = read_matrices(path, detector)
+        beam, detector = read_matrices(path, detector)
         expected = -nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0, 2]
         ratio = float(np.median(-beam.source_m[:, 2])) / expected
         if not 1.0 / FAR < ratio < FAR:

@@ -143,15 +143,20 @@ def read_scan(folder: Path) -> ImageScan:
     if not (folder / FRAMES).exists():
         raise UnusableInput(f"{folder / FRAMES}: missing; a scan's images are one TIFF of as many pages as {EXPOSURES} has rows")
     notes = {key: value for key, value in document.items() if key not in ("format", "axes", "detector")}
-    return ImageScan(
-        folder, _detector(description, document), table[:, 0].astype(int), table[:, 1], table[:, 2], axes, units, table[:, 3:], notes
-    )
+    detector = detector_from(description, document.get("detector"))
+    return ImageScan(folder, detector, table[:, 0].astype(int), table[:, 1], table[:, 2], axes, units, table[:, 3:], notes)
 
 
-def _detector(path: Path, document: Mapping[str, Any]) -> Detector:
-    panel = document.get("detector")
+def detector_from(path: Path, panel: object) -> Detector:
+    """The panel that a file's table `detector` describes.
+
+    Raises
+    ------
+    UnusableInput
+        No table, or a value that is missing or no positive number.
+    """
     if not isinstance(panel, Mapping):
-        raise UnusableInput(f"{path}: no [detector] with columns, rows and pitch_mm")
+        raise UnusableInput(f"{path}: no detector with columns, rows and pitch_mm")
     try:
         detector = Detector(
             int(panel["columns"]),

@@ -39,6 +39,14 @@ def test_a_table_says_the_same_after_any_way(table, tmp_path, way):
     np.testing.assert_allclose(said.deviation_from(expected), 0.0, atol=1e-9)
 
 
+def test_matrices_in_json_are_of_the_pixels_they_name(table, tmp_path):
+    assert isocenter("geometry", "convert", "carm", table, tmp_path / "fine.json", "--binning", "2") == 0
+    assert isocenter("geometry", "convert", "carm", tmp_path / "fine.json", tmp_path / "again.json") == 0
+    fine, again = (json.loads((tmp_path / name).read_text()) for name in ("fine.json", "again.json"))
+    assert again["detector"] == fine["detector"] and fine["detector"]["columns"] == 1240
+    np.testing.assert_allclose(again["matrices"], fine["matrices"], rtol=1e-9)
+
+
 def test_what_dicom_cannot_hold_is_told(table, tmp_path, capsys):
     pytest.importorskip("pydicom")
     assert isocenter("geometry", "convert", "carm", table, tmp_path / "a.dcm") == 0

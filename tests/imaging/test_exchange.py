@@ -56,7 +56,9 @@ def test_matrices_read_back(folder, beam, suffix):
     path = folder / f"matrices{suffix}"
     write_matrices(path, beam, DETECTOR)
     other = Detector(10, 10, 1e-3) if suffix == ".json" else DETECTOR  # a JSON file knows its detector
-    assert_same(read_matrices(path, other), beam)
+    found, seen_on = read_matrices(path, other)
+    assert_same(found, beam)
+    assert seen_on == DETECTOR
 
 
 @given(beam=beams(), rows_up=st.booleans())
@@ -175,6 +177,14 @@ def _more_frames(path):
     data.save_as(path)
 
 
+def _one_spacing(path):
+    import pydicom
+
+    data = pydicom.dcmread(path)
+    data.Rows, data.Columns, data.ImagerPixelSpacing = 480, 620, "0.6"
+    data.save_as(path)
+
+
 @pytest.mark.parametrize(
     ("name", "change", "line"),
     [
@@ -190,12 +200,14 @@ def _more_frames(path):
             lambda t: t.replace('"pitch_mm": 0.6', '"pitch_mm": 0.6, "x": 0').replace('"aspect": 1.01', '"aspect": 1.3'),
             "other pixels",
         ),
+        ("a.json", lambda t: t.replace('"pitch_mm": 0.6', '"pitch_mm": 0.0'), "columns, rows, pitch_mm and aspect must be positive"),
         ("a.xml", lambda t: t[:200], "no XML"),
         ("a.xml", lambda t: t.replace("RTKThreeDCircularGeometry", "Geometry"), "<Geometry>; RTK's geometry is"),
         ("a.xml", lambda t: t.replace("<GantryAngle>", "<GantryAngle>x"), "is no number"),
         ("a.xml", lambda t: t.replace("SourceToDetectorDistance", "Distance"), "SourceToDetectorDistance must be given"),
         ("a.dcm", lambda p: p.write_text("hello"), "no DICOM file"),
         ("a.dcm", _without_distance, "no DistanceSourceToPatient"),
+        ("a.dcm", _one_spacing, "an attribute is no number, or not as many as it should be"),
         ("a.dcm", _more_frames, "the positioner moves over 4 frames"),
     ],
 )

@@ -114,7 +114,7 @@ def read_xa(path: Path) -> Positioner:
     Raises
     ------
     UnusableInput
-        No pydicom, no DICOM file, or an attribute is missing.
+        No pydicom, no DICOM file, or an attribute is missing or malformed.
     """
     pydicom = _pydicom()
     try:
@@ -123,6 +123,15 @@ def read_xa(path: Path) -> Positioner:
         raise UnusableInput(f"{path}: {error.strerror or error}") from None
     except pydicom.errors.InvalidDicomError:
         raise UnusableInput(f"{path}: no DICOM file") from None
+    try:
+        return _positioner(path, data)
+    except UnusableInput:
+        raise
+    except (TypeError, ValueError, ZeroDivisionError) as error:
+        raise UnusableInput(f"{path}: an attribute is no number, or not as many as it should be ({error})") from None
+
+
+def _positioner(path: Path, data: Any) -> Positioner:
     count = int(data.get("NumberOfFrames") or 1)
     detector = None
     if data.get("Rows") and data.get("Columns") and data.get("ImagerPixelSpacing"):

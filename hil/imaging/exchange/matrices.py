@@ -15,6 +15,7 @@ import numpy as np
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
+from hil.imaging.scan_folder import detector_from
 
 FORMAT = 1
 HEADER = ["exposure_id", *(f"m{i}{j}" for i in range(3) for j in range(4))]
@@ -45,8 +46,8 @@ def write_matrices(path: Path, beam: ConeBeam, detector: Detector) -> None:
         raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def read_matrices(path: Path, detector: Detector) -> ConeBeam:
-    """From .csv or .json; a JSON file that names its detector is read with that.
+def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
+    """From .csv or .json, and the detector they are for: a JSON file that names its own is read with that.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def read_matrices(path: Path, detector: Detector) -> ConeBeam:
     except ValueError as error:
         raise UnusableInput(f"{path}: {error}") from None
     _same(path, beam, matrices, detector)
-    return beam
+    return beam, detector
 
 
 def _same(path: Path, beam: ConeBeam, matrices: np.ndarray, detector: Detector) -> None:
@@ -106,10 +107,8 @@ def _from_json(path: Path, text: str, detector: Detector) -> tuple[np.ndarray, D
         if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("unit") != "mm":
             raise UnusableInput(f'{path}: must be {{"format": {FORMAT}, "unit": "mm", "matrices": [...]}}')
         matrices = np.array(document["matrices"], dtype=float)
-        panel = document.get("detector")
-        if panel is not None:
-            size = int(panel["columns"]), int(panel["rows"])
-            detector = Detector(*size, 1e-3 * float(panel["pitch_mm"]), float(panel.get("aspect", 1.0)), float(panel.get("skew", 0.0)))
+        if document.get("detector") is not None:
+            detector = detector_from(path, document["detector"])
     except UnusableInput:
         raise
     except (ValueError, KeyError, TypeError) as error:
