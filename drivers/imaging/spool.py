@@ -109,8 +109,10 @@ class FrameSpool:
                     raise SpoolError(f"{path}: format {int(file['format'])}; this version reads {FORMAT}")
                 panel_s, width_s, pulse_s = (float(value) for value in file["times_s"])
                 frame = Frame(int(file["exposure_id"]), panel_s, width_s, pulse_s, file["image"])
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise SpoolError(f"{path}: no frame of a panel ({error})") from None
+        if frame.image.dtype != np.uint16:
+            raise SpoolError(f"{path}: the image is of {frame.image.dtype}; photon counts are uint16")
         if frame.image.ndim != 2 or not np.isfinite([panel_s, width_s, pulse_s]).all() or width_s < 0.0:
             raise SpoolError(f"{path}: a frame is one image with a start, a width of 0 or more and a pulse")
         return frame

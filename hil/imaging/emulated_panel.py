@@ -73,8 +73,9 @@ def serve(order: PanelOrder, is_over: Event) -> None:
         over = is_over.is_set()
         text = order.truth.read_text(encoding="utf-8") if order.truth.exists() else ""
         known = text[: text.rfind("\n") + 1]
-        if known.count("\n") > max(seen, 10):
-            seen = known.count("\n")
+        lines = known.count("\n")
+        if lines > 10 and (lines > seen or over):
+            seen = lines
             whole.write_text(known, encoding="utf-8")
             side = xray_side(machine, whole, order.spot, order.exposures.first_s)
             ahead = 0.0 if over else BEYOND_S
@@ -88,8 +89,8 @@ def serve(order: PanelOrder, is_over: Event) -> None:
                 stamp = PANEL_EPOCH_S + start * rate
                 write_frame(order.spool, Frame(made, stamp, width * rate, float(pulse), exposed(mean, order.optics, rng)))
                 made += 1
-        elif over:
+        elif not over:
+            time.sleep(LOOKS_EVERY_S)
+        if over:  # the truth was whole before it was read
             whole.unlink(missing_ok=True)
             return
-        else:
-            time.sleep(LOOKS_EVERY_S)

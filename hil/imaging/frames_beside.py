@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
     Raises
     ------
     UnusableInput
-        The folders cannot be made, or the spool holds an earlier run's frames.
+        The folders cannot be made, the spool holds an earlier run's frames, or a process died.
     """
     try:
         for folder in (order.folder, *([panel.spool] if panel is not None else [])):
@@ -73,6 +74,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
                 raise UnusableInput("the emulated panel's process ended before its images were made; its error stands above")
         is_exposed.set()
         started[0].join()
+        if started[0].exitcode:
+            raise UnusableInput(f"the process that receives frames ended early; its error stands above, {order.folder} is not whole")
     finally:
         for process in started:
             if process.is_alive():
@@ -80,7 +83,9 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
 
 
 def _politely(serve: Callable[..., None], order: object, is_over: Event) -> None:
-    os.nice(POLITE)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what stops the run at the keyboard: the bench ends this process
+    if hasattr(os, "nice"):
+        os.nice(POLITE)
     serve(order, is_over)
 
 

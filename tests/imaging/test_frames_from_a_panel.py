@@ -7,6 +7,11 @@ import pytest
 from calibration.commands import isocenter
 
 from drivers.imaging import ClocksDisagree, Frame, FrameSpool, PanelClock, SpoolError, write_frame
+from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.frames_beside import frames_beside
+from hil.imaging.markers import MarkerProjection
+from hil.imaging.receiver import ReceiverOrder
 from hil.imaging.scan_folder import read_scan
 
 PERIOD = 1.0 / 256.0
@@ -70,6 +75,21 @@ def test_what_is_no_frame_is_named(tmp_path):
     (tmp_path / "frame_000000.npz").write_bytes(b"no frame")
     with pytest.raises(SpoolError, match=r"frame_000000\.npz: no frame of a panel"):
         FrameSpool(tmp_path).poll()
+    with (tmp_path / "frame_000000.npz").open("wb") as file:
+        np.save(file, np.zeros(3))  # one array, no archive
+    with pytest.raises(SpoolError, match=r"frame_000000\.npz: no frame of a panel"):
+        FrameSpool(tmp_path).poll()
+    write_frame(tmp_path, Frame(0, 5000.0, 0.008, 0.0, np.zeros((4, 6))))
+    with pytest.raises(SpoolError, match="the image is of float64; photon counts are uint16"):
+        FrameSpool(tmp_path).poll()
+
+
+def test_a_receiver_that_dies_is_told(tmp_path):
+    (tmp_path / "spool").mkdir()
+    nowhere = MarkerProjection(np.zeros(9))
+    order = ReceiverOrder(tmp_path / "spool", tmp_path / "scan", Detector(6, 4, 1e-3), "no such plate", nowhere)
+    with pytest.raises(UnusableInput, match="the process that receives frames ended early"), frames_beside(order, None):
+        write_frame(tmp_path / "spool", frame(0))
 
 
 def test_a_run_receives_its_frames_and_looks_for_the_marker_beside_the_loop(tmp_path):
