@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, load
-from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hil.calibration.lookup import LookUp
     from hil.calibration.marker_scan import MarkerScan
     from hil.calibration.phantom_pose import PoseFit
@@ -140,9 +138,7 @@ def phantom(
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    for path in (out, figure):
-        if path is not None and not path.parent.is_dir():
-            raise UnusableInput(f"{path}: there is no folder {path.parent}")  # said now, not when all is done
+    can_be_written(out, figure)
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
     nominal = nominal_beam(machine, positions)
@@ -170,7 +166,7 @@ def phantom(
         along, label = table.positions[:, axis], f"{table.axes[axis]} [m]"
         if scan.units[axis] == "rad":
             along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
-        _save(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
+        save_figure(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
     answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
 
@@ -206,6 +202,7 @@ def marker(
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    can_be_written(out, figure)
     scan = read_scan(scan_folder)
     name, away = plate_name or scan.notes.get("marker"), distance or scan.notes.get("marker_distance_mm")
     if name is None or away is None:
@@ -224,7 +221,7 @@ def marker(
         axis = int(np.argmax(np.ptp(positions, axis=0)))
         turning = np.ptp(positions[:, axis]) > 0.0
         along, label = (np.degrees(positions[:, axis]), f"{scan.axes[axis]} [deg]") if turning else (scan.middle_s, "time [s]")
-        _save(marker_figure(along, label, result, f"{scan_folder.name}, {plate.name} plate"), figure)
+        save_figure(marker_figure(along, label, result, f"{scan_folder.name}, {plate.name} plate"), figure)
         answer.say(f"{figure}: the fitted parameters over {label.split()[0]}")
     write_marker_scan(result, scan, {"machine": machine.name, "hash": machine.hash, "plate": plate.name}, out)
     answer.say(f"{out}: parameters of {int(result.good.sum())} exposures")
@@ -258,13 +255,6 @@ def _positive(distance_mm: object) -> float:
     if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
         raise UnusableInput(f"distance of the marker plate {distance_mm} mm: must be a positive number")
     return float(distance_mm)
-
-
-def _save(picture: Figure, path: Path) -> None:
-    try:
-        picture.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:

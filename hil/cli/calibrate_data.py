@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, load
-from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -71,9 +71,8 @@ def data(
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    for path in (out, figure):
-        if path is not None and not path.parent.is_dir():
-            raise UnusableInput(f"{path}: there is no folder {path.parent}")
+    can_be_written(out, figure)
+    not_an_input(out, *(path for path in (recording_file, start, design) if path is not None))
     if scan_folder is None and start is None and marker is None:
         raise UnusableInput("no images and no --start: nothing tells this machine's geometry; give SCAN, or a calibration to go on from")
     recording = read_recording(recording_file, machine)
@@ -119,6 +118,8 @@ def level(
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    can_be_written(out)
+    not_an_input(out, recording_file, by)
     recording = read_recording(recording_file, machine)
     model = QuasiStatic.of(machine)
     write_recording(levelled(machine, recording, model, read_data_file(by).parameters(model).values), out)
@@ -203,10 +204,7 @@ def _draw(observed: ObservedBeam, found: Calibration, figure: Path) -> None:
     picture = deviations_figure(
         observed.time_s, "time [s]", {"live": (found.live, covariance), "parameters of the end": (found.final, None)}
     )
-    try:
-        picture.savefig(figure, dpi=130)
-    except (OSError, ValueError) as error:
-        raise UnusableInput(f"{figure}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+    save_figure(picture, figure)
 
 
 def _document(model: QuasiStatic, found: Calibration, offered: int) -> dict[str, Any]:

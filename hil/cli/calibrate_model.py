@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
-from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -307,7 +307,4 @@ def _draw(found: GeometricModel, paths: list[Path], tables: list[LookUp], fitted
         [_less(table, found) for table in tables],
         [k >= fitted for k in range(len(tables))],
     )
-    try:
-        picture.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+    save_figure(picture, path)

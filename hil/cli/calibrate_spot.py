@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, load
-from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
 
 
@@ -41,6 +41,7 @@ def spot(
         raise UnusableInput(f"--anode {anode:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
+    can_be_written(figure)
     scan = read_scan(scan_folder)
     name, distance_mm = scan.notes.get("marker"), scan.notes.get("marker_distance_mm")
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
@@ -71,9 +72,6 @@ def spot(
     if figure is not None:
         from hil.figures.focal_spot import spot_figure
 
-        try:
-            spot_figure(track, anode, f"{scan_folder.name}: focal spot on its tube").savefig(figure, dpi=130)
-        except (OSError, ValueError) as error:
-            raise UnusableInput(f"{figure}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+        save_figure(spot_figure(track, anode, f"{scan_folder.name}: focal spot on its tube"), figure)
         answer.say(f"{figure}: displacement and spectrum")
     answer.write(document)

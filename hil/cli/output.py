@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -17,6 +17,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from hil.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 JsonOption = Annotated[
     str | None,
@@ -76,6 +79,20 @@ def plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
     return value
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a picture.
+
+    Raises
+    ------
+    UnusableInput
+        The file cannot be written, or its suffix is no picture's.
+    """
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], None]:

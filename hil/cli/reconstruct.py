@@ -51,8 +51,8 @@ def reconstruct(
     from hil.reconstruction.quality import wire_quality
     from virtual_bus.xray.objects import Rod
 
-    if spacing <= 0.0:
-        raise UnusableInput(f"--spacing {spacing:g}: must be positive")
+    if not 0.0 < spacing < np.inf:
+        raise UnusableInput(f"--spacing {spacing:g}: must be a positive number")
     if lookup is not None and geometry is not None:
         raise UnusableInput("--lookup and --geometry: give the one or the other")
     machine = load(machine_name)
@@ -112,7 +112,9 @@ def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer
     """Refuse a volume that this computer cannot hold; say what a large one takes."""
     from hil.reconstruction.cone_beam import bytes_needed
 
-    needed, there_is = bytes_needed(size, projections), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    needed, there_is = bytes_needed(size, projections), np.inf
+    if hasattr(os, "sysconf"):  # Windows does not say
+        there_is = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there_is:
         raise UnusableInput(f"--size {size}: takes {needed / 1e9:.1f} GB of memory; this computer has {there_is / 1e9:.1f} GB")
     if needed > LARGE_BYTES:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.cli.output import Answer, JsonOption
+from hil.cli.output import Answer, JsonOption, save_figure
 from hil.errors import UnusableInput
 
 
@@ -68,9 +68,6 @@ def roadmap(
         from hil.figures.roadmap import roadmap_figure
 
         laid = "every calibration's world laid on the true one" if registered else "worlds as they are"
-        try:
-            roadmap_figure(found, f"Overlay errors at {len(true)} poses of {benchmark.name}, {laid}").savefig(figure, dpi=130)
-        except (OSError, ValueError) as error:
-            raise UnusableInput(f"{figure}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+        save_figure(roadmap_figure(found, f"Overlay errors at {len(true)} poses of {benchmark.name}, {laid}"), figure)
         answer.say(f"{figure}: distribution of the errors")
     answer.write({"poses": len(true), "registered": registered, "overlay_m": {name: result.table for name, result in found.items()}})

@@ -67,14 +67,27 @@ def test_levelling_turns_gravity_as_the_offsets_turn_the_detector(scanned, tmp_p
         (["--start", "images/scan.toml"], "scan.toml: not a data-driven calibration"),
         (["images", "--marker", "images"], "scan.toml names no marker of experimental, clinical"),
         (["nowhere"], "a scan's folder holds scan.toml, exposures.csv and frames.tif"),
+        (["--start", "incomplete.npz"], "incomplete.npz: holds no final, sigma"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(scanned, tmp_path, capsys, monkeypatch, arguments, line):
     monkeypatch.chdir(scanned)
+    with np.load("a.npz") as file:
+        np.savez("incomplete.npz", **{name: value for name, value in file.items() if name not in ("final", "sigma")})
     assert isocenter("calibrate", "data", "carm", "scan.mf4", *arguments, "-o", tmp_path / "x.npz") == 2
     error = capsys.readouterr().err
     assert line in error and error.count("\n") == 1
     assert not (tmp_path / "x.npz").exists()
+
+
+@pytest.mark.parametrize("command", [["data", "carm", "scan.mf4", "--start", "a.npz"], ["level", "carm", "scan.mf4", "--by", "a.npz"]])
+@pytest.mark.parametrize("read", ["scan.mf4", "a.npz"])
+def test_what_is_read_is_not_written_over(scanned, capsys, monkeypatch, command, read):
+    monkeypatch.chdir(scanned)
+    before = (scanned / read).read_bytes()
+    assert isocenter("calibrate", *command, "-o", read) == 2
+    assert f"{read}: is read by this command; write to another file" in capsys.readouterr().err
+    assert (scanned / read).read_bytes() == before
 
 
 def test_clocks_that_disagree_are_told(scanned, tmp_path, capsys):
