@@ -28,12 +28,18 @@ def deviations_figure(along: np.ndarray, label: str, curves: Mapping[str, tuple[
     panels = figure.subplots(3, 3, sharex=True)
     order = np.argsort(along)
     for k, panel in enumerate(panels.flat):
+        ends = []
         for colour, (name, (deviation, covariance)) in zip(COLOURS, curves.items(), strict=False):
             values = 1e3 * deviation[order, k]
             panel.plot(along[order], values, color=colour, label=name, linewidth=1.2)
+            margin = 0.0
             if covariance is not None:
                 half = 2e3 * np.sqrt(covariance[order, k, k])
                 panel.fill_between(along[order], values - half, values + half, color=colour, alpha=0.25, linewidth=0)
+                margin = 1.5 * float(np.median(half))
+            ends += [values.min() - margin, values.max() + margin]
+        if min(ends) < max(ends):  # a band that is wide at a few samples, before the first image, is cut off
+            panel.set_ylim(min(ends), max(ends))
         panel.set_title(DEVIATIONS[k].replace("_", " "), fontsize=10)
         panel.set_ylabel("mm" if k < 6 else "mrad")
         panel.grid(alpha=0.3)

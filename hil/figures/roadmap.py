@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from hil.calibration.roadmap import PLACES, Overlay
 from hil.figures.geometry import COLOURS
@@ -21,7 +22,10 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
             panel.step(errors, np.arange(1, len(errors) + 1) / len(errors), where="post", color=colour, label=name)
         panel.axhline(0.9, color="0.6", linewidth=0.8, linestyle="--")
         panel.set_xscale("log")
-        panel.set_title(place if place == "centre" else f"{place} of the image", fontsize=10)
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_title(place if place == "centre" else f"{place} of the way to the border", fontsize=10)
         panel.set_xlabel("overlay error on the panel [mm]")
         panel.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("share of poses below")
