@@ -33,7 +33,7 @@ from hil.calibration.roadmap import overlay
 from hil.cli import main as isocenter
 from hil.experiments import Static
 from hil.identification import read_frf, write_frf
-from hil.imaging.emulated import true_beam, xray_side
+from hil.imaging.emulated import SPOT, true_beam, xray_side
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import PLATES
 from hil.imaging.nominal import nominal_beam
@@ -48,9 +48,8 @@ from hil.reconstruction.cone_beam import line_integrals, reconstruct
 from hil.reconstruction.quality import wire_quality
 from hil.recording import Channel, Recording, read_recording
 from hil.simulation import Simulator
-from virtual_bus.xray.motion import FocalSpot
 
-SPOT, HOT_SINCE_S = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3), 0.1  # isocenter expose's
+HOT_SINCE_S = 0.1  # isocenter expose's first exposure
 ASKEW = {
     "ceiling_mount": ((0.6e-3, -0.8e-3, 0.5e-3), (0.03, -0.04, 0.05)),
     "roll_rotor": ((0.3e-3, 0.7e-3, -0.5e-3), (0.05, 0.0, -0.04)),

@@ -46,6 +46,8 @@ class PanelClock:
     ----------
     rate : float
         Loop seconds in a second of the panel's.
+    rate_doubt : float
+        Four standard deviations of a rate from so many pulses; twice `RATE_TRUST` where they say less than that.
     residual_s : float
         Root mean square of the pulses about the line; period / sqrt(12) where they agree.
 
@@ -69,6 +71,7 @@ class PanelClock:
             raise ClocksDisagree(
                 f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
             )
+        self.rate_doubt = min(doubt, 2.0 * RATE_TRUST)
         # least largest distance t: |middle - at - rate along| <= t
         ones = np.ones(len(panel))
         above, below = np.column_stack([ones, along, -ones]), np.column_stack([-ones, -along, -ones])

@@ -73,14 +73,13 @@ def expose(
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
-    from hil.imaging.emulated import Exposures, Setting, xray_side
+    from hil.imaging.emulated import SPOT, Exposures, Setting, xray_side
     from hil.imaging.emulated import expose as render
     from hil.imaging.markers.emulated import TubeMarker
     from hil.imaging.nominal import nominal_detector, panel_in_tube
     from hil.imaging.scenes import scene
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
-    from virtual_bus.xray.motion import FocalSpot
 
     for option, value in (("--rate", rate), ("--width", width), ("--photons", photons)):
         if not 0.0 < value < np.inf:
@@ -89,8 +88,7 @@ def expose(
     answer = Answer(json_to)
     recording = read_recording(recording_file, machine)
     exposures = Exposures(rate_Hz=rate, width_s=1e-3 * width)
-    spot = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
-    side = xray_side(machine, truth, spot, exposures.first_s)
+    side = xray_side(machine, truth, SPOT, exposures.first_s)
     detector = nominal_detector(machine, binning)
     shown = {"scene": scene_name} if marker_name is None else {"marker": marker_name, "marker_distance_mm": distance}
     plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
@@ -102,7 +100,7 @@ def expose(
             exposures,
             scene(scene_name) if plate is None else [],
             detector,
-            Setting(optics=Optics(photons=photons), spot=spot, marker=plate),
+            Setting(optics=Optics(photons=photons), spot=SPOT, marker=plate),
             out,
             recording,
             seed,

@@ -54,7 +54,7 @@ def images_beside(
     if images is None:
         yield truth
         return
-    from hil.imaging.emulated import Exposures
+    from hil.imaging.emulated import SPOT, Exposures
     from hil.imaging.emulated_panel import PanelOrder
     from hil.imaging.frames_beside import finished_scan, frames_beside
     from hil.imaging.marker_view import watched_marker
@@ -64,7 +64,6 @@ def images_beside(
     from hil.imaging.scenes import scene
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
-    from virtual_bus.xray.motion import FocalSpot
 
     if len(recordings) != 1:
         raise UnusableInput(f"--images: belongs to one recording; this experiment makes {len(recordings)}")
@@ -79,10 +78,9 @@ def images_beside(
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
-            spot = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
             on_tube = None if plate is None else TubeMarker(plate, 1e-3 * DISTANCE_MM, panel_in_tube(machine))
             items = scene(scene_name) if plate is None else []
-            panel = PanelOrder(machine, truth, order.spool, Exposures(rate_Hz), items, detector, Optics(), spot, on_tube, 0)
+            panel = PanelOrder(machine, truth, order.spool, Exposures(rate_Hz), items, detector, Optics(), SPOT, on_tube, 0)
         with frames_beside(order, panel):
             yield truth
             if lockstep:
@@ -91,5 +89,5 @@ def images_beside(
         got = finished_scan(machine, order, read_recording(recordings[0], machine), {**shown, "recording": recordings[0].name})
     answer.say(
         f"{images}: {got.exposures} images, {got.lost} lost; the panel's clock runs {got.clock_ppm:+.0f} ppm against the loop's,"
-        f" pulses {1e3 * got.residual_s:.2f} ms rms about it"
+        f" known to {got.doubt_ppm:.0f}, pulses {1e3 * got.residual_s:.2f} ms rms about it"
     )

@@ -26,6 +26,9 @@ from virtual_bus.xray.render import Panel
 VIEWS = 4
 """Instants an exposure's pose is averaged over."""
 
+SPOT = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
+"""The emulated tube's focal spot: drifts by 8 and 4 um in 4 s as the anode warms, wobbles by 10 um as it turns (thesis Fig. 6.15)."""
+
 
 @dataclass(frozen=True)
 class Exposures:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from hil.imaging import emulated_panel, receiver
 from hil.imaging.emulated import positions_at
 from hil.imaging.emulated_panel import PanelOrder
 from hil.imaging.receiver import STAMPS, TROUBLE, ReceiverOrder, received
-from hil.imaging.scan_folder import write_description, write_exposures
+from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
 from hil.recording import Recording
 
@@ -25,11 +26,12 @@ POLITE = 10
 
 @dataclass(frozen=True)
 class ReceivedScan:
-    """What came: exposures, the numbers skipped between them, and the panel's clock against the loop's."""
+    """What came: exposures, the numbers skipped between them, and the panel's clock against the loop's, known to `doubt_ppm`."""
 
     exposures: int
     lost: int
     clock_ppm: float
+    doubt_ppm: float
     residual_s: float
 
 
@@ -46,7 +48,7 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
     Raises
     ------
     UnusableInput
-        The folders cannot be made, the spool holds an earlier run's frames, or a process died.
+        The folders cannot be made, one of them holds an earlier run's frames, or a process died.
     """
     try:
         for folder in (order.folder, *([panel.spool] if panel is not None else [])):
@@ -54,6 +56,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
         (order.folder / TROUBLE).unlink(missing_ok=True)
     except OSError as error:
         raise UnusableInput(f"{error.filename}: {error.strerror}") from None
+    if (order.folder / FRAMES).exists():
+        raise UnusableInput(f"{order.folder}: holds a scan's {FRAMES} already; receive into another folder")
     if not order.spool.is_dir():
         raise UnusableInput(f"{order.spool}: no folder; the panel's software must write its frames there")
     if any(order.spool.iterdir()):
@@ -84,9 +88,18 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
 
 def _politely(serve: Callable[..., None], order: object, is_over: Event) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # what stops the run at the keyboard: the bench ends this process
+    threading.Thread(target=_end_with_the_bench, daemon=True).start()
     if hasattr(os, "nice"):
         os.nice(POLITE)
     serve(order, is_over)
+
+
+def _end_with_the_bench() -> None:
+    """A bench that was killed says nothing more, and nobody else ends this process."""
+    bench = multiprocessing.parent_process()
+    if bench is not None:
+        bench.join()
+        os._exit(1)
 
 
 def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, notes: dict[str, object]) -> ReceivedScan:
@@ -104,4 +117,4 @@ def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, 
     write_exposures(order.folder, numbers, start_s, width_s, {axis.axis: axis.position for axis in machine.units}, positions)
     (order.folder / STAMPS).unlink()
     lost = int(numbers[-1] - numbers[0] + 1 - len(numbers))
-    return ReceivedScan(len(numbers), lost, 1e6 * (1.0 / clock.rate - 1.0), clock.residual_s)
+    return ReceivedScan(len(numbers), lost, 1e6 * (1.0 / clock.rate - 1.0), 1e6 * clock.rate_doubt, clock.residual_s)

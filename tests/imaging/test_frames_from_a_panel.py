@@ -30,6 +30,7 @@ def test_the_panels_clock_is_known_to_a_small_part_of_a_tick(count, rate, limit_
     clock = PanelClock(panel, pulse, PERIOD)
     assert np.abs(clock.to_loop(panel) - start).max() < limit_s
     assert abs(clock.residual_s - PERIOD / np.sqrt(12.0)) < 0.3 * PERIOD
+    assert abs(1e6 * (1.0 / clock.rate - 1.0) - 20.0) < 1e6 * clock.rate_doubt <= 200.0
 
 
 def test_clocks_that_disagree_are_told():
@@ -115,9 +116,13 @@ def test_a_run_receives_its_frames_and_looks_for_the_marker_beside_the_loop(tmp_
         (["--spool", "."], "--spool: on lockstep: the emulated panel has its own"),
         (["--image-rate", "-1"], "--image-rate -1: must be a positive number"),
         (["--scene", "nothing"], "scene nothing: there are dodecahedron"),
+        (["--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
     ],
 )
 def test_options_that_make_no_images_are_one_line(tmp_path, capsys, arguments, line):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "frames.tif").write_bytes(b"an earlier scan's")
+    arguments = [tmp_path / each if each == "taken" else each for each in arguments]
     static = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "0.5", "-o", tmp_path / "r.mf4", "--images", tmp_path / "s"]
     assert isocenter(*static, *arguments) == 2
     error = capsys.readouterr().err
