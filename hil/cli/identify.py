@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import load, parse_band
-from hil.cli.output import Answer, JsonOption
+from hil.cli.options import can_be_written, load, not_an_input, parse_band
+from hil.cli.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
     from hil.identification import LocalModel, PoseModel, PoseSymmetry
@@ -67,6 +67,9 @@ def identify(
     from hil.recording import read_recording
 
     machine = None if machine_name is None else load(machine_name)
+    answer = Answer(json_to)
+    can_be_written(out, figure)
+    not_an_input(out, *recordings)
     responses = identify_poses(
         [read_recording(path, machine) for path in recordings],
         method,
@@ -76,7 +79,6 @@ def identify(
         band_Hz=parse_band("--band", band) if band else None,
         plant_input=_plant_input(plant_input),
     )
-    answer = Answer(json_to)
     documents = []
     for path, response in zip(response_paths(out, len(responses)), responses, strict=True):
         write_frf(response, path)
@@ -90,7 +92,7 @@ def identify(
     if figure is not None:
         from hil.figures.frf import frf_figure
 
-        frf_figure(responses[0]).savefig(figure, dpi=130)
+        save_figure(frf_figure(responses[0]), figure)
         answer.say(f"{figure}: figure")
     answer.write(documents[0] if len(documents) == 1 else {"poses": documents})
 

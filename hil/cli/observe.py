@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import MachineArgument, load
-from hil.cli.output import Answer, JsonOption, progress
+from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.output import Answer, JsonOption, progress, save_figure
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def observe(
         list[Path] | None, typer.Option("--tune", metavar="REC", help="Recording of ordinary operation to tune on; repeatable.")
     ] = None,
     save_design: Annotated[Path | None, typer.Option("--save-design", metavar="FILE", help="Write the design as well.")] = None,
-    modes: Annotated[int, typer.Option("--modes", help="Modes of the model.")] = 4,
+    modes: Annotated[int, typer.Option("--modes", min=0, help="Modes of the model.")] = 4,
     filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
     adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
@@ -112,8 +112,10 @@ def observe(
     if design_path is not None and (frf or multisine or standing or tune):
         raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing and --tune make a new one")
     machine = load(machine_name)
-    recording = read_recording(recording_path, machine)
     answer = Answer(json_to)
+    can_be_written(out, figure, save_design)
+    not_an_input(out, recording_path, *(frf or []), *(multisine or []), *(standing or []), *(tune or []))
+    recording = read_recording(recording_path, machine)
     design = (
         read_design(design_path)
         if design_path is not None
@@ -138,7 +140,7 @@ def observe(
     if figure is not None:
         from hil.figures.observer import observer_figure
 
-        observer_figure(estimate).savefig(figure, dpi=130)
+        save_figure(observer_figure(estimate), figure)
         answer.say(f"{figure}: figure")
     seen = observability(observer, [recording.matrix([f"position_{axis}" for axis in machine.axes])[0]])
     document = _document(estimate, seen) | {"live": _against_live(estimate, recording)}

@@ -12,13 +12,15 @@ from hil.cli.options import (
     EffectsOption,
     MachineArgument,
     PoseOption,
+    can_be_written,
     edge_scale,
     load,
+    not_an_input,
     parse_band,
     parse_pose,
     parse_whole_numbers,
 )
-from hil.cli.output import Answer, JsonOption
+from hil.cli.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
     from hil.machine import Machine
@@ -67,6 +69,9 @@ def shape(
     if axis not in machine.axes:
         raise UnusableInput(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
     answer = Answer(json_to)
+    can_be_written(out, figure, table)
+    if frf is not None:
+        not_an_input(out, frf)
     aim = _aim(period, harmonics, longest)
     subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
     answer.say(f"{axis} of {machine.name}, {aim.kind}, from {source}")
@@ -93,7 +98,7 @@ def shape(
     if figure is not None:
         from hil.figures.shapers import design_figure
 
-        design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}").savefig(figure, dpi=130)
+        save_figure(design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}"), figure)
         answer.say(f"{figure}: figure")
     document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes}
     answer.write(document | {"designs": verdicts, "refused": candidates.refused})

@@ -1,0 +1,32 @@
+"""A command does not write over a file that it reads: it says so before it reads anything."""
+
+import pytest
+from command_line import runner
+
+COMMANDS = {
+    "identify": ["identify", "read", "other", "-o", "read"],
+    "observe": ["observe", "carm", "read", "-o", "read"],
+    "observe, tuned": ["observe", "carm", "other", "--tune", "read", "-o", "read"],
+    "shape": ["shape", "carm", "--axis", "roll", "--frf", "read", "-o", "read"],
+    "simulate": ["simulate", "carm", "read", "-o", "read"],
+    "calibrate level": ["calibrate", "level", "carm", "other", "--by", "read", "-o", "read"],
+    "calibrate model": ["calibrate", "model", "carm", "read", "-o", "read"],
+    "geometry standing": ["geometry", "standing", "read", "-o", "read"],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_is_read_is_not_written_over(tmp_path, capsys, command):
+    kept = {"read": tmp_path / "read.mf4", "other": tmp_path / "other.mf4"}
+    for path in kept.values():
+        path.write_bytes(b"measured")
+    outcome = runner(capsys)(*(kept.get(argument, argument) for argument in COMMANDS[command]))
+    assert outcome.status == 2 and "is read by this command; write to another file" in outcome.line
+    assert kept["read"].read_bytes() == b"measured"
+
+
+@pytest.mark.parametrize("command", ["identify", "observe", "shape"])
+def test_a_folder_that_is_not_there_is_said_before_the_work(tmp_path, capsys, command):
+    arguments = [tmp_path / "x.npz" if argument == "read" else argument for argument in COMMANDS[command]]
+    outcome = runner(capsys)(*arguments, "--figure", tmp_path / "no" / "f.png")
+    assert outcome.status == 2 and "there is no folder" in outcome.line
