@@ -47,7 +47,6 @@ LEAST_SHARE_BESIDE = 0.0005
 LEAST_SHARE_OF_LEFT = 0.3
 """Of what the effects found before leave above noise: an effect that takes a small part of it is one more symptom of what has no name."""
 
-
 STILL_SIGNIFICANT = 0.05
 STILL_SIGNIFICANT_DEVIATIONS = 4.0
 """Excess of |residual|^2 over its noise, as a share of the noise and in its standard deviations, from which what is left is above the noise

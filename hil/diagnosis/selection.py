@@ -29,8 +29,8 @@ POLISHED = 3
 """Fits that are continued with sensitivities taken where they are."""
 
 PAIRED = 4
-"""Single effects whose pairs are fitted where one with more parameters than any two of them comes first: a flexible law imitates two simple
-ones that act together, and alone neither of them comes near it."""
+"""Single effects whose pairs are fitted where one that has as many parameters as two of them, or more, comes first: a flexible law imitates
+two simple ones that act together, and alone neither of them comes near it."""
 
 MOST_EFFECTS = 3
 RIVAL_SHARE = 0.5

@@ -27,7 +27,6 @@ MOST_ORDERS = 8000
 HIGHEST_ORDER_Hz = 20.0
 """Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through."""
 
-
 PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
 """Of friction over position."""
 
@@ -177,9 +176,8 @@ def _position_friction(first: Start, residual: Residual, typical: _Typical) -> l
     for value in _strongest_orders(residual, against, typical, 2):
         (amplitude, phase), _ = harmonics(value * residual.position[moving], against[moving])
         found.append({**first, "Fc": 2.0 * amplitude, "k": value, "phi": phase})
-    for periods, phase in product(
-        PERIODS_PER_TRAVEL, (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0)
-    ):  # where nothing stands out of the noise
+    # where nothing stands out of the noise
+    for periods, phase in product(PERIODS_PER_TRAVEL, (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0)):
         found.append({**first, "k": 2.0 * np.pi * periods / typical.travel, "phi": phase})
     return found
 
