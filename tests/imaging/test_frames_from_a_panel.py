@@ -44,6 +44,11 @@ def test_clocks_that_disagree_are_told():
         PanelClock(panel[:-1], np.delete(pulse, 30), PERIOD)
     with pytest.raises(ClocksDisagree, match="2 exposures; the panel's clock needs 3"):
         PanelClock(panel[:2], pulse[:2], PERIOD)
+    for stands in ((np.full(60, 7.0), pulse), (panel, np.full(60, 7.0))):
+        with pytest.raises(ClocksDisagree, match="60 exposures at one time"):
+            PanelClock(*stands, PERIOD)
+    with pytest.raises(ClocksDisagree, match="do not grow with the loop's pulses"):
+        PanelClock(panel[::-1], pulse, PERIOD)
 
 
 def frame(number):

@@ -193,6 +193,7 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
     assert len(read_estimate(tmp_path / "scan.est.npz").time_s) == 400
     for more, word in (
         (["--filter", "pf"], "kf, ekf, ukf"),
+        (["--modes", "-1"], "'--modes': Input should be greater than or equal to 0"),
         (["--adapt", "7"], "modes 1 to 3"),
         (["--design", "absent.npz"], "no such file"),
     ):
