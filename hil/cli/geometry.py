@@ -178,15 +178,15 @@ def compensate(
     json_to: JsonOption = None,
 ) -> None:
     """Turn and shift every image."""
-    import tifffile
-
     from hil.calibration.compensation import compensated, compensation
     from hil.calibration.geometric_model import read_calibration
+    from hil.imaging.extra import imaging_package
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import FRAMES, read_scan, write_description, write_exposures
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    tifffile = imaging_package("tifffile", "images")
     scan = read_scan(scan_folder)
     if out.exists() and out.samefile(scan_folder):
         raise UnusableInput(f"{out}: is read by this command; write to another folder")

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers.emulated import TubeMarker
 from hil.imaging.nominal import imaging_geometry
@@ -126,8 +127,7 @@ def expose(
     UnusableInput
         The scan is shorter than one exposure, or the folder cannot be written.
     """
-    import tifffile
-
+    tifffile = imaging_package("tifffile", "images")
     starts = exposures.starts(side.panel.last_s)
     starts = starts[starts >= side.panel.first_s]
     if not len(starts):

@@ -15,6 +15,7 @@ from hil.errors import UnusableInput
 from hil.imaging import emulated_panel, receiver
 from hil.imaging.emulated import positions_at
 from hil.imaging.emulated_panel import PanelOrder
+from hil.imaging.extra import imaging_package
 from hil.imaging.receiver import STAMPS, TROUBLE, ReceiverOrder, received
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
@@ -48,8 +49,9 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
     Raises
     ------
     UnusableInput
-        The folders cannot be made, one of them holds an earlier run's frames, or a process died.
+        No package for images, the folders cannot be made, one of them holds an earlier run's frames, or a process died.
     """
+    imaging_package("tifffile", "images")
     try:
         for folder in (order.folder, *([panel.spool] if panel is not None else [])):
             folder.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ from drivers.imaging import FrameSpool, PanelClock
 from hil.calibration.marker import fit_marker
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
 from hil.imaging.markers import PLATES, MarkerProjection, find_marker
 from hil.imaging.scan_folder import FRAMES
 
@@ -54,8 +55,7 @@ def serve(order: ReceiverOrder, is_over: Event) -> None:
 
 
 def _serve(order: ReceiverOrder, is_over: Event) -> None:
-    import tifffile
-
+    tifffile = imaging_package("tifffile", "images")
     spool, folder = FrameSpool(order.spool), order.folder
     shape = order.detector.rows, order.detector.columns
     with (

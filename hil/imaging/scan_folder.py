@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
 from hil.machine import Machine
 from hil.recording.toml_text import toml_text
 
@@ -84,8 +85,7 @@ class ImageScan:
         UnusableInput
             The file does not hold it, or not in this panel's size.
         """
-        import tifffile
-
+        tifffile = imaging_package("tifffile", "images")
         path = self.folder / FRAMES
         try:
             image = tifffile.imread(path, key=k)

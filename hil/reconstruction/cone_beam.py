@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.pixels import without_dead_pixels
 
@@ -206,15 +207,12 @@ def _with_dark_ends(projections: np.ndarray, frames: np.ndarray) -> tuple[np.nda
     return np.concatenate([nothing, projections, nothing]), np.concatenate([before[None], frames, after[None]])
 
 
-def _fdk(
-    projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float, hann: float
-) -> np.ndarray:
+def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float, hann: float) -> np.ndarray:
     """(size, size, size) attenuation [1/m] by RTK, which counts millimetres; frames (N, 4, 3) are source, panel, its u and v."""
-    try:
-        import itk
-        from itk import RTK as rtk
-    except ImportError:
-        raise UnusableInput("reconstruction needs RTK: pip install 'isocenter[imaging]'") from None
+    itk = imaging_package("itk", "reconstructions")
+    if not hasattr(itk, "RTK"):
+        raise UnusableInput("reconstructions need itk-rtk beside itk: pip install 'isocenter[imaging]'")
+    rtk = itk.RTK
     image_type = itk.Image[itk.F, 3]
     point, vector = itk.Point[itk.D, 3], itk.Vector[itk.D, 3]
     geometry = rtk.ThreeDCircularProjectionGeometry.New()

@@ -7,10 +7,13 @@ ramp filter's impulse response, not the source's distance (Kak and Slaney 1988, 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.signal import fftconvolve
 
 from hil.errors import UnusableInput
+from hil.imaging.extra import imaging_package
 
 
 def parallel_projections(image: np.ndarray, angles: np.ndarray, spacing_m: float) -> np.ndarray:
@@ -105,9 +108,5 @@ def _fan_filter(bins: int, step: float) -> np.ndarray:
     return response
 
 
-def _transforms():  # type: ignore[no-untyped-def]
-    try:
-        from skimage import transform
-    except ImportError:
-        raise UnusableInput("reconstruction in a plane needs scikit-image: pip install 'isocenter[imaging]'") from None
-    return transform
+def _transforms() -> Any:
+    return imaging_package("skimage.transform", "reconstructions in a plane")

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 
 XA_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.12.1"
@@ -174,9 +175,5 @@ def _decimal(value: float) -> str:
 
 
 def _pydicom() -> Any:
-    try:
-        import pydicom
-        import pydicom.errors
-    except ImportError:
-        raise UnusableInput("DICOM files need pydicom: pip install 'isocenter[imaging]'") from None
-    return pydicom
+    imaging_package("pydicom.errors", "DICOM files")
+    return imaging_package("pydicom", "DICOM files")
