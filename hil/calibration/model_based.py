@@ -62,10 +62,6 @@ class Identified:
     def position_rms_m(self) -> float:
         return float(np.sqrt(np.mean(np.sum(self.residual[:, :3] ** 2, axis=1))))
 
-    @property
-    def angle_rms_rad(self) -> float:
-        return float(np.sqrt(np.mean(np.sum(self.residual[:, 3:] ** 2, axis=1))))
-
 
 def pose_difference(position: np.ndarray, rotation: np.ndarray, model_position: np.ndarray, model_rotation: np.ndarray) -> np.ndarray:
     """(N, 6) measured less model: position [m] and rotation vector [rad], both in detector coordinates."""
