@@ -45,10 +45,18 @@ def scans() -> dict[str, Scan]:
 
 def declared_low(model: ModalModel) -> ModalModel:
     """The model with its first mode 10 % lower; pushes and shapes as they are."""
+    n, stride = len(model.axes), model.mode_stride
     coefficients = model.coefficients.copy()
-    coefficients[0] /= CHANGE**2
-    coefficients[1] /= CHANGE
-    return dataclasses.replace(model, coefficients=coefficients)
+    coefficients[0] *= CHANGE**2
+    coefficients[1] *= CHANGE
+    coefficients[stride - n : stride] *= CHANGE**2  # pushes are kept over ω²
+    coefficients[model.modes * stride + n * (n + 1) + n] *= CHANGE**2
+    softened = {"coefficients": coefficients}
+    for name in ("directions", "turning"):
+        if getattr(model, name) is not None:
+            softened[name] = getattr(model, name).copy()
+            softened[name][n] *= CHANGE**2
+    return dataclasses.replace(model, **softened)
 
 
 def tracked(design: ObserverDesign, recording: Recording) -> dict[str, float | None]:

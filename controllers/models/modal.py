@@ -2,14 +2,20 @@
 
 The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
 
-    q_r'' = B_r(θ) u - D_r(θ) q_r' + d_r                                         rigid part
-    η_i'' + 2 ζ_i ω_i η_i' + ω_i² η_i = b_i(θ)ᵀ u + d_i                          (5.30), (5.35), with ω_i(θ), ζ_i(θ)
+    q_r'' = B_r(θ) w + d_r                                                       rigid part
+    η_i'' + 2 ζ_i ω_i η_i' + ω_i² η_i = b_i(θ)ᵀ w + d_i                          (5.30), (5.35), with ω_i(θ), ζ_i(θ)
+    w = u - C(θ) m'                                                              what is left of the command after the drives' friction
     motor side  m = q_r + Φ_m η,    link side  l = q_r + Φ_l η
     twist of an observed body about where q_r alone would put it: Ψ η, at the body's centre and in its frame
 
+Friction at the drives couples the modes: taken for damping of each alone, it is wrong by what disturbances at the mount bring to a drive.
 d_r and d_i are what else pushes: gravity as a function of the pose, and disturbances, friction and hands, each in a direction of its own:
-[d_r, d] = G(θ) ξ. Centrifugal and Coriolis terms of the axes are in the inertial sensors' rows, those of the modes are neglected
-(Sec. 5.4.1). Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`).
+[d_r, d] = G(θ) ξ. What turning axes push, in proportion to products of their speeds, may be in it (`turning`), though Sec. 5.4.1 neglects
+it: a gear is bent by it as by gravity. What turning makes of the modes themselves is neglected.
+
+Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`): of a mode not ω² but 1/ω², and not what pushes it but
+that over ω², what it bends the mode at rest. With springs that stay the same those are an inertia and static bends, which are such
+polynomials; ω² is none.
 """
 
 from __future__ import annotations
@@ -21,6 +27,9 @@ import numpy as np
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.models.chain import Chain, chain_motion
+
+SMALLEST_s2 = 1e-9
+"""Of 1/ω²: a polynomial that falls to nothing between poses makes a mode of 5 kHz, not one that runs off."""
 
 DIFFERENCE = 1e-4
 """Step [rad or m] of differences over position."""
@@ -66,16 +75,18 @@ class ModalModel:
     harmonics : tuple of int
         Order of the trigonometric polynomial in each axis position; 0: no dependence on it.
     coefficients : (rows, basis) array
-        Rows: per mode ω², 2ζω, its shape on the motor sides, the link sides and the observed bodies' twists, its input; then B_r by rows,
-        D_r, the pushes of gravity on axes and modes, and the quasi-static offset of the detector's twist that no mode has (5.37). Columns
-        as `basis_values`.
+        Rows: per mode 1/ω², 2ζ/ω, its shape on the motor sides, the link sides and the observed bodies' twists, its input over ω²; then B_r
+        by rows, C, gravity's push on the axes and on the modes over ω², and the quasi-static offset of the detector's twist that no mode
+        has (5.37). Columns as `basis_values`.
     sample_rate_Hz : float
     effort_limit : (n_axes,) array
         Largest command [drive's unit].
     position_unit : tuple of str
         "rad" or "m" for each axis.
     directions : (n_axes + modes, disturbances, basis) array, optional
-        G(θ): accelerations that a unit of each disturbance gives axes and modes. Without it every axis and mode has its own.
+        G(θ): accelerations that a unit of each disturbance gives axes, and modes over ω². Without it every axis and mode has its own.
+    turning : (n_axes + modes, n_axes (n_axes + 1) / 2, basis) array, optional
+        What products of the axes' speeds push: accelerations of axes, and of modes over ω². Products in the order 11, 12, ..., 22, ...
     """
 
     axes: tuple[str, ...]
@@ -89,6 +100,7 @@ class ModalModel:
     position_unit: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
     directions: np.ndarray | None = None
+    turning: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         expected = (self.modes * self.mode_stride + self._rest_rows + self.modes, basis_size(self.harmonics))
@@ -100,6 +112,10 @@ class ModalModel:
             coordinates, _, basis = self.directions.shape
             if (coordinates, basis) != (len(self.axes) + self.modes, expected[1]) or not np.isfinite(self.directions).all():
                 raise DesignError(f"modal model: directions have shape {self.directions.shape}, or one of them is not finite")
+        if self.turning is not None:
+            wanted = (len(self.axes) + self.modes, self.products, expected[1])
+            if self.turning.shape != wanted or not np.isfinite(self.turning).all():
+                raise DesignError(f"modal model: turning has shape {self.turning.shape}, {wanted} fits; or one of it is not finite")
 
     @property
     def mode_stride(self) -> int:
@@ -115,15 +131,23 @@ class ModalModel:
         """How many there are."""
         return len(self.axes) + self.modes if self.directions is None else self.directions.shape[1]
 
+    @property
+    def products(self) -> int:
+        """Products of two axes' speeds."""
+        return len(self.axes) * (len(self.axes) + 1) // 2
+
     def all_rows(self) -> np.ndarray:
-        """`coefficients`, and below them the directions by rows: all that varies with pose."""
+        """`coefficients`, below them the directions by rows and then what turning pushes, by rows: all that varies with pose."""
         size = len(self.axes) + self.modes
         if self.directions is None:
             directions = np.zeros((size, size, self.coefficients.shape[1]))
-            directions[:, :, 0] = np.eye(size)
+            directions[: len(self.axes), : len(self.axes), 0] = np.eye(len(self.axes))
+            for i in range(self.modes):
+                directions[len(self.axes) + i, len(self.axes) + i] = self.coefficients[i * self.mode_stride]
         else:
             directions = self.directions
-        return np.vstack((self.coefficients, directions.reshape(-1, self.coefficients.shape[1])))
+        turning = np.zeros((0, self.coefficients.shape[1])) if self.turning is None else self.turning.reshape(-1, directions.shape[2])
+        return np.vstack((self.coefficients, directions.reshape(-1, directions.shape[2]), turning))
 
     @property
     def _rest_rows(self) -> int:
@@ -132,9 +156,10 @@ class ModalModel:
         return n * (n + 1) + n + 6
 
     def at(self, pose: np.ndarray) -> np.ndarray:
-        """All rows' values (rows,) at a pose (n_axes,)."""
-        values = np.zeros(len(self.coefficients))
-        schedule(np.array(self.harmonics, dtype=np.int64), self.coefficients, np.asarray(pose, float), values)
+        """The parameters (rows,) at a pose (n_axes,), in the order of `coefficients`: ω², 2ζω, inputs and pushes as (5.30) has them."""
+        values, by_function = np.zeros(len(self.coefficients)), np.ascontiguousarray(self.coefficients.T)
+        sizes = np.array([len(self.axes), self.modes, len(self.sensors)], dtype=np.int64)
+        schedule(sizes, np.array(self.harmonics, dtype=np.int64), by_function, np.asarray(pose, float), values)
         return values
 
     def frequencies_Hz(self, pose: np.ndarray) -> np.ndarray:
@@ -164,9 +189,10 @@ class ModalModel:
         a, b = np.zeros((2 * size, 2 * size)), np.zeros((2 * size, n))
         a[:size, size:] = np.eye(size)
         a[size:, :size] = -np.diag(np.concatenate((np.zeros(n), table[:, 0])))
-        a[size:, size:] = -np.diag(np.concatenate((rigid[n * n : n * n + n], table[:, 1])))
         b[size : size + n] = rigid[: n * n].reshape(n, n)
         b[size + n :] = table[:, stride - n :]
+        friction = rigid[n * n : n * n + n, None] * np.hstack((np.eye(n), table[:, 2 : 2 + n].T))  # per speed
+        a[size:, size:] = -np.diag(np.concatenate((np.zeros(n), table[:, 1]))) - b[size:] @ friction
         rest = chain_at_rest(self.chain, self.sensors, np.asarray(pose, float))
         rows, direct = [], []
         for first in (2, 2 + n):  # motor side, link side
@@ -206,10 +232,7 @@ def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.nd
     zero = np.zeros(n)
 
     def read(sensor: InertialSensor, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        end = tuple(float(value) for value in sensor.sensor_end_m)
-        motion = np.concatenate((q, v, a))
-        omega, force = _motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, end)
-        return np.concatenate((np.array(force) @ sensor.rotation, np.array(omega) @ sensor.rotation))
+        return chain_reading(chain, sensor, np.concatenate((q, v, a)))
 
     for index, sensor in enumerate(sensors):
         place = slice(6 * index, 6 * index + 6)
@@ -221,6 +244,13 @@ def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.nd
             gradients[2][place, i] = read(sensor, pose, zero, unit) - still
     down = -sensors[0].rotation @ read(sensors[0], pose, zero, zero)[:3] if sensors else np.zeros(3)
     return RestGradients(gradients[0], gradients[1], gradients[2], down)
+
+
+def chain_reading(chain: Chain, sensor: InertialSensor, motion: np.ndarray) -> np.ndarray:
+    """Specific force and rate (6,) a sensor on the rigid chain reads, from the axes' positions, speeds and accelerations (3 n_axes,)."""
+    end = tuple(float(value) for value in sensor.sensor_end_m)
+    omega, force = _motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, end)
+    return np.concatenate((np.array(force) @ sensor.rotation, np.array(omega) @ sensor.rotation))
 
 
 @exactly_compiled
@@ -251,12 +281,26 @@ def basis_values(harmonics, pose, out):
 
 
 @exactly_compiled
-def schedule(harmonics, coefficients, pose, values):
-    """All parameters (rows,) at a pose (n_axes,): (5.35) with θ frozen there."""
-    basis = np.zeros(coefficients.shape[1])
+def schedule(sizes, harmonics, coefficients, pose, values):
+    """All parameters (rows,) at a pose (n_axes or more,): (5.35) with θ frozen there, of the modes as (5.30) has them.
+
+    `sizes` are axes, modes, sensors; `coefficients` (basis, rows) the model's transposed, so that sums run along memory. Rows below
+    `ModalModel.coefficients` stay what the polynomials say.
+    """
+    basis = np.zeros(coefficients.shape[0])
     basis_values(harmonics, pose, basis)
-    for row in range(coefficients.shape[0]):
-        total = 0.0
-        for k in range(coefficients.shape[1]):
-            total += coefficients[row, k] * basis[k]
-        values[row] = total
+    values[:] = 0.0
+    for k in range(coefficients.shape[0]):
+        value = basis[k]
+        for row in range(coefficients.shape[1]):
+            values[row] += coefficients[k, row] * value
+    n, modes = sizes[0], sizes[1]
+    stride = 2 + 3 * n + 6 * sizes[2]
+    for i in range(modes):
+        first = i * stride
+        stiffness = 1.0 / max(values[first], SMALLEST_s2)
+        values[first] = stiffness
+        values[first + 1] *= stiffness
+        for k in range(first + stride - n, first + stride):
+            values[k] *= stiffness
+        values[modes * stride + n * (n + 1) + n + i] *= stiffness

@@ -10,6 +10,7 @@ import numpy as np
 
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
+from controllers.observers.modal_equations import first_offset
 from controllers.observers.modal_observer import ModalObserver
 from controllers.observers.publish import displacement_rows, quasi_static
 from controllers.observers.square_root import triangularise, update
@@ -39,6 +40,11 @@ def _take_in(constants, values, memory, seen, std):  # type: ignore[no-untyped-d
             expected += rows[2 * n + j, i] * memory.x[state]
             for s in range(states):
                 array[measured + s, column] += memory.factor[s, state] * rows[2 * n + j, i]
+        if constants.sizes[9] > n:
+            state = first_offset(constants) + n + j
+            expected += memory.x[state]
+            for s in range(states):
+                array[measured + s, column] += memory.factor[s, state]
         array[column, column] = std[j]
         innovation[column] = seen[j] - expected
         column += 1

@@ -1,6 +1,7 @@
 """The modal model as the filters call it: one state one sample on, and what the sensors would read. (5.2), (5.3) with (5.30)-(5.35).
 
-State: [q_r, q_r', η, η', ξ, quadratures of those ξ that lie in a band, log frequency ratios of the adapted modes, sensor biases].
+State: [q_r, q_r', η, η', ξ, quadratures of those ξ that lie in a band, log frequency ratios of the adapted modes,
+offsets, sensor biases]. Offsets, where there are any: of the motor sides' encoders, and of the detector's twist that no mode has (5.37).
 
 What the sensors read is a nonlinear function (rotations, products of rates) of a few signals that are linear in the state, and biases. So a
 deviation is carried to the signals once, and only the function of the signals is asked at both of its ends.
@@ -24,9 +25,9 @@ SENSOR_SIGNALS = 12
 class Constants(NamedTuple):
     """What a compiled observer works with; nothing in it changes while it runs."""
 
-    sizes: np.ndarray  # (9,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, those in a band
+    sizes: np.ndarray  # (10,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets
     harmonics: np.ndarray  # (axes,) int
-    coefficients: np.ndarray  # (rows, basis): `ModalModel.all_rows`
+    coefficients: np.ndarray  # (basis, rows): `ModalModel.all_rows`, transposed
     adapted: np.ndarray  # (modes,) int: place of the mode's log frequency ratio in the state, -1 where it is fixed
     axes: np.ndarray  # (axes, 3)
     points: np.ndarray  # (axes, 3)
@@ -36,7 +37,8 @@ class Constants(NamedTuple):
     period_s: float
     colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; what drives the first in the second
     quadrature: np.ndarray  # (disturbances,) int: its place in the state, -1 where the disturbance is of first order
-    noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, biases
+    offset_kept: np.ndarray  # (offsets,): share of an offset that a sample leaves
+    noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, biases
     measurement_std: np.ndarray  # (measurements,)
 
 
@@ -46,9 +48,10 @@ class Scheduled(NamedTuple):
     values: np.ndarray  # (rows,)
     modes: np.ndarray  # (modes, 8): ω², 2ζω, discretisation over the period
     encoders: np.ndarray  # (modes, 3 axes): motor shapes, link shapes, inputs
-    rigid: np.ndarray  # (axes, axes + 3): B_r, D_r, gains of acceleration on speed and position over the period
+    rigid: np.ndarray  # (axes, axes + 1): B_r, friction at the drive per speed of its motor side, in the command's unit
     directions: np.ndarray  # (axes + modes, disturbances)
-    acting: np.ndarray  # (2 axes + modes,): the command that acts, then what gravity pushes at this pose
+    acting: np.ndarray  # (2 axes + modes,): the command that acts, then what gravity and turning push at this pose
+    forces: np.ndarray  # (2 axes + modes,): scratch of `accelerations`
     looks: np.ndarray  # (sensors, modes, 15): what a sensor sees of a mode, see `look`; then its shape at the sensor
 
 
@@ -80,12 +83,12 @@ def look(stiffness, damping, lag):
 
 
 @exactly_inlined
-def prepare(constants, pose, scheduled):
-    """All parameters at a pose (axes,)."""
+def prepare(constants, x, scheduled):
+    """All parameters at a state's pose, and what turning pushes at its speeds."""
     sizes, modes_at, encoders, rigid, looks = constants.sizes, scheduled.modes, scheduled.encoders, scheduled.rigid, scheduled.looks
     n, modes, sensors = sizes[0], sizes[1], sizes[2]
     values, period = scheduled.values, constants.period_s
-    schedule(constants.harmonics, constants.coefficients, pose, values)
+    schedule(sizes, constants.harmonics, constants.coefficients, x, values)
     stride = 2 + 3 * n + 6 * sensors
     for i in range(modes):
         first = i * stride
@@ -115,18 +118,29 @@ def prepare(constants, pose, scheduled):
     for i in range(n):
         for k in range(n):
             rigid[i, k] = values[first + i * n + k]
-        damping = values[first + n * n + i]
-        d = damping * period
-        rigid[i, n] = damping
-        rigid[i, n + 1] = period * (1.0 - d / 2.0 * (1.0 - d / 3.0 * (1.0 - d / 4.0)))
-        rigid[i, n + 2] = period * period * (0.5 - d / 6.0 * (1.0 - d / 4.0 * (1.0 - d / 5.0)))
+        rigid[i, n] = values[first + n * n + i]
     first += n * (n + 1)
     for i in range(n + modes):
         scheduled.acting[n + i] = values[first + i]
     first += n + modes + 6
     for i in range(n + modes):
+        stiffness = 1.0 if i < n else modes_at[i - n, 0]
         for j in range(sizes[7]):
-            scheduled.directions[i, j] = values[first + i * sizes[7] + j]
+            scheduled.directions[i, j] = stiffness * values[first + i * sizes[7] + j]
+    row = first + (n + modes) * sizes[7]
+    if row < len(values):
+        for i in range(n + modes):
+            stiffness = 1.0 if i < n else modes_at[i - n, 0]
+            for j in range(n):
+                for k in range(j, n):
+                    scheduled.acting[n + i] += stiffness * values[row] * x[n + j] * x[n + k]
+                    row += 1
+
+
+@exactly_inlined
+def first_offset(constants):
+    """Place of the offsets in the state: motor sides' encoders, then the detector's twist."""
+    return constants.sizes[4] - 6 * constants.sizes[2] - constants.sizes[9]
 
 
 @exactly_inlined
@@ -139,21 +153,50 @@ def pushed(constants, scheduled, x, i):
 
 
 @exactly_inlined
-def rigid_acceleration(scheduled, n, x, u, disturbance, i):
-    """Of axis i, from state and what acts; zeros act on a deviation."""
-    total = disturbance + u[n + i] - scheduled.rigid[i, n] * x[n + i]
-    for k in range(n):
-        total += scheduled.rigid[i, k] * u[k]
-    return total
+def friction(scheduled, n, modes, x, k):
+    """At drive k, in the command's unit, from its motor side's speed."""
+    speed = x[n + k]
+    for i in range(modes):
+        speed += scheduled.encoders[i, k] * x[2 * n + modes + i]
+    return -scheduled.rigid[k, n] * speed
 
 
 @exactly_inlined
-def modal_force(scheduled, n, u, disturbance, i):
-    """On mode i, from what acts."""
-    total = disturbance + u[2 * n + i]
+def accelerations(constants, scheduled, x, xi, u, out):
+    """Of the axes, and what forces the modes, into out (axes + modes,), friction at the drives after them (axes,).
+
+    `xi` is a state whose disturbances push; u as `Scheduled.acting`, zeros for a deviation.
+    """
+    n, modes = constants.sizes[0], constants.sizes[1]
     for k in range(n):
-        total += scheduled.encoders[i, 2 * n + k] * u[k]
-    return total
+        out[n + modes + k] = friction(scheduled, n, modes, x, k)
+    for i in range(n):
+        total = pushed(constants, scheduled, xi, i) + u[n + i]
+        for k in range(n):
+            total += scheduled.rigid[i, k] * (u[k] + out[n + modes + k])
+        out[i] = total
+    for i in range(modes):
+        total = pushed(constants, scheduled, xi, n + i) + u[2 * n + i]
+        for k in range(n):
+            total += scheduled.encoders[i, 2 * n + k] * (u[k] + out[n + modes + k])
+        out[n + i] = total
+
+
+@exactly_inlined
+def halfway(constants, scheduled, x, force):
+    """Accelerations as `accelerations` finds them, friction taken half a sample on: its speed changes while the rest holds."""
+    n, modes, half = constants.sizes[0], constants.sizes[1], 0.5 * constants.period_s
+    for k in range(n):
+        gained = force[k]
+        for i in range(modes):
+            at = scheduled.modes
+            gained += scheduled.encoders[i, k] * (force[n + i] - at[i, 0] * x[2 * n + i] - at[i, 1] * x[2 * n + modes + i])
+        force[n + modes + k] = -scheduled.rigid[k, n] * half * gained
+    for k in range(n):
+        for i in range(n):
+            force[i] += scheduled.rigid[i, k] * force[n + modes + k]
+        for i in range(modes):
+            force[n + i] += scheduled.encoders[i, 2 * n + k] * force[n + modes + k]
 
 
 @exactly_inlined
@@ -171,21 +214,25 @@ def transition(constants, scheduled, x, u, out):
         if beside >= 0:
             out[push + j] += colour[j, 1] * x[beside]
             out[beside] = colour[j, 2] * x[push + j] + colour[j, 3] * x[beside]
+    force = scheduled.forces
+    accelerations(constants, scheduled, x, out, u, force)
+    halfway(constants, scheduled, x, force)
     for i in range(n):
-        acceleration = rigid_acceleration(scheduled, n, x, u, pushed(constants, scheduled, out, i), i)
-        out[i] = x[i] + period * x[n + i] + scheduled.rigid[i, n + 2] * acceleration
-        out[n + i] = x[n + i] + scheduled.rigid[i, n + 1] * acceleration
+        out[i] = x[i] + period * (x[n + i] + 0.5 * period * force[i])
+        out[n + i] = x[n + i] + period * force[i]
     for i in range(modes):
         p11, p12, p21, p22, g1, g2 = at[i, 2], at[i, 3], at[i, 4], at[i, 5], at[i, 6], at[i, 7]
         if adapted[i] >= 0:
             ratio = np.exp(x[adapted[i]])
             p11, p12, p21, p22, g1, g2 = mode_step(at[i, 0] * ratio * ratio, at[i, 1] * ratio, period)
         position, speed = x[2 * n + i], x[2 * n + modes + i]
-        force = modal_force(scheduled, n, u, pushed(constants, scheduled, out, n + i), i)
-        out[2 * n + i] = p11 * position + p12 * speed + g1 * force
-        out[2 * n + modes + i] = p21 * position + p22 * speed + g2 * force
+        out[2 * n + i] = p11 * position + p12 * speed + g1 * force[n + i]
+        out[2 * n + modes + i] = p21 * position + p22 * speed + g2 * force[n + i]
     for i in range(push + constants.sizes[7] + constants.sizes[8], states):
         out[i] = x[i]
+    offsets = first_offset(constants)
+    for i in range(constants.sizes[9]):
+        out[offsets + i] = constants.offset_kept[i] * x[offsets + i]
 
 
 @exactly_inlined
@@ -202,18 +249,24 @@ def signals(constants, scheduled, x, u, out):
             motor += encoders[j, i] * x[2 * n + j]
             link += encoders[j, n + i] * x[2 * n + j]
         out[i], out[n + i] = motor, link
+    if constants.sizes[9] > 0:
+        offsets = first_offset(constants)
+        for i in range(n):
+            out[i] += x[offsets + i]
+    forces = scheduled.forces
+    accelerations(constants, scheduled, x, x, u, forces)
     for s in range(sensors):
         lag = constants.sensors[s, 15]
         place = 2 * n + s * (3 * n + SENSOR_SIGNALS)
         for i in range(n):
-            a = rigid_acceleration(scheduled, n, x, u, pushed(constants, scheduled, x, i), i)
+            a = forces[i]
             out[place + i] = x[i] - lag * (x[n + i] - 0.5 * lag * a)
             out[place + n + i] = x[n + i] - lag * a
             out[place + 2 * n + i] = a
         acceleration, velocity, turn, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(modes):
             position, speed = x[2 * n + i], x[2 * n + modes + i]
-            force = modal_force(scheduled, n, u, pushed(constants, scheduled, x, n + i), i)
+            force = forces[n + i]
             if adapted[i] >= 0:
                 ratio = np.exp(x[adapted[i]])
                 rows = look(scheduled.modes[i, 0] * ratio * ratio, scheduled.modes[i, 1] * ratio, lag)

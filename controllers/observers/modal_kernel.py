@@ -39,14 +39,14 @@ class Memory(NamedTuple):
 def process_noise(constants, scheduled, array, first):
     """Rows of deviations that one sample adds, into array[first:]: commands and disturbances through the model, then one state each."""
     n, modes, states, sources = constants.sizes[0], constants.sizes[1], constants.sizes[4], constants.sizes[6]
-    std, rigid = constants.noise_std, scheduled.rigid
+    period, std, rigid = constants.period_s, constants.noise_std, scheduled.rigid
     for i in range(sources):
         for k in range(states):
             array[first + i, k] = 0.0
     for k in range(n):
         for i in range(n):
-            array[first + k, i] = rigid[i, n + 2] * rigid[i, k] * std[k]
-            array[first + k, n + i] = rigid[i, n + 1] * rigid[i, k] * std[k]
+            array[first + k, i] = 0.5 * period * period * rigid[i, k] * std[k]
+            array[first + k, n + i] = period * rigid[i, k] * std[k]
         for i in range(modes):
             gain = scheduled.encoders[i, 2 * n + k] * std[k]
             array[first + k, 2 * n + i] = scheduled.modes[i, 6] * gain
@@ -59,8 +59,8 @@ def process_noise(constants, scheduled, array, first):
             array[row, constants.quadrature[j]] = constants.colour[j, 4]
         for i in range(n):
             push = scheduled.directions[i, j] * std[n + j]
-            array[row, i] = rigid[i, n + 2] * push
-            array[row, n + i] = rigid[i, n + 1] * push
+            array[row, i] = 0.5 * period * period * push
+            array[row, n + i] = period * push
         for i in range(modes):
             push = scheduled.directions[n + i, j] * std[n + j]
             array[row, 2 * n + i] = scheduled.modes[i, 6] * push

@@ -13,7 +13,7 @@ from controllers.models.modal import ModalModel
 from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.modal_equations import SENSOR_SIGNALS, Constants, Scheduled
 from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step, linearised
-from controllers.observers.publish import GEOMETRY, estimate_channels, publish
+from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
 FilterKind = Literal["kf", "ekf", "ukf"]
@@ -110,6 +110,10 @@ class ModalObserver:
             names += [f"disturbance_{i + 1}" for i in range(model.disturbances)]
         names += [f"{names[2 * (len(model.axes) + model.modes) + j]}_quadrature" for j in in_band(self.noise)]
         names += [f"log_frequency_ratio_{modes[i]}" for i in self.adapted]
+        if len(self.noise.offset_walk):
+            names += [f"offset_motor_{axis}" for axis in model.axes]
+        if len(self.noise.offset_walk) > len(model.axes):
+            names += [f"offset_detector_{name}" for name in TWIST]
         return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
 
     def restart(self) -> None:
@@ -230,7 +234,8 @@ class ModalObserver:
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_bias,
+            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset,
+            noise.initial_bias,
         ))  # fmt: skip
         return np.diag(std)
 
@@ -251,6 +256,10 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         values = np.asarray(getattr(noise, name), float)
         if values.shape != (length,) or np.isnan(values).any() or (values < 0.0).any():
             raise DesignError(f"observer noise: {name} must be {length} numbers, none negative, not {values}")
+    if len(noise.offset_walk) not in (0, n, n + 6) or len(noise.initial_offset) != len(noise.offset_walk):
+        raise DesignError(f"observer noise: offset_walk and initial_offset must both be {n} numbers, {n + 6} or none")
+    if not (np.concatenate((noise.offset_walk, noise.initial_offset)) >= 0.0).all():
+        raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
         raise DesignError(f"observer noise: bias must be {6 * sensors} numbers or none, not {noise.bias}")
     if not (np.asarray(noise.measurement) > 0.0).all():
@@ -266,19 +275,24 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         raise DesignError("observer noise: disturbance_time_s must be finite where disturbance_Hz is above zero: a random walk has no band")
     colour, drive, beside = _colour(noise, period)
     root = np.sqrt(period)
+    kept, offset_std = _bounded(noise, period)
     std = np.concatenate((
-        noise.command, drive, beside[band], np.full(len(adapted), root * noise.adapted_walk), root * noise.bias_walk
+        noise.command, drive, beside[band], np.full(len(adapted), root * noise.adapted_walk), offset_std,
+        root * noise.bias_walk,
     ))  # fmt: skip
     first_quadrature = 2 * (n + modes) + model.disturbances
     first_adapted = first_quadrature + len(band)
     quadrature = np.full(model.disturbances, -1, dtype=np.int64)
     quadrature[band] = first_quadrature + np.arange(len(band))
-    states = first_adapted + len(adapted) + 6 * sensors
+    states = first_adapted + len(adapted) + len(noise.offset_walk) + 6 * sensors
     chain = model.chain
     return Constants(
-        sizes=np.array([n, modes, sensors, len(adapted), states, measurements, len(std), model.disturbances, len(band)], dtype=np.int64),
+        sizes=np.array(
+            [n, modes, sensors, len(adapted), states, measurements, len(std), model.disturbances, len(band), len(noise.offset_walk)],
+            dtype=np.int64,
+        ),
         harmonics=np.array(model.harmonics, dtype=np.int64),
-        coefficients=np.ascontiguousarray(model.all_rows(), dtype=float),
+        coefficients=np.ascontiguousarray(model.all_rows().T, dtype=float),
         adapted=np.array([first_adapted + adapted.index(i) if i in adapted else -1 for i in range(modes)], dtype=np.int64),
         axes=np.ascontiguousarray(chain.axes, dtype=float),
         points=np.ascontiguousarray(chain.points, dtype=float),
@@ -288,6 +302,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         period_s=period,
         colour=colour,
         quadrature=quadrature,
+        offset_kept=kept,
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
@@ -319,15 +334,23 @@ def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray
     return colour, drive, beside
 
 
+def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets are processes of first order: the share (offsets,) that a sample leaves of them, the deviation (offsets,) that it adds."""
+    walk, deviation = np.asarray(noise.offset_walk, float), np.asarray(noise.initial_offset, float)
+    rate = np.divide(walk**2, 2.0 * deviation**2, out=np.zeros_like(walk), where=deviation > 0.0)
+    return np.exp(-rate * period), deviation * np.sqrt(-np.expm1(-2.0 * rate * period))
+
+
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, _, states, measurements, sources, disturbances, _ = (int(size) for size in constants.sizes)
+    n, modes, sensors, _, states, measurements, sources, disturbances, *_ = (int(size) for size in constants.sizes)
     scheduled = Scheduled(
-        values=np.zeros(len(constants.coefficients)),
+        values=np.zeros(constants.coefficients.shape[1]),
         modes=np.zeros((modes, 8)),
         encoders=np.zeros((modes, 3 * n)),
-        rigid=np.zeros((n, n + 3)),
+        rigid=np.zeros((n, n + 1)),
         directions=np.zeros((n + modes, disturbances)),
         acting=np.zeros(2 * n + modes),
+        forces=np.zeros(2 * n + modes),
         looks=np.zeros((sensors, modes, 15)),
     )
     memory = Memory(

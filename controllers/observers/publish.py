@@ -7,7 +7,9 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
+from controllers.observers.modal_equations import first_offset
 
+TWIST = ("x", "y", "z", "rx", "ry", "rz")
 GEOMETRY = 9
 GEOMETRY_STEP = 1e-6
 """Difference step [rad, m] for the variances of the geometric parameters: error 1e-10 of the gradient."""
@@ -152,6 +154,12 @@ def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-
             for i in range(modes):
                 total += rows[r, n + i] * factor[s, 2 * n + i]
             deviations[s, r] = total
+    if constants.sizes[9] > n:
+        first = first_offset(constants) + n
+        for j in range(6):
+            motion[2 * n + j] += x[first + j]
+            for s in range(states):
+                deviations[s, 2 * n + j] += factor[s, first + j]
     for r in range(wide):
         if r >= 2 * n:
             motion[r] += offset[r - 2 * n]

@@ -32,6 +32,10 @@ class ObserverNoise:
         Of the biases when the observer starts.
     initial_adapted : float
         Of the log frequency ratios when it starts.
+    offset_walk : (n_axes,) or (n_axes + 6,) array
+        Of the offsets of the motor sides' encoders, then of the detector's twist, per sqrt(s) [rad or m]. Empty: they are no states.
+    initial_offset : array of the same length
+        Of these when the observer starts, and at any time: processes of first order, in short steps a walk. Zero: no offset.
     bias : (6 sensors,) array
         Expected value of the biases when it starts; empty: zero.
     """
@@ -46,3 +50,5 @@ class ObserverNoise:
     initial_adapted: float = 0.1
     disturbance_Hz: np.ndarray = field(default_factory=lambda: np.zeros(0))
     bias: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    offset_walk: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    initial_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))

@@ -91,6 +91,10 @@ def observe(
     standing: Annotated[
         list[Path] | None, typer.Option("--standing", metavar="REC", help="Recording at rest, for noise, gravity and biases; repeatable.")
     ] = None,
+    sweep: Annotated[
+        list[Path] | None,
+        typer.Option("--sweep", metavar="REC", help="Recording of a sweep there and back, for what turning axes push; repeatable."),
+    ] = None,
     tune: Annotated[
         list[Path] | None, typer.Option("--tune", metavar="REC", help="Recording of ordinary operation to tune on; repeatable.")
     ] = None,
@@ -109,8 +113,8 @@ def observe(
 
     if filter_name not in KINDS:
         raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
-    if design_path is not None and (frf or multisine or standing or tune):
-        raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing and --tune make a new one")
+    if design_path is not None and (frf or multisine or standing or sweep or tune):
+        raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one")
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure, save_design)
@@ -119,7 +123,7 @@ def observe(
     design = (
         read_design(design_path)
         if design_path is not None
-        else _designed(machine, recording, (frf or [], multisine or []), standing or [], tune or [], modes, answer)
+        else _designed(machine, recording, (frf or [], multisine or []), (standing or [], sweep or []), tune or [], modes, answer)
     )
     if save_design is not None:
         write_design(design, save_design)
@@ -160,7 +164,7 @@ def _designed(
     machine: Machine,
     recording: Recording,
     measured: tuple[list[Path], list[Path]],
-    standing: list[Path],
+    moved: tuple[list[Path], list[Path]],
     tune: list[Path],
     modes: int,
     answer: Answer,
@@ -170,13 +174,13 @@ def _designed(
     from hil.observing.over_poses import observed_channels
     from hil.recording import read_recording
 
-    frf, multisine = measured
+    (frf, multisine), (standing, sweep) = measured, moved
     tuned_on = [read_recording(path, machine) for path in tune] or [recording]
     if not tune:
         answer.say("tuned on the recording itself; --tune gives another")
     if not frf and not multisine:
-        if standing:
-            raise typer.BadParameter("--standing goes with --frf or --multisine: without them the emulated machine is measured")
+        if standing or sweep:
+            raise typer.BadParameter("--standing and --sweep go with --frf or --multisine: without them the emulated machine is measured")
         answer.say(
             f"no --design, --frf or --multisine: the model is identified on the emulated {machine.name}, not on the recorded machine"
         )
@@ -185,7 +189,8 @@ def _designed(
     if multisine:
         recordings = [read_recording(path, machine) for path in multisine]
         responses += identify_poses(recordings, "robust_bla", outputs=observed_channels(machine))
-    return design_observer(machine, responses, [read_recording(path, machine) for path in standing], tuned_on, modes)
+    still, sweeps = ([read_recording(path, machine) for path in paths] for paths in (standing, sweep))
+    return design_observer(machine, responses, still, tuned_on, modes, sweeps)
 
 
 def _modes(text: str, modes: int) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
 from hil.errors import UnusableInput
-from hil.experiments import Static
+from hil.experiments import Scan, Static
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.directions import with_directions
@@ -22,19 +22,24 @@ from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model
 from hil.observing.standing import standing_mean, with_gravity
 from hil.observing.tuning import tune
+from hil.observing.turning import with_turning
 from hil.recording import Recording
 from hil.simulation import Simulator
 
 DEFAULT_MODES = 4
 
-GRID = 7
-"""Poses of the axis nearest to the detector at which an emulated machine is measured: enough for three harmonics."""
+GRID = 11
+"""Poses of the axis nearest to the detector at which an emulated machine is measured: enough for five harmonics. Shapes of modes that
+near each other change within 20°."""
 
 JOG_ROOM = 0.06
 """rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
 
 COARSE_GRID = 5
 """Positions of the other axes: gravity and the mount turn against the detector with them, as one or two harmonics."""
+
+SWEEP_SHARE = 0.75
+"""Of the largest speed, at which an emulated machine's axes are swept: what turning pushes grows with the square."""
 
 STANDING_s = 4.0
 """Length of an emulated standing record: a thousand samples of noise."""
@@ -72,6 +77,7 @@ def design_observer(
     standing: Sequence[Recording] = (),
     tuned_on: Sequence[Recording] = (),
     modes: int = DEFAULT_MODES,
+    sweeps: Sequence[Recording] = (),
 ) -> ObserverDesign:
     """Design an observer from measurements of a machine.
 
@@ -85,16 +91,20 @@ def design_observer(
     tuned_on : sequence of Recording
         Ordinary operation, whose innovations are to be white.
     modes : int
+    sweeps : sequence of Recording
+        There and back with nothing that shakes, for what turning pushes; taken with standing records only.
 
     Raises
     ------
     UnusableInput
-        No response at all.
+        No response at all, or sweeps without standing records.
     BadAnswer
         The modal model cannot be fitted.
     """
     if not responses:
         raise UnusableInput("an observer's model comes from frequency responses; give one or more, of different poses")
+    if sweeps and not standing:
+        raise UnusableInput("what turning pushes is told from gravity by standing records; give some beside the sweeps")
     model, fits = fit_observed_model(machine, responses, modes)
     model = with_directions(model, [fit.pose for fit in fits], effort_gain(machine))
     notes = list(model.notes)
@@ -103,6 +113,9 @@ def design_observer(
         model, *found = with_gravity(model, [standing_mean(recording, model) for recording in standing])
         biases = found[0], found[1]
         notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases[0])}")
+    if sweeps:
+        model = with_turning(model, found[0], sweeps, effort_gain(machine))
+        notes.append(f"what turning pushes from {len(sweeps)} sweeps")
     noise = starting_noise(model, machine, responses, standing, biases)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)
@@ -126,7 +139,15 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
         emulated_recording(machine, Static(STANDING_s, pose).plans(machine)[0], 500 + 100 * seed + i, simulator)
         for i, pose in enumerate(poses)
     ]
-    return design_observer(machine, responses, standing, tuned_on, modes)
+    sweeps: list[Recording] = []
+    for axis in machine.axes:
+        others = [grids[name][:: 2 if len(grids[name]) > COARSE_GRID else 1] for name in machine.axes if name != axis]
+        speed = SWEEP_SHARE * machine.limits[machine.axes.index(axis)].speed
+        for place in product(*others):
+            still = dict(zip([name for name in machine.axes if name != axis], place, strict=True))
+            plan = Scan(axis, grids[axis][0], grids[axis][-1], speed, still, sweeps=2).plans(machine)[0]
+            sweeps.append(emulated_recording(machine, plan, 700 + 100 * seed + len(sweeps), simulator))
+    return design_observer(machine, responses, standing, tuned_on, modes, sweeps)
 
 
 def _grid(machine: Machine, axis: int, count: int) -> list[float]:

@@ -16,7 +16,7 @@ from hil.arrays import read_arrays
 from hil.errors import UnusableInput
 from hil.observing.design import ObserverDesign
 
-FORMAT = 1
+FORMAT = 2
 _CHAIN = ("axes", "points", "revolute", "gravity_m_s2")
 _SENSOR = ("body_end_m", "sensor_end_m", "rotation", "lag_s", "channels")
 
@@ -31,6 +31,8 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
         arrays[name] = np.array(getattr(model, name))
     if model.directions is not None:
         arrays["directions"] = model.directions
+    if model.turning is not None:
+        arrays["turning"] = model.turning
     arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
@@ -71,6 +73,7 @@ def read_design(path: str | Path) -> ObserverDesign:
             effort_limit=arrays["effort_limit"],
             position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
             directions=arrays.get("directions"),
+            turning=arrays.get("turning"),
         )
         optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
         given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]

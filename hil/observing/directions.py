@@ -82,10 +82,10 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
     turns, shifts = _soft_directions(seen, masses)
     rows = []
     for here, inverse in zip(seen, masses, strict=True):
-        columns = [np.concatenate((here.rigid[:, k], here.inputs[:, k])) for k in range(n)]
+        columns = [np.concatenate((here.rigid[:, k], here.inputs[:, k] / here.stiffness)) for k in range(n)]
         pushes = [here.link[:, k] - here.motor[:, k] for k in range(n)]
         pushes += [here.relative[:, 3:] @ direction for direction in turns] + [here.relative[:, :3] @ direction for direction in shifts]
-        columns += [np.concatenate((np.zeros(n), inverse * push)) for push in pushes]
+        columns += [np.concatenate((np.zeros(n), inverse * push / here.stiffness)) for push in pushes]
         rows.append(np.column_stack(columns))
     table = np.array(rows)
     basis = _basis(model.harmonics, seen)

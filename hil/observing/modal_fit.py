@@ -4,6 +4,9 @@ Rigid motion is known from the chain but for inertia and damping; every mode has
 channels share: encoders see its deflection, an accelerometer its acceleration and the tilt in gravity, a gyro its turning rate. So the
 shape of the detector, which no sensor measures as a displacement, follows from what its IMU says.
 
+What drives the modes is the command less the drives' friction, which the motor sides' dynamic stiffness tells far below the first mode;
+taken for damping of every mode alone it would hide how it couples them.
+
 Poles are found by least squares with the shapes solved for within (variable projection), weighted by the responses' covariances.
 """
 
@@ -25,6 +28,12 @@ LOWEST_Hz = 1.0
 
 MOST_LINES = 200
 """More lines are thinned evenly: a fit takes a second and not ten."""
+
+FRICTION_Hz = 2.5
+"""Lines up to here tell the drives' friction: at 1 Hz it is some per cent of a motor side's dynamic stiffness, and modes are far."""
+
+LEAST_LINES = 4
+"""Fewer lines tell no friction."""
 
 START_DAMPING = 0.015
 """ζ to start from: light, as welded structures have."""
@@ -53,7 +62,8 @@ class PoseFit:
     stiffness, damping : (modes,) ω², 2ζω.
     shapes : (modes, channels) motor sides, link sides, six per observed body.
     inputs : (modes, n_axes)
-    rigid : (n_axes, n_axes) B_r. rigid_damping : (n_axes,).
+    rigid : (n_axes, n_axes) B_r.
+    friction : (n_axes,) of the drives per speed of the motor side, in the command's unit.
     misfit : (n_y, n_u) rms of the difference over rms of the response, over the lines used.
     """
 
@@ -63,14 +73,16 @@ class PoseFit:
     shapes: np.ndarray
     inputs: np.ndarray
     rigid: np.ndarray
-    rigid_damping: np.ndarray
+    friction: np.ndarray
     misfit: np.ndarray
 
 
 class _Problem:
     """One pose's data and regressors."""
 
-    def __init__(self, response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...]) -> None:
+    def __init__(
+        self, response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...], friction: np.ndarray | None = None
+    ) -> None:
         self.axes = len(response.input_names)
         self.chain, self.sensors = chain, sensors
         keep = np.flatnonzero(response.frequencies_Hz >= LOWEST_Hz)
@@ -78,20 +90,24 @@ class _Problem:
         self.f = response.frequencies_Hz[keep]
         if len(self.f) < 20:
             raise UnusableInput(f"only {len(self.f)} lines at or above {LOWEST_Hz:g} Hz; a modal model needs 20 and better a hundred")
-        self.G = response.G[keep]
+        G = response.G[keep]
         kind: CovarianceKind = "noise" if response.total_covariance is None else "total"
         deviation = response.standard_deviation(kind)[keep]
-        self.noise = np.median(deviation, axis=(0, 2))
-        self.weight = 1.0 / np.sqrt(deviation**2 + (MODEL_SHARE * np.abs(self.G)) ** 2 + 1e-300)
         self.period = 1.0 / response.sample_rate_Hz
         self.z = np.exp(2j * np.pi * self.f * self.period)
         self.pose = np.array(response.pose)
-        self.channels = self.G.shape[1]
+        self.noise = np.median(deviation, axis=(0, 2))
+        self.weight = 1.0 / np.sqrt(deviation**2 + (MODEL_SHARE * np.abs(G)) ** 2 + 1e-300)
+        self.channels = G.shape[1]
         if self.channels != 2 * self.axes + 6 * len(sensors):
             raise UnusableInput(
                 f"the response has the outputs {', '.join(response.output_names)}; an observer's model needs both encoders of every axis"
                 " and all channels of its inertial sensors: identify with outputs = the model's channels"
             )
+        omega = 2.0 * np.pi * self.f
+        self.friction = drive_friction(response) if friction is None else friction
+        speeds = (1j * omega / _acting(omega, self.period))[:, None, None] * G[:, : self.axes]
+        self.G = G @ np.linalg.inv(np.eye(self.axes) - self.friction[:, None] * speeds)  # to what friction leaves of the commands
         rest = chain_at_rest(chain, sensors, self.pose)
         self.rest_gradients, self.down = (rest.position, rest.speed, rest.acceleration), rest.down
 
@@ -112,7 +128,7 @@ class _Problem:
 
     def regressors(self, poles: np.ndarray) -> np.ndarray:
         """(L, channels, unknowns): per mode the unknown shape's columns (axes + axes + 6 per sensor), then one column per rigid axis."""
-        n, modes, L = self.axes, (len(poles) - 2 * self.axes) // 2, len(self.f)
+        n, modes, L = self.axes, (len(poles) - self.axes) // 2, len(self.f)
         width = 2 * n + 6 * len(self.sensors)
         table = np.zeros((L, self.channels, modes * width + n), complex)
         stiffness, damping = poles[: 2 * modes : 2], poles[1 : 2 * modes : 2]
@@ -132,10 +148,10 @@ class _Problem:
             for k in range(2 * n):
                 table[:, k, first + k] = now
         for axis in range(n):
-            stiff, damp = poles[2 * modes + 2 * axis : 2 * modes + 2 * axis + 2]
+            stiff = poles[2 * modes + axis]
             column = modes * width + axis
             for s, sensor in enumerate(self.sensors):
-                now, past, speed, acceleration = self.paths(stiff, damp, sensor.lag_s)
+                now, past, speed, acceleration = self.paths(stiff, 0.0, sensor.lag_s)
                 rows = slice(2 * n + 6 * s, 2 * n + 6 * s + 6)
                 p, v, a = (gradient[6 * s : 6 * s + 6, axis] for gradient in self.rest_gradients)
                 table[:, rows, column] = past[:, None] * p + speed[:, None] * v + acceleration[:, None] * a
@@ -180,13 +196,13 @@ class _Problem:
         return groups
 
     def fit(self, frequencies: np.ndarray, damping_ratios: np.ndarray | None = None) -> np.ndarray:
-        """Poles from starting frequencies [Hz] and damping: ω², 2ζω of every mode, then stiffness and damping of the rigid axes."""
+        """Poles from starting frequencies [Hz] and damping: ω², 2ζω of every mode, then stiffness of the rigid axes."""
         omega, modes = 2.0 * np.pi * frequencies, len(frequencies)
-        scale = np.concatenate((np.column_stack((omega**2, omega)).ravel(), np.tile([1.0, 1.0], self.axes)))
+        scale = np.concatenate((np.column_stack((omega**2, omega)).ravel(), np.ones(self.axes)))
         damping = np.full(modes, START_DAMPING) if damping_ratios is None else np.clip(damping_ratios, 1e-3, 0.15)
-        start = np.concatenate((np.column_stack((np.ones(modes), 2.0 * damping)).ravel(), np.tile([0.1, 0.2], self.axes)))
-        low = np.concatenate((np.tile([0.8, 1e-4], modes), np.tile([-40.0, 0.0], self.axes)))
-        high = np.concatenate((np.tile([1.25, 0.4], modes), np.tile([40.0, 20.0], self.axes)))
+        start = np.concatenate((np.column_stack((np.ones(modes), 2.0 * damping)).ravel(), np.full(self.axes, 0.1)))
+        low = np.concatenate((np.tile([0.8, 1e-4], modes), np.full(self.axes, -40.0)))
+        high = np.concatenate((np.tile([1.25, 0.4], modes), np.full(self.axes, 40.0)))
         solved = optimize.least_squares(
             lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", ftol=1e-5, max_nfev=20
         )
@@ -194,7 +210,12 @@ class _Problem:
 
 
 def fit_pose(
-    response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...], modes: int, near: PoseFit | None = None
+    response: FrequencyResponse,
+    chain: Chain,
+    sensors: tuple[InertialSensor, ...],
+    modes: int,
+    near: PoseFit | None = None,
+    friction: np.ndarray | None = None,
 ) -> PoseFit:
     """Fit one pose.
 
@@ -206,13 +227,15 @@ def fit_pose(
         How many to look for.
     near : PoseFit, optional
         A pose nearby whose poles to start from; the most prominent peaks unless given.
+    friction : (n_axes,) array, optional
+        Of the drives, see `drive_friction`; from this response unless given.
 
     Raises
     ------
     BadAnswer
         Fewer peaks than modes, or a fit that runs off.
     """
-    problem = _Problem(response, chain, sensors)
+    problem = _Problem(response, chain, sensors, friction)
     if near is None:
         frequencies = peaks_Hz(problem, problem.G, modes)
         poles = problem.fit(frequencies)
@@ -243,9 +266,30 @@ def fit_pose(
         shapes=shapes,
         inputs=inputs,
         rigid=unknowns[modes * width :],
-        rigid_damping=poles[2 * modes + 1 :: 2],
+        friction=problem.friction,
         misfit=misfit,
     )
+
+
+def drive_friction(response: FrequencyResponse) -> np.ndarray:
+    """The drives' friction (n_axes,) per speed of the motor side, in the command's unit; zero where no line is low enough.
+
+    Below the first mode the motor sides' dynamic stiffness is -J ω² + i ω C; what modes' damping adds to its imaginary part grows as ω³.
+    """
+    axes = len(response.input_names)
+    low = (response.frequencies_Hz >= LOWEST_Hz) & (response.frequencies_Hz <= FRICTION_Hz)
+    omega = 2.0 * np.pi * response.frequencies_Hz[low]
+    if len(omega) < LEAST_LINES:
+        return np.zeros(axes)
+    stiffness = _acting(omega, 1.0 / response.sample_rate_Hz)[:, None, None] * np.linalg.inv(response.G[low, :axes])
+    system = np.column_stack((1.0 / omega, omega))  # weighted as inertia's part grows
+    loss = np.diagonal(stiffness, axis1=1, axis2=2).imag / omega[:, None] ** 2
+    return np.maximum(np.linalg.lstsq(system, loss, rcond=None)[0][0], 0.0)
+
+
+def _acting(omega: np.ndarray, period_s: float) -> np.ndarray:
+    """What acts of a command at these frequencies: a sample late, and held for one."""
+    return np.exp(-1j * omega * period_s) * -np.expm1(-1j * omega * period_s) / (1j * omega * period_s)
 
 
 def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | None = None) -> np.ndarray:

@@ -21,6 +21,9 @@ ACCELEROMETER_WALK = 1e-5
 GYRO_WALK = 1e-6
 """rad/s per sqrt(s), likewise."""
 
+ROUNDING_STANDS_s = 1.0
+"""At standstill an encoder's rounding is one number and not noise; after a move it is another. So long a rest and a move take at least."""
+
 BIAS_STRAY = np.array([5e-4] * 3 + [5e-5] * 3)
 """How far biases stray between the standing records and a run, by temperature above all: 0.05 mg, 10 deg/h (m/s^2, rad/s)."""
 
@@ -38,18 +41,24 @@ START_SHARE = 0.05
 """Disturbances to start from, as a share of what the drives could do: the tuning moves it."""
 
 
+def encoder_steps(model: ModalModel, machine: Machine) -> np.ndarray:
+    """What one count is of motor sides, then link sides (2 n_axes,); 0 where there is no lattice."""
+    steps = {encoder.channel: encoder.resolution for encoder in machine.plant.encoders}
+    return np.array([steps.get(name, 0.0) for name in model.channels()[: 2 * len(model.axes)]])
+
+
 def measurement_noise(model: ModalModel, machine: Machine, records: Sequence[Recording]) -> np.ndarray:
     """Standard deviations (measurements,) of white noise, from recordings at rest, never below a sensor's lattice.
 
     Third differences take out whatever moves slowly against the sample rate; of white noise they have twenty times its variance.
     """
     channels = model.channels()
-    steps = {encoder.channel: encoder.resolution for encoder in machine.plant.encoders}
+    steps = encoder_steps(model, machine)
     variances = np.zeros((len(records), len(channels)))
     for row, record in zip(variances, records, strict=True):
         rough = np.diff(record.matrix(channels), n=3, axis=0)
         row[:] = np.nanmean(rough**2, axis=0) / 20.0
-    lattice = np.array([steps.get(name, 0.0) * LATTICE for name in channels])
+    lattice = np.concatenate((steps * LATTICE, np.zeros(len(channels) - len(steps))))
     smallest = np.where(np.arange(len(channels)) < 2 * len(model.axes), 1e-9, 1e-7)
     return np.maximum(np.sqrt(np.min(variances, axis=0)) if len(records) else 0.0, np.maximum(lattice, smallest))
 
@@ -78,11 +87,13 @@ def starting_noise(
 ) -> ObserverNoise:
     """Noise before tuning: measured where it can be measured, and disturbances of a share of the drives' strength.
 
-    `biases` are the inertial sensors' and their deviations (6 sensors,), from standing records; None: not known.
+    A motor side's counter was set to the link encoder when it was homed, with both at rest: that offset, and what its rounding is at rest,
+    are states. `biases` are the inertial sensors' and their deviations (6 sensors,), from standing records; None: not known.
     """
     n, sensors = len(model.axes), len(model.sensors)
     strength = np.full(model.disturbances, float(np.max(model.effort_limit * effort_gain(machine))))
     strength[:n] = model.effort_limit
+    steps = encoder_steps(model, machine)
     known, deviation = biases if biases else (np.zeros(6 * sensors), np.tile(UNKNOWN_BIAS, sensors))
     return ObserverNoise(
         command=command_noise(machine, responses, records),
@@ -93,6 +104,8 @@ def starting_noise(
         measurement=measurement_noise(model, machine, records),
         initial_bias=np.hypot(deviation, np.tile(BIAS_STRAY, sensors)),
         bias=known,
+        offset_walk=LATTICE * steps[:n] / np.sqrt(ROUNDING_STANDS_s),
+        initial_offset=LATTICE * np.sqrt(2.0 * steps[:n] ** 2 + steps[n:] ** 2),
     )
 
 

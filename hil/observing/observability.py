@@ -65,7 +65,7 @@ def observability(observer: ModalObserver, poses: Sequence[np.ndarray], missing:
     kept = np.array([name not in missing for name in channels])
     names = observer.state_names
     prior = np.maximum(observer.initial_std, 1e-30)
-    constant = np.array([name.startswith(("bias_", "log_frequency")) for name in names])
+    constant = np.array([name.startswith(("bias_", "offset_", "log_frequency")) for name in names])
     carried = np.zeros((len(names), len(names)))
     rank = 0
     for index, pose in enumerate(poses):

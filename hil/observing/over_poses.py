@@ -13,9 +13,9 @@ from hil.errors import BadAnswer
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.geometry import observed_chain
-from hil.observing.modal_fit import PoseFit, TURN_LENGTH_m, fit_pose
+from hil.observing.modal_fit import PoseFit, TURN_LENGTH_m, drive_friction, fit_pose
 
-HIGHEST_HARMONIC = 3
+HIGHEST_HARMONIC = 5
 """Of an axis position: inertias vary with the second harmonic, frequencies and shapes with what division makes of it."""
 
 APART_rad = np.radians(2.0)
@@ -96,10 +96,11 @@ def _fits(responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[I
     """Fits in the order of the poses' distance from the middle one, every mode followed from the nearest pose fitted before."""
     poses = np.array([response.pose for response in responses])
     order = np.argsort(np.linalg.norm(poses - np.median(poses, axis=0), axis=1), kind="stable")
+    friction = np.median([drive_friction(response) for response in responses], axis=0)  # a drive's own, whatever the pose
     done: list[PoseFit] = []
     for index in order:
         near = min(done, key=lambda other: float(np.linalg.norm(other.pose - poses[index]))) if done else None
-        fit = fit_pose(responses[index], chain, sensors, modes, near)
+        fit = fit_pose(responses[index], chain, sensors, modes, near, friction)
         done.append(fit if near is None else _aligned(fit, near, chain))
     return tuple(sorted(done, key=lambda fit: tuple(fit.pose)))
 
@@ -127,7 +128,7 @@ def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
             )
         if likeness < 0.0:
             shapes[i], inputs[i] = -shapes[i], -inputs[i]
-    return PoseFit(fit.pose, fit.stiffness, fit.damping, shapes, inputs, fit.rigid, fit.rigid_damping, fit.misfit)
+    return PoseFit(fit.pose, fit.stiffness, fit.damping, shapes, inputs, fit.rigid, fit.friction, fit.misfit)
 
 
 def _twist(shape: np.ndarray, n: int) -> np.ndarray:
@@ -151,10 +152,10 @@ def _rotation(chain: Chain, pose: np.ndarray) -> Rotation:
 def _rows(fit: PoseFit) -> np.ndarray:
     """One pose's parameters in the order of `ModalModel.coefficients`; nothing pushes and nothing is offset yet."""
     modes = [
-        np.concatenate(([stiffness, damping], shape, given))
+        np.concatenate(([1.0 / stiffness, damping / stiffness], shape, given / stiffness))
         for stiffness, damping, shape, given in zip(fit.stiffness, fit.damping, fit.shapes, fit.inputs, strict=True)
     ]
-    return np.concatenate((*modes, fit.rigid.ravel(), fit.rigid_damping, np.zeros(len(fit.pose) + len(modes) + 6)))
+    return np.concatenate((*modes, fit.rigid.ravel(), fit.friction, np.zeros(len(fit.pose) + len(modes) + 6)))
 
 
 def _notes(fits: Sequence[PoseFit], left: np.ndarray, modes: int) -> tuple[str, ...]:
@@ -164,6 +165,6 @@ def _notes(fits: Sequence[PoseFit], left: np.ndarray, modes: int) -> tuple[str, 
     stride = 2 + len(fits[0].shapes[0]) + n if modes else 0
     for i in range(modes):
         frequency = np.sqrt([fit.stiffness[i] for fit in fits]) / (2.0 * np.pi)
-        spread = float(np.abs(left[:, i * stride]).max() / np.mean([fit.stiffness[i] for fit in fits]) / 2.0)
+        spread = float(np.max(np.abs(left[:, i * stride]) * [fit.stiffness[i] for fit in fits]) / 2.0)
         notes.append(f"mode {i + 1}: {frequency.min():.2f} to {frequency.max():.2f} Hz over the poses, met to {100.0 * spread:.2f} %")
     return tuple(notes)

@@ -88,7 +88,7 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
         table = values[: modes * model.mode_stride].reshape(modes, model.mode_stride)
         basis_values(harmonics, each.motor, basis)
         rest = chain_at_rest(model.chain, model.sensors, each.motor)
-        bends.append((basis.copy(), table[:, 0], table[:, -n:] @ each.command))
+        bends.append((basis.copy(), table[:, -n:] @ each.command / table[:, 0]))
         first = modes * model.mode_stride
         pushes.append(-values[first : first + n * n].reshape(n, n) @ each.command)
         for k in range(n):
@@ -123,9 +123,9 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
     solution = np.linalg.lstsq(table, np.array(target), rcond=1e-12)[0]
     spread = np.sqrt(np.diag(np.linalg.inv(table.T @ table)))[modes * width :]
     bend = solution[: modes * width].reshape(modes, width)
-    # the push that bends a mode so far: ω² η = b u + d
-    modal = np.array([stiffness * (bend @ b) - given for b, stiffness, given in bends])
-    table = np.array([b for b, _, _ in bends])
+    # what bends a mode so far: η = (b u + d) / ω²
+    modal = np.array([bend @ b - given for b, given in bends])
+    table = np.array([b for b, _ in bends])
     rows = np.linalg.lstsq(table, np.hstack((np.array(pushes), modal)), rcond=1e-8)[0].T
     coefficients = model.coefficients.copy()
     first = modes * model.mode_stride + n * (n + 1)

@@ -29,6 +29,9 @@ LARGEST_EXCESS = 100.0
 TIME_s = (0.004, 20.0)
 """Correlation times that a filter at some hundred Hz can tell apart from white noise and from a random walk."""
 
+DRIVES_TIME_s = 1.0
+"""Least correlation time of what drives do beside their command: friction is slow, and at rest a command's rounding stands as long."""
+
 ROWS = 1280
 """Of each recording that tuning looks at: five seconds at 256 Hz."""
 
@@ -121,11 +124,14 @@ def tune(
         command, strength, time, excess = np.split(np.exp(p), np.cumsum(sizes)[:-1])
         factor = np.repeat(time, (n, others))
         per_channel = np.concatenate((np.repeat(excess[:2], n), np.tile(np.repeat(excess[2:], 3), sensors)))
+        disturbance = start.disturbance * strength * np.sqrt(factor)  # at one strength the times share their high frequencies
+        times = np.clip(start.disturbance_time_s * factor, *TIME_s)
+        disturbance[:n], times[:n] = np.maximum(disturbance[:n], start.command), np.maximum(times[:n], DRIVES_TIME_s)
         return replace(
             start,
             command=start.command * command,
-            disturbance=start.disturbance * strength * np.sqrt(factor),  # at one strength the times share their high frequencies
-            disturbance_time_s=np.clip(start.disturbance_time_s * factor, *TIME_s),
+            disturbance=disturbance,
+            disturbance_time_s=times,
             measurement=start.measurement * np.maximum(per_channel, 1.0),
         )
 
@@ -138,6 +144,7 @@ def tune(
     edge = np.log(LARGEST_FACTOR)
     low = np.concatenate((np.full(size - sizes[-1], -edge), np.zeros(sizes[-1])))
     high = np.concatenate((np.full(size - sizes[-1], edge), np.full(sizes[-1], np.log(LARGEST_EXCESS))))
+    low[0] = 0.0  # a drive's rounding is known, whatever a recording makes of it
     first = np.concatenate((np.zeros(size - sizes[-1]), np.full(sizes[-1], np.log(2.0))))
     found = _compass(cost, first, low, high, evaluations)
     tuned = noise(found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from hil.experiments import Scan, Static
@@ -27,5 +28,6 @@ def design(machine: Machine) -> ObserverDesign:
     simulator = Simulator(machine)
     standing = [emulated_recording(machine, Static(4.0, pose).plans(machine)[0], 40 + i, simulator) for i, pose in enumerate(poses)]
     scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60, simulator)
-    untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3)
+    sweep = emulated_recording(machine, Scan("roll", -0.6, 0.6, np.radians(45.0), sweeps=2).plans(machine)[0], 62, simulator)
+    untuned = design_observer(machine, emulated_responses(machine, poses, seed=3), standing, modes=3, sweeps=[sweep])
     return dataclasses.replace(untuned, noise=tune(untuned.model, untuned.noise, [scan], evaluations=60).noise)

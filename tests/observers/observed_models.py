@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -22,9 +24,10 @@ def small_model(revolute: bool = True, gravity: np.ndarray = GRAVITY, lag_s: flo
     rows = []
     for i in range(modes):
         shapes, given = 0.4 * generator.normal(size=10), 0.5 * generator.normal(size=2)
-        rows += [omega[i] ** 2, 2.0 * DAMPING * omega[i], *shapes, *given]
-    rows += [0.30, 0.01, 0.01, 0.25, 0.2, 0.15]  # B_r, D_r
-    rows += list(0.1 * generator.normal(size=2 + modes)) + [0.0] * 6
+        rows += [omega[i] ** -2, 2.0 * DAMPING / omega[i], *shapes, *given / omega[i] ** 2]
+    rows += [0.30, 0.01, 0.01, 0.25, 0.2, 0.15]  # B_r, C
+    pushes = 0.1 * generator.normal(size=2 + modes)
+    rows += [*pushes[:2], *pushes[2:] / omega**2] + [0.0] * 6
     sensor = InertialSensor(CENTER, SENSOR, np.eye(3), lag_s, CHANNELS)
     chain = Chain(np.eye(3)[:2], np.zeros((2, 3)), np.array([revolute] * 2), np.asarray(gravity, float))
     return ModalModel(
@@ -38,6 +41,14 @@ def small_model(revolute: bool = True, gravity: np.ndarray = GRAVITY, lag_s: flo
         effort_limit=np.array([8.0, 8.0]),
         position_unit=("rad", "rad"),
     )
+
+
+def with_lower_mode(model: ModalModel, factor: float) -> ModalModel:
+    """The model with the first mode's frequency lower by a factor, its damping ratio and all that pushes it as they were."""
+    coefficients = model.coefficients.copy()
+    coefficients[[0, 12, 13, 4 * 14 + 8]] *= factor**2
+    coefficients[1] *= factor
+    return replace(model, coefficients=coefficients)
 
 
 def small_noise(modes: int = 4, **changes: float) -> ObserverNoise:
@@ -62,21 +73,22 @@ class DenseModel:
         values = model.coefficients[:, 0]
         table = values[: modes * 14].reshape(modes, 14)
         rest = values[modes * 14 :]
-        self.stiffness, self.damping, self.inputs = table[:, 0], table[:, 1], table[:, 12:]
+        self.stiffness = 1.0 / table[:, 0]
+        self.damping, self.inputs = table[:, 1] * self.stiffness, table[:, 12:] * self.stiffness[:, None]
         self.motor, self.link, self.twist = table[:, 2:4].T, table[:, 4:6].T, table[:, 6:12].T
-        self.B, self.D, self.push = rest[:4].reshape(2, 2), rest[4:6], rest[6 : 8 + modes]
+        self.B, self.C, self.push = rest[:4].reshape(2, 2), rest[4:6], np.concatenate((rest[6:8], rest[8 : 8 + modes] * self.stiffness))
         self.gravity, self.revolute = model.chain.gravity_m_s2, bool(model.chain.revolute[0])
         self.lag = model.sensors[0].lag_s
         self.period = 1.0 / model.sample_rate_Hz
         size = n + modes
-        self.G = np.eye(size) if model.directions is None else model.directions[:, :, 0]
+        self.G = np.eye(size) if model.directions is None else model.directions[:, :, 0] * np.append([1.0, 1.0], self.stiffness)[:, None]
         self.colour, self.colour_noise = colour_of(noise, self.period)
         self.pushes, self.after = self.G.shape[1], 2 * size + len(self.colour)
         self.states = self.after + 6
         A = np.zeros((2 * size, 2 * size))
         A[:size, size:] = np.eye(size)
         A[size:, :size] = -np.diag(np.concatenate(([0.0, 0.0], self.stiffness)))
-        A[size:, size:] = -np.diag(np.concatenate((self.D, self.damping)))
+        A[size:, size:] = -np.diag(np.concatenate(([0.0, 0.0], self.damping)))
         self.A = A
         self.order = np.concatenate((np.arange(n), size + np.arange(n), n + np.arange(modes), size + n + np.arange(modes)))
         self.noise = noise
@@ -85,6 +97,15 @@ class DenseModel:
     def forcing(self, u: np.ndarray) -> np.ndarray:
         """Accelerations (axes + modes,) that commands and gravity bring."""
         return np.concatenate((self.B @ u, self.inputs @ u)) + self.push
+
+    def rubbed(self, x: np.ndarray, force: np.ndarray, later: float) -> np.ndarray:
+        """Accelerations with the drives' friction, of the motor sides' speeds so much later if nothing rubbed more."""
+        n, modes, seen = self.n, self.modes, np.hstack((np.eye(self.n), self.motor))
+        drives = np.vstack((self.B, self.inputs))
+        rate = np.concatenate((x[n : 2 * n], x[2 * n + modes : 2 * n + 2 * modes]))
+        force = force - drives @ (self.C * (seen @ rate))
+        bent = np.concatenate((np.zeros(n), self.stiffness * x[2 * n : 2 * n + modes] + self.damping * rate[n:]))
+        return force - later * drives @ (self.C * (seen @ (force - bent)))
 
     def held(self, duration: float) -> tuple[np.ndarray, np.ndarray]:
         """`_held`, once for each duration."""
@@ -106,7 +127,8 @@ class DenseModel:
         step, gain = self.held(self.period)
         coloured = self.colour @ x[2 * size : self.after]
         d = self.G @ coloured[: self.pushes]
-        return np.concatenate((step @ x[: 2 * size] + gain @ (self.forcing(u) + d), coloured, x[self.after :]))
+        force = self.rubbed(x, self.forcing(u) + d, 0.5 * self.period)
+        return np.concatenate((step @ x[: 2 * size] + gain @ force, coloured, x[self.after :]))
 
     def process_covariance(self) -> np.ndarray:
         size, period, noise = len(self.A) // 2, self.period, self.noise
@@ -122,14 +144,14 @@ class DenseModel:
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         size = len(self.A) // 2
-        force = self.forcing(u) + self.G @ x[2 * size : 2 * size + self.pushes]
+        force = self.rubbed(x, self.forcing(u) + self.G @ x[2 * size : 2 * size + self.pushes], 0.0)
         back, gain = self.held(-self.lag)
         past = back @ x[: 2 * size] + gain @ force
         n, modes = self.n, self.modes
         now_q, now_eta = x[:n], x[2 * n : 2 * n + modes]
         q, v = past[:n], past[n : 2 * n]
         eta, rate = past[2 * n : 2 * n + modes], past[2 * n + modes :]
-        a = force[:n] - self.D * x[n : 2 * n]
+        a = force[:n]
         # the axes' lag is taken to first order in speed, second in position
         v = x[n : 2 * n] - self.lag * a
         q = x[:n] - self.lag * (x[n : 2 * n] - 0.5 * self.lag * a)

@@ -61,9 +61,10 @@ def test_with_the_true_state_the_law_gives_the_ratio_that_is_asked_for(wanted: f
 
 def test_at_rest_under_gravity_it_asks_for_nothing() -> None:
     law, out, x = small_law(), np.zeros(2), np.zeros(STATES)
-    values, holding = small_model().coefficients[:, 0], np.array([0.3, -0.2])
-    push = values[4 * 14 + 8] + values[12:14] @ holding
-    x[4] = push / values[0]  # where the spring bears the push and what the drives hold
+    values = small_model().coefficients[:, 0]
+    holding = -np.linalg.solve(values[4 * 14 : 4 * 14 + 4].reshape(2, 2), values[4 * 14 + 6 : 4 * 14 + 8])
+    for i in range(4):  # where the springs bear the push and what the drives hold
+        x[4 + i] = values[4 * 14 + 8 + i] + values[14 * i + 12 : 14 * i + 14] @ holding
     law.law(x, holding, out)
     assert np.abs(out).max() < 1e-12
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed_models import DenseModel, drawn_rows, small_model, small_noise
+from observed_models import DenseModel, FREQUENCIES_Hz, drawn_rows, small_model, small_noise
 
 from controllers.observers.consistency import share_in_band
 from controllers.observers.modal_observer import ModalObserver
@@ -45,7 +45,8 @@ def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measure
 def test_every_filter_is_filterpys_kalman_filter_on_a_linear_machine(kind: str, has_places: bool) -> None:
     model, noise = small_model(revolute=False, gravity=np.zeros(3)), small_noise()
     if has_places:  # three disturbances, of which two lie in a band, each pushing axes and modes together
-        model = replace(model, directions=np.random.default_rng(4).normal(size=(6, 3, 1)))
+        over_stiffness = np.append([1.0, 1.0], (2.0 * np.pi * FREQUENCIES_Hz) ** -2)[:, None, None]
+        model = replace(model, directions=over_stiffness * np.random.default_rng(4).normal(size=(6, 3, 1)))
         time, middle, biases = np.array([0.1, 0.05, 0.2]), np.array([0.0, 4.0, 9.0]), np.full(6, 1e-3)
         noise = replace(noise, disturbance=np.full(3, 0.5), disturbance_time_s=time, disturbance_Hz=middle, bias=biases)
     model.coefficients[[14 * i + j for i in range(4) for j in (9, 10, 11)]] = 0.0  # shapes that do not turn: nothing is tilted

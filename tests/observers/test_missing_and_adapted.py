@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed_models import DenseModel, drawn_rows, small_model, small_noise
+from observed_models import DenseModel, drawn_rows, small_model, small_noise, with_lower_mode
 
 from controllers.errors import DesignError
 from controllers.observers.consistency import InnovationMonitor
@@ -68,10 +68,7 @@ def test_a_restarted_observer_repeats_itself_to_the_bit(drawn) -> None:
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_a_mode_ten_per_cent_off_is_found_within_one_per_cent(drawn, kind: str) -> None:
     measured, commands, _ = drawn
-    coefficients = small_model().coefficients.copy()
-    coefficients[0] /= 1.1**2
-    coefficients[1] /= 1.1
-    wrong = replace(small_model(), coefficients=coefficients)
+    wrong = with_lower_mode(small_model(), 1.1)
     observer = ModalObserver(wrong, small_noise(adapted_walk=1e-3), kind, adapted=(0,))  # type: ignore[arg-type]
     states, _ = _run(observer, measured, commands)
     ratio = np.exp(states[:, observer.state_names.index("log_frequency_ratio_mode_1")])
