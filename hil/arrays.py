@@ -1,13 +1,35 @@
-"""Files of named NumPy arrays (.npz): FRF, SHAPER, EST, observer designs."""
+"""Files of named NumPy arrays (.npz): FRF, SHAPER, EST, observer designs, calibrations."""
 
 from __future__ import annotations
 
+import io
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hil.errors import UnusableInput
+from hil.recording.atomic import write_atomically
+
+
+def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
+    """Write an archive that NumPy alone can read (docs/formats.md): whole, or what was in its place stays.
+
+    Parameters
+    ----------
+    path : str or Path
+    arrays : mapping of str to array or what NumPy makes one of
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    content = io.BytesIO()
+    np.savez_compressed(content, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]  # the stub takes allow_pickle for a value
+    write_atomically({Path(path): content.getvalue()})
 
 
 def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = UnusableInput) -> dict[str, np.ndarray]:

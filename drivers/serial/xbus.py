@@ -79,7 +79,6 @@ class Precision(IntEnum):
 
 STATUS_SELF_TEST_PASSED = 1 << 0
 STATUS_FILTER_VALID = 1 << 1
-STATUS_CLIPPED = 1 << 19
 STATUS_SYNC_IN = 1 << 21
 
 SYNC_FUNCTION_SEND_LATEST = 8  # a pulse on the line makes the device send its latest sample

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.calibration.data_driven import Calibration, Parameters
 from hil.calibration.observed_beam import ObservedBeam
 from hil.calibration.quasi_static import QuasiStatic
@@ -80,32 +80,22 @@ class DataFile:
 
 
 def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibration, path: Path) -> None:
-    """As a .npz that NumPy alone can read (docs/formats.md).
-
-    Raises
-    ------
-    UnusableInput
-        The file cannot be written.
-    """
-    try:
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                data_calibration_format=FORMAT,
-                machine=model.machine.name,
-                axes=np.array(model.machine.axes),
-                names=np.array(model.names),
-                units=np.array(model.units),
-                time_s=observed.time_s,
-                positions=observed.positions,
-                live=found.live,
-                final=found.final,
-                sigma=found.sigma,
-                values=found.parameters.values,
-                covariance=found.parameters.covariance,
-            )
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+    """To its file; RecordingError where it cannot be written."""
+    arrays = {
+        "data_calibration_format": FORMAT,
+        "machine": model.machine.name,
+        "axes": model.machine.axes,
+        "names": model.names,
+        "units": model.units,
+        "time_s": observed.time_s,
+        "positions": observed.positions,
+        "live": found.live,
+        "final": found.final,
+        "sigma": found.sigma,
+        "values": found.parameters.values,
+        "covariance": found.parameters.covariance,
+    }
+    write_arrays(path, arrays)
 
 
 def read_data_file(path: Path) -> DataFile:

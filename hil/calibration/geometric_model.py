@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from controllers.models.flexible import FlexibleChain
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.calibration.flexible_fit import beam_of
 from hil.calibration.lookup import LookUp, look_up_from
 from hil.calibration.nominal_chain import nominal_chain
@@ -78,28 +78,18 @@ Calibration = LookUp | GeometricModel
 
 
 def write_model(model: GeometricModel, path: Path) -> None:
-    """As a .npz that NumPy alone can read (docs/formats.md).
-
-    Raises
-    ------
-    UnusableInput
-        The file cannot be written.
-    """
-    try:
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                format=FORMAT,
-                kind=KIND,
-                axes=np.array(model.machine.axes),
-                names=np.array(model.chain.names),
-                units=np.array(model.chain.units),
-                values=model.chain.values,
-                covariance=model.covariance,
-                notes=json.dumps(dict(model.notes)),
-            )
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+    """To its file; RecordingError where it cannot be written."""
+    arrays = {
+        "format": FORMAT,
+        "kind": KIND,
+        "axes": model.machine.axes,
+        "names": model.chain.names,
+        "units": model.chain.units,
+        "values": model.chain.values,
+        "covariance": model.covariance,
+        "notes": json.dumps(dict(model.notes)),
+    }
+    write_arrays(path, arrays)
 
 
 def read_calibration(path: Path, machine: Machine) -> Calibration:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.calibration.phantom_pose import PoseFit
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
@@ -143,26 +143,16 @@ def standing(table: LookUp) -> LookUp:
 
 
 def write_look_up(table: LookUp, path: Path) -> None:
-    """As a .npz that NumPy alone can read.
-
-    Raises
-    ------
-    UnusableInput
-        The file cannot be written.
-    """
-    try:
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                format=FORMAT,
-                axes=np.array(table.axes),
-                positions=table.positions,
-                deviation=table.deviation,
-                covariance=table.covariance,
-                notes=json.dumps(dict(table.notes)),
-            )
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+    """To its file; RecordingError where it cannot be written."""
+    arrays = {
+        "format": FORMAT,
+        "axes": table.axes,
+        "positions": table.positions,
+        "deviation": table.deviation,
+        "covariance": table.covariance,
+        "notes": json.dumps(dict(table.notes)),
+    }
+    write_arrays(path, arrays)
 
 
 def read_look_up(path: Path) -> LookUp:

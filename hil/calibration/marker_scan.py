@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.arrays import write_arrays
 from hil.calibration.image_quality import ImageQuality, quality_of
 from hil.calibration.marker import NONLINEAR, MarkerFit, fit_marker
 from hil.errors import UnusableInput
@@ -123,31 +124,21 @@ def _look(
 
 
 def write_marker_scan(result: MarkerScan, scan: ImageScan, notes: dict[str, object], path: Path) -> None:
-    """As a .npz that NumPy alone can read (docs/formats.md).
-
-    Raises
-    ------
-    UnusableInput
-        The file cannot be written.
-    """
-    try:
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                format=FORMAT,
-                parameters=np.array(PARAMETERS),
-                free=np.array(result.free),
-                exposure_id=scan.exposure_id,
-                time_s=scan.middle_s,
-                axes=np.array(scan.axes),
-                positions=scan.positions,
-                values=result.values,
-                nominal=result.nominal,
-                covariance=result.covariance,
-                points=result.points,
-                deviation_pixels=result.quality.deviation_pixels,
-                blur_pixels=result.quality.blur_pixels,
-                notes=json.dumps(notes),
-            )
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+    """To its file; RecordingError where it cannot be written."""
+    arrays = {
+        "format": FORMAT,
+        "parameters": PARAMETERS,
+        "free": result.free,
+        "exposure_id": scan.exposure_id,
+        "time_s": scan.middle_s,
+        "axes": scan.axes,
+        "positions": scan.positions,
+        "values": result.values,
+        "nominal": result.nominal,
+        "covariance": result.covariance,
+        "points": result.points,
+        "deviation_pixels": result.quality.deviation_pixels,
+        "blur_pixels": result.quality.blur_pixels,
+        "notes": json.dumps(notes),
+    }
+    write_arrays(path, arrays)

@@ -238,10 +238,6 @@ def _wrapped(phase: float) -> float:
     return float((phase + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def _one(residual: Residual) -> float:
-    return 1.0
-
-
 def _ratio(residual: Residual) -> float:
     return residual.ratio
 

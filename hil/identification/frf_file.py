@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.identification.errors import IdentificationError
 from hil.identification.result import Distortion, FrequencyResponse
 
@@ -41,8 +41,7 @@ def write_frf(response: FrequencyResponse, path: str | Path) -> None:
             "distortion_noise": response.even_odd.noise,
             "distortion_dof": np.array(response.even_odd.dof),
         }
-    with Path(path).open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stub takes allow_pickle for a value
+    write_arrays(path, arrays)
 
 
 def read_frf(path: str | Path) -> FrequencyResponse:

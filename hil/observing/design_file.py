@@ -12,7 +12,7 @@ from controllers.errors import DesignError
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel
 from controllers.observers.settings import ObserverNoise
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
 from hil.observing.design import ObserverDesign
 
@@ -36,8 +36,7 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
-    with Path(path).open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def read_design(path: str | Path) -> ObserverDesign:

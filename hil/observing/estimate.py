@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
 from hil.recording import Channel, Recording, write_recording
 
@@ -69,8 +69,7 @@ def write_estimate(estimate: Estimate, path: str | Path, recording: Recording | 
         return
     arrays = {name: np.asarray(getattr(estimate, name)) for name in (*_ARRAYS, "filter", "machine_hash")}
     arrays |= {name: np.array(getattr(estimate, name), dtype=np.str_) for name in _NAMES}
-    with path.open("wb") as file:
-        np.savez_compressed(file, estimate_format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
+    write_arrays(path, {"estimate_format": FORMAT, **arrays})
 
 
 def read_estimate(path: str | Path) -> Estimate:

@@ -22,20 +22,6 @@ STEP = 1e-5
 """Joint displacement [rad or m] for the detector's Jacobian by central differences: its error is of the order of 1e-10."""
 
 
-def from_state_space(system: control.StateSpace, output: str | int = 0, input_: str | int = 0) -> Dynamics:
-    """One path of a `control.StateSpace`, by name or number; sampled if its `dt` is positive.
-
-    Raises
-    ------
-    DesignError
-        No such input or output.
-    """
-    row, column = _index(system.output_labels, output, "output"), _index(system.input_labels, input_, "input")
-    period = float(system.dt) if isinstance(system.dt, float) and system.dt > 0.0 else None
-    a, b, c, d = (np.asarray(part, dtype=float) for part in (system.A, system.B, system.C, system.D))
-    return Dynamics(a, b[:, column], c[row], float(d[row, column]), period)
-
-
 def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "link", physics: Physics | None = None) -> Dynamics:
     """From the reference of an axis to a position, linear about rest at a pose, sampled with the loop's timing (docs/notation.md).
 
@@ -181,9 +167,7 @@ def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return a, np.asarray(b).reshape(-1), np.asarray(c).reshape(-1), float(np.asarray(d).reshape(-1)[0])
 
 
-def _index(labels: list[str], wanted: str | int, what: str) -> int:
-    if isinstance(wanted, str) and wanted in labels:
+def _index(labels: list[str], wanted: str, what: str) -> int:
+    if wanted in labels:
         return labels.index(wanted)
-    if isinstance(wanted, int) and 0 <= wanted < len(labels):
-        return wanted
     raise DesignError(f"{what} {wanted!r}: the system has {', '.join(labels)}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.arrays import read_arrays
+from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
 
 FORMAT = 1
@@ -49,8 +49,7 @@ def write_shaper(shaper: ShaperFile, path: str | Path) -> None:
     }
     for each in shaper.shapers:
         arrays |= {f"{name}_{each.axis}": np.asarray(getattr(each, name)) for name in _ARRAYS}
-    with Path(path).open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stub takes allow_pickle for a value
+    write_arrays(path, arrays)
 
 
 def read_shaper(path: str | Path) -> ShaperFile:

@@ -147,7 +147,8 @@ def test_a_recording_without_link_encoders_is_replayed_and_that_is_said(design: 
     assert np.isfinite(estimate.values).all()
     assert any("link_position_roll" in note for note in estimate.notes)
     whole = observe(scan.part(slice(0, 300)), design.observer("ukf"))
-    assert estimate["estimate_detector_x_variance"][-1] > whole["estimate_detector_x_variance"][-1]
+    bend = estimate["estimate_detector_x_variance"][-1] / whole["estimate_detector_x_variance"][-1]
+    assert bend > 1.3  # any measurement makes a variance smaller: that would show nothing
     for k, axis in enumerate(design.model.axes):  # where the link side is, is then known as well as its motor's counter was set, no better
         bare_variance, variance = (e[f"estimate_link_position_{axis}_variance"][-1] for e in (estimate, whole))
         assert bare_variance == pytest.approx(design.noise.initial_offset[k] ** 2, rel=0.3)

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WATER_1_M = 20.0
-"""Attenuation of water at about 60 keV [1/m] (NIST XCOM: 20.6)."""
-
 STEEL_1_M = 900.0
 """Attenuation of iron at about 60 keV [1/m] (NIST XCOM: 948)."""
 

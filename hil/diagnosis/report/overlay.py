@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.report.style import BLACK, STAGE_COLOURS, STAGE_NAMES, channel_label
+from hil.diagnosis.report.style import BLACK, STAGE_COLOURS, STAGE_NAMES
 
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""
@@ -84,8 +84,3 @@ def _columns(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], number
         if of_kind:
             chosen.append(max(of_kind, key=lambda c: size[c]))
     return chosen
-
-
-def label_of(found: Mismatch, column: int) -> str:
-    """A channel with its unit."""
-    return channel_label(found.channels[column], found.units[column])

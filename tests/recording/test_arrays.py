@@ -1,0 +1,31 @@
+"""Archives of arrays are either whole or not there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.arrays import read_arrays, write_arrays
+from hil.errors import UnusableInput
+
+
+def test_what_was_written_is_read_again(tmp_path) -> None:
+    values = np.arange(6.0).reshape(2, 3)
+    write_arrays(tmp_path / "a.npz", {"format": 1, "names": ("propeller", "roll"), "values": values})
+    read = read_arrays(tmp_path / "a.npz", "an archive")
+    assert int(read["format"]) == 1 and list(read["names"]) == ["propeller", "roll"]
+    np.testing.assert_array_equal(read["values"], values)
+
+
+def test_a_full_disk_leaves_what_was_there_and_is_one_line(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "a.npz"
+    write_arrays(path, {"values": np.zeros(3)})
+
+    def full(_descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(UnusableInput, match=r"a\.npz: cannot be written: No space left on device"):
+        write_arrays(path, {"values": np.ones(3)})
+    np.testing.assert_array_equal(read_arrays(path, "an archive")["values"], np.zeros(3))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
