@@ -16,7 +16,8 @@ import numpy as np
 
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
-from controllers.observers.modal_equations import transition
+from controllers.observers.linear_part import transition
+from controllers.observers.modal_equations import moving
 from controllers.observers.modal_observer import ModalObserver
 
 RAMP_s = 0.5
@@ -51,12 +52,14 @@ class DampingSettings:
 @exactly_compiled
 def _against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
     n, speed_at = constants.sizes[0], 2 * constants.sizes[0] + constants.sizes[1] + mode
-    u, next_row, row_after = scheduled.acting.copy(), x.copy(), x.copy()
-    u[:n] = acting
-    transition(constants, scheduled, x, u, next_row)
-    transition(constants, scheduled, next_row, u, row_after)
+    next_row, row_after = x.copy(), x.copy()
+    transition(constants, scheduled, x, acting, next_row)
+    transition(constants, scheduled, next_row, acting, row_after)
     speed = 0.5 * (next_row[speed_at] + row_after[speed_at])
-    stretch = np.exp(x[constants.adapted[mode]]) if constants.adapted[mode] >= 0 else 1.0
+    stretch = 1.0
+    for k in range(constants.sizes[3]):
+        if constants.adapted[k] == mode:
+            stretch = np.exp(x[moving(constants) + k])
     stiffness, damping, given = scheduled.modes[mode, 0] * stretch * stretch, scheduled.modes[mode, 1] * stretch, 0.0
     for k in range(n):
         given += scheduled.encoders[mode, 2 * n + k] ** 2

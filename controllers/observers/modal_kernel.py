@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.compiled import exactly_called, exactly_compiled
-from controllers.observers.modal_equations import SENSOR_SIGNALS, prepare, readings, signals, transition
+from controllers.observers.linear_part import arrived, carried, heading, others_seen, others_stepped, prepare, signals, stays, transition
+from controllers.observers.modal_equations import MODE_SIGNALS, adapted_step, first_bias, moving, readings
 from controllers.observers.square_root import triangularise, update
 
 KALMAN, EXTENDED, UNSCENTED = 0, 1, 2
@@ -29,10 +30,10 @@ class Memory(NamedTuple):
     x: np.ndarray  # (states,)
     factor: np.ndarray  # (states, states) U, P = UᵀU
     innovation: np.ndarray  # (measurements,) z - ẑ; NaN where nothing was measured
-    points: np.ndarray  # (2 states, states or more)
+    bends: np.ndarray  # (states, 2 adapted): how the mean of a pair of sigma points strays, one sample on
     seen: np.ndarray  # (2 states, measurements)
     array: np.ndarray  # (2 states + measurements + noise sources, measurements + states)
-    lines: np.ndarray  # (6, states or more): scratch
+    lines: np.ndarray  # (6, states, signals or columns of `steps`, whichever are most): scratch
 
 
 @exactly_called
@@ -71,39 +72,26 @@ def process_noise(constants, scheduled, array, first):
 def predict(constants, scheduled, memory, kind):
     """Time update to the next sample: (5.7), (5.9) or (5.17)-(5.19) with Q.
 
-    Without adapted modes the transition is linear: deviations go through it by themselves, and sigma points would find the same.
+    Adapted modes alone are asked at both ends of a deviation; of the rest sigma points would find what the table says.
     """
-    states = constants.sizes[4]
-    x, factor, points, array, after, nothing = memory.x, memory.factor, memory.points, memory.array, memory.lines[0], memory.lines[1]
+    states, adapted, first = constants.sizes[4], constants.sizes[3], moving(constants)
+    x, factor, array, after, here, line = memory.x, memory.factor, memory.array, memory.lines[0], memory.lines[1], memory.lines[2]
     prepare(constants, x, scheduled)
-    u = scheduled.acting
+    heading(constants, scheduled, x, scheduled.command, here)
+    arrived(constants, scheduled, here, after)
+    stays(constants, x, after)
+    distance = np.sqrt(float(states)) if kind == UNSCENTED else 1.0
+    for i in range(states):
+        carried(constants, scheduled.steps, factor[i], i, line)
+        for k in range(first):
+            array[i, k] = line[k]
+        stays(constants, factor[i], array[i])
+        if adapted > 0:
+            others_stepped(constants, factor[i], line)
+            ends(constants, scheduled, here, line, distance, array[i], memory.bends[i])
     rows = states
-    transition(constants, scheduled, x, u, after)
-    if constants.sizes[3] == 0:
-        nothing[:] = 0.0
-        for i in range(states):
-            transition(constants, scheduled, factor[i], nothing, array[i])
-    else:
-        distance = np.sqrt(float(states)) if kind == UNSCENTED else 1.0
-        for i in range(states):
-            for sign in range(2):
-                for k in range(states):
-                    nothing[k] = x[k] + (distance if sign == 0 else -distance) * factor[i, k]
-                transition(constants, scheduled, nothing, u, points[2 * i + sign])
-        half = 0.5 / distance
-        for i in range(states):
-            for k in range(states):
-                array[i, k] = half * (points[2 * i, k] - points[2 * i + 1, k])
-        if kind == UNSCENTED:
-            for k in range(states):
-                total = 0.0
-                for i in range(2 * states):
-                    total += points[i, k]
-                after[k] = total / (2 * states)
-            for i in range(states):
-                for k in range(states):
-                    array[rows + i, k] = half * (points[2 * i, k] + points[2 * i + 1, k] - 2.0 * after[k])
-            rows += states
+    if adapted > 0 and kind == UNSCENTED:
+        rows += bent(constants, memory, distance)
     process_noise(constants, scheduled, array, rows)
     triangularise(array, rows + constants.sizes[6], states)
     for i in range(states):
@@ -113,17 +101,53 @@ def predict(constants, scheduled, memory, kind):
 
 
 @exactly_called
+def ends(constants, scheduled, here, line, distance, row, bend):
+    """Adapted modes at both ends of a deviation `line` from `here`: half the difference into `row`, half the sum into `bend`."""
+    n, modes, half = constants.sizes[0], constants.sizes[1], 0.5 / distance
+    for k in range(constants.sizes[3]):
+        mode, place = constants.adapted[k], moving(constants) + MODE_SIGNALS * k
+        there = here[place : place + MODE_SIGNALS] + distance * line[place : place + MODE_SIGNALS]
+        upper = adapted_step(constants, scheduled, mode, there)
+        there -= 2.0 * distance * line[place : place + MODE_SIGNALS]
+        lower = adapted_step(constants, scheduled, mode, there)
+        for part in range(2):  # deflection, speed
+            row[2 * n + part * modes + mode] = half * (upper[part] - lower[part])
+            bend[2 * k + part] = half * (upper[part] + lower[part])
+
+
+@exactly_called
+def bent(constants, memory, distance):
+    """Means of the sigma points of adapted modes into lines[0], and how pairs stray from them into rows of the array: returns how many."""
+    n, modes, states, count = constants.sizes[0], constants.sizes[1], constants.sizes[4], 2 * constants.sizes[3]
+    bends, after = memory.bends, memory.lines[0]
+    for b in range(count):
+        total = 0.0
+        for i in range(states):
+            total += bends[i, b]
+        after[2 * n + b % 2 * modes + constants.adapted[b // 2]] = distance * total / states
+        for i in range(states):
+            bends[i, b] -= total / states
+    triangularise(bends, states, count)
+    for i in range(count):
+        for k in range(states):
+            memory.array[states + i, k] = 0.0
+        for b in range(count):
+            memory.array[states + i, 2 * n + b % 2 * modes + constants.adapted[b // 2]] = bends[i, b]
+    return count
+
+
+@exactly_called
 def look_at_rest(constants, scheduled, memory):
     """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both from the machine at rest in the estimated pose."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.acting
+    x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.command
     rest, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
-    biases = states - (measurements - 2 * n)
+    biases = first_bias(constants)
     rest[:] = 0.0
     for k in range(n):
         rest[k] = x[k]
     signals(constants, scheduled, rest, u, sensed)
-    readings(constants, sensed, mean)
+    readings(constants, scheduled, sensed, mean)
     for i in range(states):
         for j in range(measurements):
             seen[i, j] = factor[i, biases + j - 2 * n] if j >= 2 * n else 0.0
@@ -133,10 +157,10 @@ def look_at_rest(constants, scheduled, memory):
         kept = rest[k]
         rest[k] = kept + REST_STEP
         signals(constants, scheduled, rest, u, sensed)
-        readings(constants, sensed, upper)
+        readings(constants, scheduled, sensed, upper)
         rest[k] = kept - REST_STEP
         signals(constants, scheduled, rest, u, sensed)
-        readings(constants, sensed, lower)
+        readings(constants, scheduled, sensed, lower)
         rest[k] = kept
         for j in range(measurements):
             slopes[j] = (upper[j] - lower[j]) / (2.0 * REST_STEP)
@@ -153,28 +177,20 @@ def look_around(constants, scheduled, memory, kind):
     The last deviations move biases alone, which only shift what is read.
     """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    x, factor, seen, lines, array, u = memory.x, memory.factor, memory.seen, memory.lines, memory.array, scheduled.acting
-    point, here, moved, sensed, nothing, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
-    is_linear = constants.sizes[3] == 0
-    biases = states - (measurements - 2 * n)
+    x, factor, seen, lines, array = memory.x, memory.factor, memory.seen, memory.lines, memory.array
+    here, moved, sensed, mean = lines[1], lines[2], lines[3], lines[5]
+    biases = first_bias(constants)
     distance = np.sqrt(float(states)) if kind == UNSCENTED else 1.0
-    width = 2 * n + constants.sizes[2] * (3 * n + SENSOR_SIGNALS)
-    nothing[:] = 0.0
-    signals(constants, scheduled, x, u, here)
-    readings(constants, here, mean)
+    signals(constants, scheduled, x, scheduled.command, here)
+    readings(constants, scheduled, here, mean)
     for i in range(biases):
-        if is_linear:
-            signals(constants, scheduled, factor[i], nothing, moved)
+        carried(constants, scheduled.sees, factor[i], i, moved)
+        others_seen(constants, factor[i], moved)
         for sign in range(2):
             step = distance if sign == 0 else -distance
-            if is_linear:
-                for k in range(width):
-                    sensed[k] = here[k] + step * moved[k]
-            else:
-                for k in range(states):
-                    point[k] = x[k] + step * factor[i, k]
-                signals(constants, scheduled, point, u, sensed)
-            readings(constants, sensed, array[2 * i + sign])
+            for k in range(scheduled.sees.shape[1]):
+                sensed[k] = here[k] + step * moved[k]
+            readings(constants, scheduled, sensed, array[2 * i + sign])
     if kind == UNSCENTED:
         weight = 0.5 / states
         for j in range(measurements):
@@ -182,7 +198,6 @@ def look_around(constants, scheduled, memory, kind):
             for i in range(2 * biases):
                 total += array[i, j]
             mean[j] = total * weight
-        here[:] = mean
     half = 0.5 / distance
     for i in range(biases):
         for j in range(measurements):
@@ -254,7 +269,7 @@ def correct(constants, scheduled, memory, kind, z):
 def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
     """One sample. `u` (axes,) acted since the last one; `summary` (3,) gets what `correct` returns."""
     for i in range(constants.sizes[0]):
-        scheduled.acting[i] = u[i]
+        scheduled.command[i] = u[i]
     if is_first:
         prepare(constants, memory.x, scheduled)
     else:
@@ -266,19 +281,18 @@ def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
 def gradients(constants, scheduled, x, F, H):
     """Transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    biases = states - (measurements - 2 * n)
+    biases = first_bias(constants)
     prepare(constants, x, scheduled)
-    u = scheduled.acting
-    u[:n] = 0.0
-    width = 2 * n + constants.sizes[2] * (3 * n + SENSOR_SIGNALS)
-    shifted, sensed = x.copy(), np.zeros(width)
+    u = scheduled.command
+    u[:] = 0.0
+    shifted, sensed = x.copy(), np.zeros(scheduled.sees.shape[1])
     after, read = np.zeros((2, states)), np.zeros((2, measurements))
     for k in range(states):
         for sign in range(2):
             shifted[k] = x[k] + (REST_STEP if sign == 0 else -REST_STEP)
             transition(constants, scheduled, shifted, u, after[sign])
             signals(constants, scheduled, shifted, u, sensed)
-            readings(constants, sensed, read[sign])
+            readings(constants, scheduled, sensed, read[sign])
             for j in range(2 * n, measurements):
                 read[sign, j] += shifted[biases + j - 2 * n]
         shifted[k] = x[k]

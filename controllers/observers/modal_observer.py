@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import InnovationMonitor
-from controllers.observers.modal_equations import SENSOR_SIGNALS, Constants, Scheduled
+from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
 from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step, linearised
 from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
@@ -293,7 +293,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         ),
         harmonics=np.array(model.harmonics, dtype=np.int64),
         coefficients=np.ascontiguousarray(model.all_rows().T, dtype=float),
-        adapted=np.array([first_adapted + adapted.index(i) if i in adapted else -1 for i in range(modes)], dtype=np.int64),
+        adapted=np.array(adapted, dtype=np.int64),
         axes=np.ascontiguousarray(chain.axes, dtype=float),
         points=np.ascontiguousarray(chain.points, dtype=float),
         revolute=np.ascontiguousarray(chain.revolute, dtype=bool),
@@ -302,7 +302,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         period_s=period,
         colour=colour,
         quadrature=quadrature,
-        offset_kept=kept,
+        kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(6 * sensors))),
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
@@ -342,24 +342,31 @@ def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, _, states, measurements, sources, disturbances, *_ = (int(size) for size in constants.sizes)
+    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, _ = (int(size) for size in constants.sizes)
+    moving = 2 * (n + modes) + disturbances + bands
+    rows, signals = moving + n + 1, 2 * n + sensors * (3 * n + SENSOR_SIGNALS) + MODE_SIGNALS * adapted
     scheduled = Scheduled(
         values=np.zeros(constants.coefficients.shape[1]),
         modes=np.zeros((modes, 8)),
         encoders=np.zeros((modes, 3 * n)),
         rigid=np.zeros((n, n + 1)),
         directions=np.zeros((n + modes, disturbances)),
-        acting=np.zeros(2 * n + modes),
-        forces=np.zeros(2 * n + modes),
-        looks=np.zeros((sensors, modes, 15)),
+        pushes=np.zeros(n + modes),
+        command=np.zeros(n),
+        rubbing=np.zeros((n + modes, n + modes)),
+        forces=np.zeros((rows, n + modes)),
+        shapes=np.zeros((sensors, modes, 6)),
+        looks=np.zeros((sensors, 3 * modes, SENSOR_SIGNALS)),
+        steps=np.zeros((rows, moving + MODE_SIGNALS * adapted)),
+        sees=np.zeros((rows, signals)),
     )
     memory = Memory(
         x=np.zeros(states),
         factor=np.zeros((states, states)),
         innovation=np.full(measurements, np.nan),
-        points=np.zeros((2 * states, states)),
+        bends=np.zeros((states, 2 * adapted)),
         seen=np.zeros((2 * states, measurements)),
         array=np.zeros((2 * states + measurements + sources, measurements + states)),
-        lines=np.zeros((6, max(states, measurements, 2 * n + sensors * (3 * n + SENSOR_SIGNALS)))),
+        lines=np.zeros((6, max(states, measurements, signals, moving + MODE_SIGNALS * adapted))),
     )
     return scheduled, memory

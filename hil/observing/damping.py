@@ -13,7 +13,8 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.damping import ModalDamping
-from controllers.observers.modal_equations import SENSOR_SIGNALS, readings, signals, transition
+from controllers.observers.linear_part import signals, transition
+from controllers.observers.modal_equations import readings
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInput
 from hil.machine import Machine
@@ -152,16 +153,14 @@ def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) ->
     F, H = observer.linearised(at_rest)
     K = covariance @ H.T / observer.noise.measurement**2
     constants, scheduled, states = observer.constants, observer.scheduled, len(F)  # at rest since `linearised`
-    width = 2 * n + len(model.sensors) * (3 * n + SENSOR_SIGNALS)
-    rest, sensed, acting = np.zeros(states), np.zeros(width), np.zeros(len(scheduled.acting))
+    rest, sensed = np.zeros(states), np.zeros(scheduled.sees.shape[1])
     rest[:n] = at_rest
 
     def answer(effort: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        acting[:n] = effort
         after, read = np.zeros(states), np.zeros(len(H))
-        transition(constants, scheduled, rest, acting, after)
-        signals(constants, scheduled, rest, acting, sensed)
-        readings(constants, sensed, read)
+        transition(constants, scheduled, rest, effort, after)
+        signals(constants, scheduled, rest, effort, sensed)
+        readings(constants, scheduled, sensed, read)
         return after, read
 
     still = answer(np.zeros(n))

@@ -1,0 +1,293 @@
+"""What of the modal model is linear in the state, in tables: the next state and the signals, a row for each state and each input.
+
+Made once per sample, at the pose of the last estimate, so that sigma points and deviations cost sums along memory and no equations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.compiled import exactly_called, exactly_inlined
+from controllers.models.modal import schedule
+from controllers.models.vectors import cross, plus
+from controllers.observers.modal_equations import (
+    MODE_SIGNALS,
+    SENSOR_SIGNALS,
+    adapted_signals,
+    adapted_step,
+    first_offset,
+    look,
+    mode_step,
+    moving,
+)
+
+
+@exactly_called
+def prepare(constants, x, scheduled):
+    """The model at a state's pose, and what turning pushes at its speeds."""
+    _parameters(constants, x, scheduled)
+    _forces(constants, scheduled)
+    _sees(constants, scheduled)
+    _steps(constants, scheduled)
+
+
+@exactly_inlined
+def _parameters(constants, x, scheduled):
+    sizes, modes_at, encoders, rigid, looks = constants.sizes, scheduled.modes, scheduled.encoders, scheduled.rigid, scheduled.looks
+    n, modes, sensors, at = sizes[0], sizes[1], sizes[2], constants.sensors
+    values, pushes = scheduled.values, scheduled.pushes
+    schedule(sizes, constants.harmonics, constants.coefficients, x, values)
+    stride = 2 + 3 * n + 6 * sensors
+    for i in range(modes):
+        first = i * stride
+        stiffness, damping = values[first], values[first + 1]
+        modes_at[i, 0], modes_at[i, 1] = stiffness, damping
+        step = mode_step(stiffness, damping, constants.period_s)
+        for j in range(6):
+            modes_at[i, 2 + j] = step[j]
+        for k in range(2 * n):
+            encoders[i, k] = values[first + 2 + k]
+        for k in range(n):
+            encoders[i, 2 * n + k] = values[first + stride - n + k]
+        for s in range(sensors):
+            place = first + 2 + 2 * n + 6 * s
+            turn = values[place + 3], values[place + 4], values[place + 5]
+            arm = at[s, 3] - at[s, 0], at[s, 4] - at[s, 1], at[s, 5] - at[s, 2]
+            shift = plus((values[place], values[place + 1], values[place + 2]), cross(turn, arm))
+            rows = look(stiffness, damping, at[s, 15])
+            for j in range(3):
+                scheduled.shapes[s, i, j], scheduled.shapes[s, i, 3 + j] = shift[j], turn[j]
+                for part in range(3):  # deflection, speed, force
+                    looks[s, 3 * i + part, j], looks[s, 3 * i + part, 3 + j] = shift[j] * rows[6 + part], shift[j] * rows[3 + part]
+                    looks[s, 3 * i + part, 6 + j], looks[s, 3 * i + part, 9 + j] = turn[j] * rows[part], turn[j] * rows[3 + part]
+    for mode in constants.adapted:
+        looks[:, 3 * mode : 3 * mode + 3] = 0.0
+    first = modes * stride
+    for i in range(n):
+        for k in range(n):
+            rigid[i, k] = values[first + i * n + k]
+        rigid[i, n] = values[first + n * n + i]
+    first += n * (n + 1)
+    for i in range(n + modes):
+        pushes[i] = values[first + i]
+    first += n + modes + 6
+    for i in range(n + modes):
+        stiffness = 1.0 if i < n else modes_at[i - n, 0]
+        for j in range(sizes[7]):
+            scheduled.directions[i, j] = stiffness * values[first + i * sizes[7] + j]
+    row = first + (n + modes) * sizes[7]
+    if row < len(values):
+        for i in range(n + modes):
+            stiffness = 1.0 if i < n else modes_at[i - n, 0]
+            for j in range(n):
+                for k in range(j, n):
+                    pushes[i] += stiffness * values[row] * x[n + j] * x[n + k]
+                    row += 1
+
+
+@exactly_inlined
+def _forces(constants, scheduled):
+    """Accelerations of the axes and what forces the modes now: by inputs, by disturbances, and by the drives' friction."""
+    n, modes, disturbances, first_input = constants.sizes[0], constants.sizes[1], constants.sizes[7], moving(constants)
+    encoders, rigid, rubbing, forces = scheduled.encoders, scheduled.rigid, scheduled.rubbing, scheduled.forces
+    size = n + modes
+    forces[:] = 0.0
+    for k in range(n):
+        for i in range(size):
+            forces[first_input + k, i] = rigid[i, k] if i < n else encoders[i - n, 2 * n + k]
+    rubbing[:] = 0.0
+    for k in range(n):  # the motor side moves with its axis and with the modes; what its friction takes acts as the command does
+        for j in range(size):
+            speed = (1.0 if j == k else 0.0) if j < n else encoders[j - n, k]
+            for i in range(size):
+                rubbing[j, i] -= rigid[k, n] * speed * forces[first_input + k, i]
+    for i in range(size):
+        forces[first_input + n, i] = scheduled.pushes[i]
+        for j in range(n):
+            forces[n + j, i] = rubbing[j, i]
+        for j in range(modes):
+            forces[2 * n + modes + j, i] = rubbing[n + j, i]
+        for j in range(disturbances):
+            forces[2 * size + j, i] = scheduled.directions[i, j]
+
+
+@exactly_inlined
+def _sees(constants, scheduled):
+    """Signals: motor sides, link sides; per sensor the axes' motion (3 axes) `lag` ago and `SENSOR_SIGNALS`; adapted modes."""
+    n, modes, sensors = constants.sizes[0], constants.sizes[1], constants.sizes[2]
+    encoders, forces, looks, sees = scheduled.encoders, scheduled.forces, scheduled.looks, scheduled.sees
+    sees[:] = 0.0
+    for i in range(n):
+        sees[i, i] = sees[i, n + i] = 1.0
+        for j in range(modes):
+            sees[2 * n + j, i], sees[2 * n + j, n + i] = encoders[j, i], encoders[j, n + i]
+    for s in range(sensors):
+        lag, place = constants.sensors[s, 15], 2 * n + s * (3 * n + SENSOR_SIGNALS)
+        by_modes = place + 3 * n
+        for row in range(sees.shape[0]):
+            for i in range(n):
+                a = forces[row, i]
+                sees[row, place + i], sees[row, place + n + i], sees[row, place + 2 * n + i] = 0.5 * lag * lag * a, -lag * a, a
+            for i in range(modes):
+                force = forces[row, n + i]
+                for j in range(SENSOR_SIGNALS):
+                    sees[row, by_modes + j] += force * looks[s, 3 * i + 2, j]
+        for i in range(n):
+            sees[i, place + i] += 1.0
+            sees[n + i, place + i] -= lag
+            sees[n + i, place + n + i] += 1.0
+        for i in range(modes):
+            for j in range(SENSOR_SIGNALS):
+                sees[2 * n + i, by_modes + j] += looks[s, 3 * i, j]
+                sees[2 * n + modes + i, by_modes + j] += looks[s, 3 * i + 1, j]
+    for k in range(constants.sizes[3]):
+        place, mode = adapted_signals(constants) + MODE_SIGNALS * k, constants.adapted[k]
+        sees[2 * n + mode, place] = 1.0
+        sees[2 * n + modes + mode, place + 1] = 1.0
+        for row in range(sees.shape[0]):
+            sees[row, place + 2] = forces[row, n + mode]
+
+
+@exactly_inlined
+def _steps(constants, scheduled):
+    """One sample on. Forces become those of the transition: friction half a sample on, for its speed changes while the rest holds.
+
+    A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, and so the sensors see it.
+    """
+    n, modes, disturbances, period = constants.sizes[0], constants.sizes[1], constants.sizes[7], constants.period_s
+    at, rubbing, forces, steps, colour = scheduled.modes, scheduled.rubbing, scheduled.forces, scheduled.steps, constants.colour
+    size, half = n + modes, 0.5 * period
+    first = 2 * size
+    for j in range(disturbances):
+        beside = constants.quadrature[j]
+        for i in range(size):
+            if beside >= 0:
+                forces[beside, i] = colour[j, 1] * forces[first + j, i]
+            forces[first + j, i] *= colour[j, 0]
+    steps[:] = 0.0
+    line = steps[0]
+    for row in range(steps.shape[0]):
+        force = forces[row]
+        for j in range(size):
+            line[j] = force[j]
+        if 2 * n <= row < 2 * n + modes:
+            line[row - n] -= at[row - 2 * n, 0]
+        elif 2 * n + modes <= row < first:
+            line[row - n - modes] -= at[row - 2 * n - modes, 1]
+        for j in range(size):
+            gained = half * line[j]
+            for i in range(size):
+                force[i] += gained * rubbing[j, i]
+    for row in range(steps.shape[0]):
+        for i in range(n):
+            steps[row, i], steps[row, n + i] = half * period * forces[row, i], period * forces[row, i]
+        for i in range(modes):
+            force = forces[row, n + i]
+            steps[row, 2 * n + i], steps[row, 2 * n + modes + i] = at[i, 6] * force, at[i, 7] * force
+    for i in range(n):
+        steps[i, i] += 1.0
+        steps[n + i, i] += period
+        steps[n + i, n + i] += 1.0
+    for i in range(modes):
+        position, speed = 2 * n + i, 2 * n + modes + i
+        steps[position, position] += at[i, 2]
+        steps[speed, position] += at[i, 3]
+        steps[position, speed] += at[i, 4]
+        steps[speed, speed] += at[i, 5]
+    for j in range(disturbances):
+        steps[first + j, first + j] = colour[j, 0]
+        beside = constants.quadrature[j]
+        if beside >= 0:
+            steps[beside, first + j] = colour[j, 1]
+            steps[first + j, beside] = colour[j, 2]
+            steps[beside, beside] = colour[j, 3]
+    for k in range(constants.sizes[3]):
+        mode, place = constants.adapted[k], moving(constants) + MODE_SIGNALS * k
+        steps[2 * n + mode, place] = 1.0
+        steps[2 * n + modes + mode, place + 1] = 1.0
+        for row in range(steps.shape[0]):
+            steps[row, place + 2] = forces[row, n + mode]
+
+
+@exactly_inlined
+def carried(constants, table, x, first, out):
+    """What a table makes of the moving states of a deviation x whose first `first` states are zero; `out` is as wide as the table."""
+    for j in range(table.shape[1]):
+        out[j] = 0.0
+    for k in range(first, moving(constants)):
+        value = x[k]
+        for j in range(table.shape[1]):
+            out[j] += value * table[k, j]
+
+
+@exactly_inlined
+def acted(constants, table, command, out):
+    """Add what commands (axes,) and pushes make in a table."""
+    first = moving(constants)
+    for k in range(constants.sizes[0]):
+        for j in range(table.shape[1]):
+            out[j] += command[k] * table[first + k, j]
+    for j in range(table.shape[1]):
+        out[j] += table[first + constants.sizes[0], j]
+
+
+@exactly_inlined
+def others_stepped(constants, x, out):
+    """Add log frequency ratios, which are no moving states, where `steps` leaves room for them."""
+    for k in range(constants.sizes[3]):
+        out[moving(constants) + MODE_SIGNALS * k + 3] += x[moving(constants) + k]
+
+
+@exactly_inlined
+def heading(constants, scheduled, x, command, out):
+    """What `steps` makes of a state x while a command (axes,) acts: see there."""
+    carried(constants, scheduled.steps, x, 0, out)
+    acted(constants, scheduled.steps, command, out)
+    others_stepped(constants, x, out)
+
+
+@exactly_inlined
+def arrived(constants, scheduled, line, out):
+    """Moving states one sample later, from `heading`'s line."""
+    n, modes, first = constants.sizes[0], constants.sizes[1], moving(constants)
+    for k in range(first):
+        out[k] = line[k]
+    for k in range(constants.sizes[3]):
+        mode, place = constants.adapted[k], first + MODE_SIGNALS * k
+        out[2 * n + mode], out[2 * n + modes + mode] = adapted_step(constants, scheduled, mode, line[place : place + MODE_SIGNALS])
+
+
+@exactly_inlined
+def stays(constants, x, out):
+    """States that move no other, one sample later."""
+    first = moving(constants)
+    for k in range(first, constants.sizes[4]):
+        out[k] = constants.kept[k - first] * x[k]
+
+
+@exactly_inlined
+def transition(constants, scheduled, x, command, out):
+    """State (states,) one sample after x while a command (axes,) acts."""
+    line = np.empty(scheduled.steps.shape[1])
+    heading(constants, scheduled, x, command, line)
+    arrived(constants, scheduled, line, out)
+    stays(constants, x, out)
+
+
+@exactly_inlined
+def others_seen(constants, x, out):
+    """Add what signals have of the states that do not move: motor sides' offsets, log frequency ratios."""
+    if constants.sizes[9] > 0:
+        offsets = first_offset(constants)
+        for i in range(constants.sizes[0]):
+            out[i] += x[offsets + i]
+    for k in range(constants.sizes[3]):
+        out[adapted_signals(constants) + MODE_SIGNALS * k + 3] += x[moving(constants) + k]
+
+
+@exactly_inlined
+def signals(constants, scheduled, x, command, out):
+    """Signals (signals,) of a state while a command (axes,) acts."""
+    carried(constants, scheduled.sees, x, 0, out)
+    acted(constants, scheduled.sees, command, out)
+    others_seen(constants, x, out)
