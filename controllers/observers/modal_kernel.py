@@ -165,7 +165,7 @@ def look_at_rest(constants, scheduled, memory):
         for j in range(measurements):
             slopes[j] = (upper[j] - lower[j]) / (2.0 * REST_STEP)
             mean[j] += slopes[j] * (x[k] - kept)
-        for i in range(states):
+        for i in range(k + 1):
             for j in range(measurements):
                 seen[i, j] += factor[i, k] * slopes[j]
 

@@ -15,46 +15,48 @@ from controllers.compiled import exactly_compiled
 def triangularise(rows, count, columns):
     """Replace rows[:count, :columns] by the upper triangular R of their QR decomposition, diagonal not negative, zeros below.
 
-    Householder reflections applied row by row, so that the inner loops run along memory.
+    Householder reflections applied row by row, so that the inner loops run along memory. The pass that applies one also gathers what the
+    next one needs: `ahead` is the sum over the rows below its pivot of their first element times the row.
     """
-    work = np.empty(columns)
+    work, ahead = np.zeros(columns), np.zeros(columns)
+    for i in range(1, count):
+        v = rows[i, 0]
+        if v != 0.0:
+            for k in range(columns):
+                ahead[k] += v * rows[i, k]
     for j in range(min(columns, count)):
-        norm2 = 0.0
-        last = j
-        for i in range(j, count):
-            if rows[i, j] != 0.0:
-                norm2 += rows[i, j] * rows[i, j]
-                last = i
-        if norm2 == 0.0:
-            continue
-        pivot = rows[j, j]
-        norm = np.sqrt(norm2)
-        if last > j:
+        below, pivot, following = ahead[j], rows[j, j], j + 1
+        if below > 0.0:
+            norm = np.sqrt(pivot * pivot + below)
             head = pivot + norm if pivot >= 0.0 else pivot - norm
-            scale = 2.0 / (norm2 - pivot * pivot + head * head)
-            for k in range(j + 1, columns):
-                work[k] = head * rows[j, k]
-            for i in range(j + 1, last + 1):
-                v = rows[i, j]
-                if v != 0.0:
-                    for k in range(j + 1, columns):
-                        work[k] += v * rows[i, k]
-            for k in range(j + 1, columns):
-                work[k] *= scale
+            scale = 2.0 / (below + head * head)
+            for k in range(following, columns):
+                work[k] = scale * (head * rows[j, k] + ahead[k])
                 rows[j, k] -= head * work[k]
-            for i in range(j + 1, last + 1):
-                v = rows[i, j]
-                if v != 0.0:
-                    for k in range(j + 1, columns):
-                        rows[i, k] -= v * work[k]
-                rows[i, j] = 0.0
             rows[j, j] = -norm if pivot >= 0.0 else norm
         if rows[j, j] < 0.0:
             for k in range(j, columns):
                 rows[j, k] = -rows[j, k]
-    for i in range(columns, count):
-        for k in range(columns):
-            rows[i, k] = 0.0
+        for k in range(following, columns):
+            ahead[k] = 0.0
+        for i in range(following, count):
+            v = rows[i, j]
+            rows[i, j] = 0.0
+            if following == columns:
+                continue
+            if i == following:
+                for k in range(following, columns):
+                    rows[i, k] -= v * work[k]
+            elif v != 0.0:
+                first = rows[i, following] - v * work[following]
+                for k in range(following, columns):
+                    value = rows[i, k] - v * work[k]
+                    rows[i, k] = value
+                    ahead[k] += first * value
+            elif rows[i, following] != 0.0:
+                first = rows[i, following]
+                for k in range(following, columns):
+                    ahead[k] += first * rows[i, k]
 
 
 @exactly_compiled
