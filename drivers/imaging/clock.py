@@ -50,6 +50,8 @@ class PanelClock:
         Four standard deviations of a rate from so many pulses; twice `RATE_TRUST` where they say less than that.
     residual_s : float
         Root mean square of the pulses about the line; period / sqrt(12) where they agree.
+    doubt_s : float
+        Standard deviation of a time: so far the line could be shifted either way before a pulse lay outside of its period, over sqrt(3).
 
     Raises
     ------
@@ -88,6 +90,8 @@ class PanelClock:
                 f"exposure {worst} began {1e3 * error[worst]:+.1f} ms off the panel's clock, a tick is {1e3 * period_s:.1f} ms;"
                 " the panel's clock was set meanwhile, or frames and pulses are not of the same exposures"
             )
+
+        self.doubt_s = max(0.0, 0.5 * period_s - abs(float(error[worst]))) / np.sqrt(3.0)
 
     def to_loop(self, panel_s: np.ndarray) -> np.ndarray:
         """Loop times of panel times."""

@@ -23,6 +23,9 @@ STRAYS_S = 3.0
 CHANGED = {size: float(chi2.ppf(1.0 - 1e-6, size)) for size in (6, 9)}
 """An image of so many numbers farther off than this is no accident: the machine has changed, or the image shows something else."""
 
+USED, CHANGE, REFUSED = "used", "change", "refused"
+"""What became of an image."""
+
 SPOT_M = 10e-6
 """Wobble of the focal spot with the anode, which no image of it can foresee."""
 
@@ -120,16 +123,22 @@ class DataDrivenFilter:
     model : QuasiStatic
     start : Parameters
     displacement_std : (6,) array
+
+    Attributes
+    ----------
+    x, covariance : (states,), (states, states) arrays
+    renewed_variance : (6,) array
+        Of the displacement's error when nothing is known of it any more.
     """
 
     def __init__(self, model: QuasiStatic, start: Parameters, displacement_std: np.ndarray) -> None:
         self.model, self.size = model, len(model.names)
-        self._strays = np.asarray(displacement_std) ** 2
+        self.renewed_variance = np.asarray(displacement_std) ** 2
         count = self.size + 6
         self.x, self.covariance = np.zeros(count), np.zeros((count, count))
         self.x[: self.size] = start.values
         self.covariance[: self.size, : self.size] = start.covariance
-        self.covariance[self.size :, self.size :] = np.diag(self._strays)
+        self.covariance[self.size :, self.size :] = np.diag(self.renewed_variance)
         self._waiting: list[int] = []
 
     @property
@@ -144,7 +153,7 @@ class DataDrivenFilter:
         self.x[place] *= kept
         self.covariance[place, :] *= kept
         self.covariance[:, place] *= kept
-        self.covariance[place, place] += (1.0 - kept**2) * np.diag(self._strays)
+        self.covariance[place, place] += (1.0 - kept**2) * np.diag(self.renewed_variance)
 
     def exposed(self, number: int) -> None:
         """An image is taken now: remember the displacement's error until it arrives."""
@@ -234,11 +243,11 @@ def calibrate_data(
     sights = _at_exposures(model, observed, measurements)
     work = DataDrivenFilter(model, start, observed.displacement_std)
     all_rows = model.rows(observed.positions, observed.load)
-    twist_now = all_rows[:, :, _twist(model)]
+    twist_now = all_rows[:, :, displacement_columns(model)]
     result = Calibration(observed.deviation.copy(), observed.deviation.copy(), np.zeros_like(observed.deviation), start)
     result.history.append((work.x[: work.size].copy(), np.sqrt(np.diag(work.covariance)[: work.size])))
     sparse = all_rows[:: max(1, len(observed) // 40), 3:6]
-    result.place_sigma_m.append(_place_sigma(work, sparse))
+    result.place_sigma_m.append(place_sigma(work, sparse))
     now, row = float(observed.time_s[0]), 0
     is_withdrawn = most == 0
     for time_s, kind, k in [*sorted(events), (np.inf, 2, -1)]:
@@ -252,10 +261,16 @@ def calibrate_data(
             work.exposed(k)
             continue
         is_phantom = measurements[k].kind == "phantom"
-        if not (is_phantom and is_withdrawn) and _take_in(work, k, *sights[k], measurements[k].covariance, result):
+        how = "" if is_phantom and is_withdrawn else take_in(work, k, *sights[k], measurements[k].covariance)
+        if how == REFUSED:
+            result.refused.append(k)
+        elif how:
+            result.used.append(k)
+            if how == CHANGE:
+                result.changes.append(k)
             result.phantoms += is_phantom
             result.history.append((work.x[: work.size].copy(), np.sqrt(np.diag(work.covariance)[: work.size])))
-            result.place_sigma_m.append(_place_sigma(work, sparse))
+            result.place_sigma_m.append(place_sigma(work, sparse))
             if result.converged is None and until_m > 0.0 and result.place_sigma_m[-1] < until_m:
                 result.converged = result.phantoms
             is_withdrawn = result.converged is not None or (most is not None and result.phantoms >= most)
@@ -274,7 +289,7 @@ def _at_exposures(
     positions, expected, load = observed.at(np.array([each.time_s for each in measurements]))
     rows = model.rows(positions, load)
     of_plate, expected_of_plate = model.marker_rows(rows), marker_view(expected)
-    twist = _twist(model)
+    twist = displacement_columns(model)
     return [
         (rows[k], rows[k][:, twist], each.values - expected[k])
         if each.kind == "phantom"
@@ -283,34 +298,37 @@ def _at_exposures(
     ]
 
 
-def _twist(model: QuasiStatic) -> slice:
+def displacement_columns(model: QuasiStatic) -> slice:
     """The detector's own offsets: its displacement moves the geometry as they do."""
     first = model.names.index("detector_place_x")
     return slice(first, first + 6)
 
 
-def _take_in(
-    work: DataDrivenFilter, k: int, rows: np.ndarray, twist: np.ndarray, rest: np.ndarray, covariance: np.ndarray, result: Calibration
-) -> bool:
-    """Whether it fits."""
+def take_in(work: DataDrivenFilter, k: int, rows: np.ndarray, twist: np.ndarray, rest: np.ndarray, covariance: np.ndarray) -> str:
+    """Take a measurement in that was exposed as number `k`, see `DataDrivenFilter.innovation`.
+
+    Returns
+    -------
+    str
+        `USED`; `CHANGE`: after the mount had been made unknown; `REFUSED`: it contradicts even then.
+    """
     innovation, gradient = work.innovation(k, rows, twist, rest)
+    how = USED
     if work.surprise(innovation, gradient, covariance) > CHANGED[len(innovation)]:
         before = work.covariance.copy()
         work.forget_mount()
         if work.surprise(innovation, gradient, covariance) > CHANGED[len(innovation)]:
             work.covariance = before
-            result.refused.append(k)
-            return False
-        result.changes.append(k)
+            return REFUSED
+        how = CHANGE
     work.update(innovation, gradient, covariance)
-    result.used.append(k)
-    return True
+    return how
 
 
-def _place_sigma(work: DataDrivenFilter, rows: np.ndarray) -> float:
+def place_sigma(work: DataDrivenFilter, rows: np.ndarray) -> float:
     """Standard deviation [m] of the isocentre's place in the detector's frame by the parameters alone, rms over poses, per component."""
     covariance = work.covariance[: work.size, : work.size]
-    return float(np.sqrt(np.mean(np.einsum("nia,ab,nib->ni", rows, covariance, rows))))
+    return float(np.sqrt(np.mean(np.sum((rows @ covariance) * rows, axis=2))))
 
 
 def _publish(
@@ -334,6 +352,6 @@ def _publish(
     result.live[part] = observed.deviation[part] + gradient @ states
     covariance = work.covariance[: size + 6, : size + 6]
     variance = np.einsum("nia,nia->ni", gradient @ covariance, gradient)
-    renewed = (1.0 - kept[:, 0] ** 2) * np.einsum("nij,j->ni", twist[part] ** 2, work._strays)
+    renewed = (1.0 - kept[:, 0] ** 2) * np.einsum("nij,j->ni", twist[part] ** 2, work.renewed_variance)
     result.sigma[part] = np.sqrt(variance + np.maximum(renewed, 0.0))
     return stop

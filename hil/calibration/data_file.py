@@ -39,6 +39,8 @@ class DataFile:
         Standard deviations of `live`.
     values, covariance : (p,), (p, p) arrays
         The parameters at the end.
+    static : (4, 9) array
+        Of the observer that was used, see `ObservedBeam`; zero without one.
     """
 
     machine: str
@@ -51,6 +53,7 @@ class DataFile:
     sigma: np.ndarray
     values: np.ndarray
     covariance: np.ndarray
+    static: np.ndarray
 
     def parameters(self, model: QuasiStatic) -> Parameters:
         """To start another scan's calibration from.
@@ -94,6 +97,7 @@ def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibrati
         "sigma": found.sigma,
         "values": found.parameters.values,
         "covariance": found.parameters.covariance,
+        "static": observed.static,
     }
     write_arrays(path, arrays)
 
@@ -113,4 +117,5 @@ def read_data_file(path: Path) -> DataFile:
     if absent:
         raise UnusableInput(f"{path}: holds no {', '.join(absent)}; `isocenter calibrate data` writes a whole one")
     text = {name: tuple(str(each) for each in arrays[name]) for name in ("axes", "names")}
-    return DataFile(str(arrays["machine"]), text["axes"], text["names"], *(arrays[name] for name in _ARRAYS))
+    static = arrays.get("static", np.zeros((4, 9)))  # files of before it was kept: as without an observer
+    return DataFile(str(arrays["machine"]), text["axes"], text["names"], *(*(arrays[name] for name in _ARRAYS), static))

@@ -7,7 +7,7 @@ quasi-static parameters, which images tell; the observer's estimate counts from 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -48,6 +48,9 @@ class ObservedBeam:
         Gravity less the slow acceleration of the detector, in the world, over gravity: what bends a machine that moves slowly.
     displacement_std : (6,) array
         Of the detector's displacement [m, rad].
+    static : (4, 9) array
+        What was taken out as slow, as far as it follows the pose: a constant and gravity's components in the detector's frame, times these.
+        A live run, which has no later rows to smooth with, takes this out at once. Zero without an observer.
     """
 
     time_s: np.ndarray
@@ -55,6 +58,7 @@ class ObservedBeam:
     deviation: np.ndarray
     load: np.ndarray
     displacement_std: np.ndarray
+    static: np.ndarray = field(default_factory=lambda: np.zeros((4, 9)))
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -126,13 +130,18 @@ def observed_beam(machine: Machine, recording: Recording) -> ObservedBeam:
     known = np.zeros(6)
     if all(name in recording for name in variances):
         known = np.sqrt(np.median(recording.matrix(variances), axis=0))
-    deviation = beam.deviation_from(nominal_beam(machine, positions))
+    nominal = nominal_beam(machine, positions)
+    deviation = beam.deviation_from(nominal)
+    slow = _slow(deviation, machine.sample_rate_Hz)
+    gravity = machine.plant.tree.gravity_m_s2 / np.linalg.norm(machine.plant.tree.gravity_m_s2)
+    by_pose = np.column_stack([np.ones(len(positions)), np.einsum("nij,i->nj", nominal.rotation, gravity)])
     return ObservedBeam(
         recording.time,
         positions,
-        deviation - _slow(deviation, machine.sample_rate_Hz),
+        deviation - slow,
         _load(machine, positions),
         np.maximum(known, np.repeat([FLOOR_M, FLOOR_RAD], 3)),
+        np.linalg.lstsq(by_pose, slow, rcond=1e-6)[0],
     )
 
 

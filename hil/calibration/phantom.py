@@ -11,6 +11,7 @@ import numpy as np
 from hil.calibration.bullets import find_bullets
 from hil.calibration.phantom_pose import PoseFit, fit_poses, observe
 from hil.errors import UnusableInput
+from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.phantoms import BulletPhantom
 from hil.imaging.scan_folder import ImageScan
@@ -65,10 +66,7 @@ def look_for_bullets(
     """
     if len(nominal) != len(scan):
         raise UnusableInput(f"{len(scan)} exposures, expected geometry of {len(nominal)}")
-    depth = -nominal.source_m[:, 2]
-    to_phantom = np.linalg.norm(nominal.source_m - nominal.phantom_m, axis=1)
-    radius = phantom.radius_m * depth / to_phantom / scan.detector.pitch_m
-    look = partial(_look, scan, phantom, nominal, radius)
+    look = partial(_look, scan, phantom, nominal)
     observed = np.full((len(scan), len(phantom.centers_m), 2), np.nan)
     sigma = np.full((len(scan), len(phantom.centers_m)), np.nan)
     if jobs > 1:
@@ -83,13 +81,24 @@ def look_for_bullets(
     return observed, sigma
 
 
-def _look(scan: ImageScan, phantom: BulletPhantom, nominal: ConeBeam, radius: np.ndarray, k: int) -> tuple[int, np.ndarray, np.ndarray]:
+def _look(scan: ImageScan, phantom: BulletPhantom, nominal: ConeBeam, k: int) -> tuple[int, np.ndarray, np.ndarray]:
     """Observations of one exposure."""
-    found = find_bullets(scan.frame(k), float(radius[k]))
-    beam = nominal[k : k + 1]
-    predicted = scan.detector.to_pixels(beam.project(phantom.centers_m)[0])
+    return k, *bullets_seen(scan.frame(k), scan.detector, phantom, nominal[k : k + 1])
+
+
+def bullets_seen(image: np.ndarray, detector: Detector, phantom: BulletPhantom, nominal: ConeBeam) -> tuple[np.ndarray, np.ndarray]:
+    """Bullets (P, 2) on the panel [m] and their deviations (P,) in one image, expected at a geometry of one exposure; NaN: not seen.
+
+    Raises
+    ------
+    UnusableInput
+        Unusable image.
+    """
+    to_phantom = np.linalg.norm(nominal.source_m[0] - nominal.phantom_m[0])
+    radius = float(phantom.radius_m * -nominal.source_m[0, 2] / to_phantom / detector.pitch_m)
+    found = find_bullets(image, radius)
+    predicted = detector.to_pixels(nominal.project(phantom.centers_m)[0])
     distance = np.linalg.norm(predicted[:, None] - predicted[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     gate = GATE_SHARE * float(distance.min(axis=1).mean())
-    points, deviation = observe(found.pixels, found.variance, phantom.centers_m, beam, scan.detector, float(radius[k]), gate)
-    return k, points, deviation
+    return observe(found.pixels, found.variance, phantom.centers_m, nominal, detector, radius, gate)

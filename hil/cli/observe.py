@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,8 @@ from hil.cli.output import Answer, JsonOption, progress, save_figure
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from controllers.observers.modal_observer import ModalObserver
+    from hil.calibration.live import LiveCalibration
     from hil.machine import Machine
     from hil.observing import Estimate, ObserverDesign
     from hil.observing.live import LiveObserver
@@ -40,8 +43,14 @@ def register(app: typer.Typer) -> None:
     )(observe)
 
 
-def live_observer(path: Path | None, damping: float, machine: Machine, answer: Answer) -> LiveObserver | None:
-    """The observer of a design file, ready for the loop; None without a file."""
+def live_observer(
+    path: Path | None,
+    damping: float,
+    machine: Machine,
+    answer: Answer,
+    calibration: Callable[[ModalObserver], LiveCalibration] | None = None,
+) -> LiveObserver | None:
+    """The observer of a design file, ready for the loop, with what makes a calibration behind it; None without a file."""
     if path is None:
         if damping:
             raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
@@ -59,7 +68,7 @@ def live_observer(path: Path | None, damping: float, machine: Machine, answer: A
         law = ModalDamping(observer, DampingSettings(damping))
     units = [units.effort for units in machine.units] if law is not None else []
     imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
-    live = LiveObserver(observer, str(path), law, units, imu=imu)
+    live = LiveObserver(observer, str(path), law, units, imu=imu, calibration=None if calibration is None else calibration(observer))
     if law is not None:
         answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
     return live
@@ -102,6 +111,10 @@ def observe(
     modes: Annotated[int, typer.Option("--modes", min=0, help="Modes of the model.")] = 4,
     filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
     adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
+    data: Annotated[
+        Path | None, typer.Option("--data", metavar="FILE", help="The live calibration too: what it went on from (run --data).")
+    ] = None,
+    images: Annotated[Path | None, typer.Option("--images", metavar="DIR", help="With --data: the folder of that run's images.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
     json_to: JsonOption = None,
 ) -> None:
@@ -130,6 +143,7 @@ def observe(
         answer.say(f"{save_design}: design")
     observer = design.observer(filter_name, _modes(adapt, design.model.modes))  # type: ignore[arg-type]
     _check_machine(design, machine, answer)
+    calibration = _calibration(machine, observer, data, images)
     with progress(answer.console) as bars:
         task = bars.add_task(recording_path.name, total=recording.rows)
         estimate = replay(
@@ -137,6 +151,7 @@ def observe(
             observer,
             machine_hash=design.machine_hash,
             notes=design.notes,
+            calibration=calibration,
             progress=lambda row: bars.update(task, completed=row),
         )
         bars.update(task, completed=recording.rows)
@@ -158,6 +173,20 @@ def observe(
     if document["live"]:
         answer.say(f"live estimates in the recording: {document['live']}")
     answer.write({"estimate": out, **document})
+
+
+def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, images: Path | None) -> LiveCalibration | None:
+    """The calibration that ran along, with its images as they came then."""
+    if (data is None) != (images is None):
+        raise typer.BadParameter("--data and --images: a live calibration is replayed from both")
+    if data is None or images is None:
+        return None
+    from hil.calibration.data_file import read_data_file
+    from hil.calibration.live import LiveCalibration
+    from hil.calibration.live_file import SIGHTINGS, KeptSightings
+
+    kept = KeptSightings(images / SIGHTINGS)
+    return LiveCalibration(machine, read_data_file(data), observer, kept, kept.until_m, kept.poses)
 
 
 def _designed(
@@ -222,7 +251,7 @@ def _document(estimate, seen) -> dict:  # type: ignore[no-untyped-def]
     from controllers.observers.consistency import share_in_band
 
     nis, measured = estimate["estimate_nis"], estimate["estimate_measured"]
-    values = len(estimate.names) // 2 - 2
+    values = estimate.names.index("estimate_nis") // 2
     return {
         "rows": len(estimate.time_s),
         "filter": estimate.filter,

@@ -15,6 +15,7 @@ from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
     from hil.cli.output import Answer
+    from hil.cli.run_data import DataBeside
     from hil.machine import Machine
 
 ImagesOption = Annotated[Path | None, typer.Option("--images", metavar="DIR", help="Receive the panel's frames too, as a scan folder.")]
@@ -43,6 +44,7 @@ def images_beside(
     truth: Path | None,
     answer: Answer,
     lockstep: bool,
+    beside: DataBeside | None = None,
 ) -> Iterator[Path | None]:
     """Receive frames while the block runs; yields the truth file the emulator has to write, where one is needed.
 
@@ -57,11 +59,13 @@ def images_beside(
     from hil.imaging.emulated import SPOT, Exposures
     from hil.imaging.emulated_panel import PanelOrder
     from hil.imaging.frames_beside import finished_scan, frames_beside
+    from hil.imaging.mailbox import LockstepEnd
     from hil.imaging.marker_view import watched_marker
     from hil.imaging.markers.emulated import TubeMarker
     from hil.imaging.nominal import nominal_detector, panel_in_tube
     from hil.imaging.receiver import ReceiverOrder
     from hil.imaging.scenes import scene
+    from hil.imaging.watch import Live
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
 
@@ -74,14 +78,18 @@ def images_beside(
     detector = nominal_detector(machine, BINNING)
     plate, nominal = watched_marker(machine, scene_name, 1e-3 * DISTANCE_MM)
     with tempfile.TemporaryDirectory() as scratch:
-        order = ReceiverOrder(spool or Path(scratch) / "spool", images, detector, None if plate is None else plate.name, nominal)
+        live = None if beside is None else Live(machine, beside.mailbox)
+        order = ReceiverOrder(spool or Path(scratch) / "spool", images, detector, None if plate is None else plate.name, nominal, live)
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
+            truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
             on_tube = None if plate is None else TubeMarker(plate, 1e-3 * DISTANCE_MM, panel_in_tube(machine))
             items = scene(scene_name) if plate is None else []
             panel = PanelOrder(machine, truth, order.spool, Exposures(rate_Hz), items, detector, Optics(), SPOT, on_tube, 0)
-        with frames_beside(order, panel):
+        with frames_beside(order, panel) as check:
+            if beside is not None and isinstance(beside.inbox, LockstepEnd):
+                beside.inbox.check = check
             yield truth
             if lockstep:
                 answer.say("the run is over; waiting for the emulated panel's last images")

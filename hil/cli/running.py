@@ -19,10 +19,13 @@ from hil.cli.options import (
     RealTimeOption,
     can_be_written,
     keep_earlier,
+    load,
     read_effects,
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
+from hil.cli.run_data import DataOption, UntilOption, data_beside, leave
 from hil.cli.run_images import ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
+from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -40,6 +43,9 @@ OutOption = Annotated[
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of phases, and in lockstep of the emulator's noise.")]
 FrameLogOption = Annotated[Path | None, typer.Option("--frame-log", metavar="FILE", help="Write every CAN frame as candump does (.log).")]
 TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="In lockstep: what only the emulator knows (.csv).")]
+EmulatedOption = Annotated[
+    str, typer.Option("--emulated", metavar="M", help="In lockstep: the machine that is really there, where it was built off its file.")
+]
 NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockstep: the emulated sensors' noise.")]
 
 
@@ -53,6 +59,7 @@ class RunOptions:
     effects: EffectsOption = None
     imu: ImuOption = ""
     io: IoOption = ""
+    emulated: EmulatedOption = ""
     noise: NoiseOption = True
     frame_log: FrameLogOption = None
     truth: TruthOption = None
@@ -63,6 +70,8 @@ class RunOptions:
     scene: SceneOption = "dodecahedron"
     image_rate: ImageRateOption = 7.0
     spool: SpoolOption = None
+    data: DataOption = None
+    until: UntilOption = 0.0
     json_to: JsonOption = None
 
 
@@ -77,11 +86,12 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         answer.say(note)
     paths = recording_paths(run.out, plans)
     can_be_written(*paths, run.frame_log, run.truth)
-    emulated = None if run.effects is None else machine.with_effects(read_effects(run.effects, machine))
+    emulated = _emulated(machine, run)
     lockstep = run.bus.startswith("lockstep:")
     records: list[dict[str, Any]] = []
-    watching = live_observer(run.observer, run.damping, machine, answer)
-    frames = images_beside(machine, run.images, run.scene, run.image_rate, run.spool, paths, run.truth, answer, lockstep)
+    data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
+    watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)
+    frames = images_beside(machine, run.images, run.scene, run.image_rate, run.spool, paths, run.truth, answer, lockstep, data)
     with contextlib.ExitStack() as stack:
         truth = stack.enter_context(frames)
         options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)
@@ -110,4 +120,27 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                 f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
             )
         answer.say(line)
-    answer.write({"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling, "recordings": records})
+    document: dict[str, Any] = {"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling}
+    document["recordings"] = records
+    if data is not None and run.images is not None:
+        document["calibration"] = leave(data, run.images, answer)
+    answer.write(document)
+
+
+def _emulated(machine: Machine, run: RunOptions) -> Machine | None:
+    """What is emulated, where it is not the machine's own file.
+
+    Raises
+    ------
+    UnusableInput
+        Another machine altogether.
+    """
+    if not run.emulated and run.effects is None:
+        return None
+    built = load(run.emulated) if run.emulated else machine
+    if built.axes != machine.axes or built.sample_rate_Hz != machine.sample_rate_Hz:
+        raise UnusableInput(
+            f"--emulated {run.emulated}: has {', '.join(built.axes)} at {built.sample_rate_Hz:g} Hz,"
+            f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
+        )
+    return built if run.effects is None else built.with_effects(read_effects(run.effects, built))

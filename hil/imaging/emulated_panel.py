@@ -26,7 +26,7 @@ from virtual_bus.xray.render import Panel
 PANEL_EPOCH_S = 5000.0
 """What the panel's clock says when the loop's says 0."""
 
-LOOKS_EVERY_S = 0.2
+LOOKS_EVERY_S = 0.05
 BEYOND_S = 0.05
 """Motion is interpolated between samples: this much of it must be known after an exposure's end."""
 

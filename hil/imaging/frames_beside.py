@@ -37,8 +37,8 @@ class ReceivedScan:
 
 
 @contextmanager
-def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[None]:
-    """Receive while the block runs; leave it when all frames are in.
+def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Callable[[], None]]:
+    """Receive while the block runs; leave it when all frames are in. Yields what raises once frames cannot be received any more.
 
     Parameters
     ----------
@@ -71,8 +71,13 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
         started.append(context.Process(target=_politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
     for process in started:
         process.start()
+
+    def check() -> None:
+        if not all(process.is_alive() for process in started):
+            raise UnusableInput(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
+
     try:
-        yield
+        yield check
         is_over.set()
         for process in started[1:]:
             process.join()
@@ -86,6 +91,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[No
         for process in started:
             if process.is_alive():
                 process.terminate()
+
+
+def _trouble(order: ReceiverOrder) -> str:
+    path = order.folder / TROUBLE
+    return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
 def _politely(serve: Callable[..., None], order: object, is_over: Event) -> None:

@@ -12,12 +12,13 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.imaging import FrameSpool, PanelClock
-from hil.calibration.marker import fit_marker
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
-from hil.imaging.markers import PLATES, MarkerProjection, find_marker
+from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
+from hil.imaging.sight import marker_in
+from hil.imaging.watch import Live, Watch
 
 LOOKS_EVERY_S = 0.05
 STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
@@ -37,6 +38,8 @@ class ReceiverOrder:
         Marker plate to look for in every frame.
     nominal : MarkerProjection, optional
         Where it should be.
+    live : Live, optional
+        A live calibration that waits for what frames show: the plate, or without one the phantom.
     """
 
     spool: Path
@@ -44,6 +47,7 @@ class ReceiverOrder:
     detector: Detector
     plate: str | None
     nominal: MarkerProjection | None
+    live: Live | None = None
 
 
 def serve(order: ReceiverOrder, is_over: Event) -> None:
@@ -57,6 +61,7 @@ def serve(order: ReceiverOrder, is_over: Event) -> None:
 def _serve(order: ReceiverOrder, is_over: Event) -> None:
     tifffile = imaging_package("tifffile", "images")
     spool, folder = FrameSpool(order.spool), order.folder
+    watch = None if order.live is None else Watch(order.live, order.detector, order.nominal)
     shape = order.detector.rows, order.detector.columns
     with (
         tifffile.TiffWriter(folder / FRAMES) as images,
@@ -73,24 +78,18 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
                     raise UnusableInput(f"{order.spool}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
                 images.write(frame.image, contiguous=True)
                 stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
+                seen = None
                 if order.plate is not None and order.nominal is not None:
-                    marker_rows.writerow([frame.exposure_id, *_look(frame.image, order.plate, order.nominal, order.detector)])
+                    seen = marker_in(frame.image, order.detector, order.plate, order.nominal)
+                    cells = [""] * len(WATCHED) + [0] if seen is None else [*(repr(float(value)) for value in seen[0]), seen[2]]
+                    marker_rows.writerow([frame.exposure_id, *cells])
                     markers.flush()
                 stamps.flush()
+                if watch is not None:
+                    watch.take(frame, seen)
             if over:
                 return
             time.sleep(LOOKS_EVERY_S)
-
-
-def _look(image: np.ndarray, name: str, nominal: MarkerProjection, detector: Detector) -> list[object]:
-    """The plate's six parameters in one frame, empty where it is not seen."""
-    plate = PLATES[name]()
-    try:
-        found = find_marker(image, plate, nominal, detector)
-        fit = fit_marker(found, plate, detector, nominal)
-    except UnusableInput:
-        return [""] * len(WATCHED) + [0]
-    return [*(repr(float(value)) for value in fit.projection.values[:6]), len(found.index)]
 
 
 def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, PanelClock]:

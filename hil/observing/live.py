@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from hil.errors import UnusableInput
 from hil.layout import imu_channels
 from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
+
+if TYPE_CHECKING:
+    from hil.calibration.live import LiveCalibration
 
 IMU_GAP_ROWS = 8
 """Rows without an IMU that the estimate is acted upon all the same: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
@@ -37,11 +40,14 @@ class LiveObserver:
         Of the drives, where there is damping.
     imu : str
         Name of the IMU on the bench's line, of those the model knows; "" without one.
+    calibration : LiveCalibration, optional
+        Behind the observer: levels what it reads, and makes geometry of what it says and of images.
 
     Attributes
     ----------
     channels : list of (name, unit)
-        Columns for the recording, in the order of `estimate`: the observer's, then `damping_<axis>` and `damping_share`.
+        Columns for the recording, in the order of `estimate`: the observer's, then `damping_<axis>` and `damping_share`,
+        then the calibration's.
     estimate : (channels,) array
         Overwritten by every step; NaN before the first.
     effort : (n_axes,) array
@@ -63,8 +69,9 @@ class LiveObserver:
         effort_units: Sequence[str] = (),
         *,
         imu: str = "imu",
+        calibration: LiveCalibration | None = None,
     ) -> None:
-        self.observer, self.damping = observer, damping
+        self.observer, self.damping, self.calibration = observer, damping, calibration
         axes = len(observer.model.axes)
         self.effort = np.zeros(axes) if damping is None else damping.effort
         self.channels = list(observer.channels)
@@ -74,6 +81,8 @@ class LiveObserver:
             self.channels += [(f"damping_{axis}", unit) for axis, unit in zip(observer.model.axes, effort_units, strict=True)]
             self.channels.append(("damping_share", ""))
             self.metadata["damping"] = {"mode": damping.settings.mode + 1, "ratio": damping.settings.ratio}
+        if calibration is not None:
+            self.channels += calibration.channels
         self.estimate = np.full(len(self.channels), np.nan)
         self._observed = len(observer.channels)
         self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")
@@ -99,6 +108,8 @@ class LiveObserver:
         self._understudy.restart()
         self.estimate[:] = np.nan
         self._without_imu = self._alarmed = self._rows = self._tick = 0
+        if self.calibration is not None:
+            self.calibration.restart(rows)
         if self.damping is not None:
             self.damping.restart(rows)
 
@@ -114,6 +125,8 @@ class LiveObserver:
         if self._imu_at:
             read[self._imu_at] = sample.imu
         self._row.take(read)
+        if self.calibration is not None:
+            self.calibration.level(self._row.values)
         observer, observed = self.observer, self._observed
         if self._rows and tick > self._tick + 1:
             observer.skip(tick - self._tick - 1, command)
@@ -125,6 +138,9 @@ class LiveObserver:
             damping.step(observer.state, command, self._is_good(), tick)
             self.estimate[observed : observed + axes] = damping.effort
             self.estimate[observed + axes] = damping.share
+        if self.calibration is not None:
+            self.calibration.step(tick, self.estimate)
+            self.estimate[-len(self.calibration.values) :] = self.calibration.values
         if self._board is not None:
             self._board.put(self._rows, self.estimate)
         self._rows += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from hil.observing.measured import MeasuredRow
 from hil.observing.tuning import rows_of
 from hil.recording import Recording
 
+if TYPE_CHECKING:
+    from hil.calibration.live import LiveCalibration
+
 
 def observe(
     recording: Recording,
@@ -19,6 +23,7 @@ def observe(
     *,
     machine_hash: str = "",
     notes: tuple[str, ...] = (),
+    calibration: LiveCalibration | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Estimate:
     """Replay an observer over a recording, from its first row on.
@@ -29,6 +34,8 @@ def observe(
         Channels it lacks count as missing; missing samples are predicted over.
     observer : ModalObserver
         Is restarted.
+    calibration : LiveCalibration, optional
+        Behind it, as live: levels what it reads, its columns follow. Is restarted.
 
     Raises
     ------
@@ -42,22 +49,31 @@ def observe(
         notes = (*notes, f"not in the recording, so not looked at: {', '.join(absent)}")
     observer.restart()
     row = MeasuredRow(observer.model)
-    values = np.zeros((len(measured), len(observer.channels)))
+    columns = [*observer.channels, *(calibration.channels if calibration is not None else [])]
+    values = np.zeros((len(measured), len(columns)))
+    width = len(observer.channels)
     innovation = np.zeros(measured.shape)
     states = np.zeros((len(measured), len(observer.state)))
     ticks = recording.ticks
+    if calibration is not None:
+        calibration.restart(int(ticks[-1]) + 1)
     for k in range(len(measured)):
         row.take(measured[k])
+        if calibration is not None:
+            calibration.level(row.values)
         if k and ticks[k] > ticks[k - 1] + 1:  # skipped by the loop; live, time passed there, too
             observer.skip(int(ticks[k] - ticks[k - 1] - 1), commands[k - 1])
         observer.step_measured(row.values, commands[max(k - 1, 0)])
-        values[k], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
+        values[k, :width], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
+        if calibration is not None:
+            calibration.step(int(ticks[k]), values[k, :width])
+            values[k, width:] = calibration.values
         if progress is not None and k % 1024 == 0:
             progress(k)
     return Estimate(
         time_s=recording.time,
-        names=tuple(name for name, _ in observer.channels),
-        units=tuple(unit for _, unit in observer.channels),
+        names=tuple(name for name, _ in columns),
+        units=tuple(unit for _, unit in columns),
         values=values,
         measured_names=channels,
         innovation=innovation,

@@ -1,0 +1,122 @@
+"""Calibration along with a run: `isocenter run ... --observer DESIGN --images DIR --data CALIBRATION`."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from hil.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from controllers.observers.modal_observer import ModalObserver
+    from hil.calibration.data_file import DataFile
+    from hil.calibration.live import LiveCalibration
+    from hil.cli.output import Answer
+    from hil.experiments import Plan
+    from hil.imaging.mailbox import LoopEnd, Mailbox
+    from hil.machine import Machine
+
+DataOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--data", metavar="FILE", help="With --observer and --images: calibrate live, going on from this calibration (calibrate data)."
+    ),
+]
+UntilOption = Annotated[
+    float, typer.Option("--until", metavar="MM", min=0.0, help="With --data: withdraw phantom images once the place is known so well.")
+]
+
+ASKED = 40
+"""Poses of the run at which the place is asked for."""
+
+
+@dataclass
+class DataBeside:
+    """What belongs to a live calibration before there is an observer: its start, its mailbox, and when it is content."""
+
+    machine: Machine
+    start: DataFile
+    source: Path
+    mailbox: Mailbox
+    inbox: LoopEnd
+    until_m: float
+    poses: np.ndarray
+    calibration: LiveCalibration | None = None
+
+    def behind(self, observer: ModalObserver) -> LiveCalibration:
+        """The calibration, behind this observer."""
+        from hil.calibration.live import LiveCalibration
+
+        try:
+            self.calibration = LiveCalibration(self.machine, self.start, observer, self.inbox, self.until_m, self.poses)
+        except UnusableInput as error:
+            raise UnusableInput(f"{self.source}: {error}") from None
+        return self.calibration
+
+
+def data_beside(
+    machine: Machine,
+    source: Path | None,
+    until_mm: float,
+    has_observer: bool,
+    images: Path | None,
+    rate_Hz: float,
+    plans: Sequence[Plan],
+    lockstep: bool,
+) -> DataBeside | None:
+    """A live calibration's beginnings; None without a file.
+
+    Raises
+    ------
+    UnusableInput
+        Options that do not belong together, or no calibration.
+    """
+    if source is None:
+        if until_mm:
+            raise UnusableInput("--until: withdraws images from a live calibration; give --data FILE as well")
+        return None
+    from hil.calibration.data_file import read_data_file
+    from hil.imaging.emulated import Exposures
+    from hil.imaging.mailbox import LATE_S, LockstepEnd, LoopEnd, Mailbox
+
+    if not has_observer or images is None:
+        raise UnusableInput("--data: takes the observer's estimate and images; give --observer FILE and --images DIR as well")
+    mailbox = Mailbox(multiprocessing.get_context("spawn"), len(machine.axes))
+    period_s = 1.0 / machine.sample_rate_Hz
+    inbox: LoopEnd = LoopEnd(mailbox)
+    if lockstep and 0.0 < rate_Hz < np.inf:
+        exposures = Exposures(rate_Hz)
+        due_s = exposures.starts(len(plans[0].reference) * period_s) + exposures.width_s + LATE_S
+        inbox = LockstepEnd(mailbox, due_s, period_s)
+    reference = plans[0].reference
+    poses = reference[:: max(1, len(reference) // ASKED)]
+    return DataBeside(machine, read_data_file(source), source, mailbox, inbox, 1e-3 * until_mm, poses)
+
+
+def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]:
+    """Write what a replay and a reconstruction need into the images' folder, and say how it went."""
+    from hil.calibration.live_file import GEOMETRY, SIGHTINGS, write_live_geometry, write_sightings
+
+    live = beside.calibration
+    assert live is not None
+    write_sightings(live, images / SIGHTINGS)
+    write_live_geometry(live, images / GEOMETRY)
+    found = live.summary
+    place = 1e3 * found["place_sigma_m"]
+    left = ", ".join(f"{found[fate]} {said}" for fate, said in _LEFT.items() if found[fate])
+    answer.say(f"{len(live.arrivals)} images seen live, {live.used} taken in{f'; {left}' if left else ''}; place known to {place:.3f} mm")
+    if live.withdrawn_after is not None:
+        answer.say(f"images of the phantom were withdrawn after {live.withdrawn_after}")
+    if found["change"]:
+        answer.say("the machine stands elsewhere than it did; the mount was found anew")
+    answer.say(f"{images / GEOMETRY}: geometry of {int(np.isfinite(live.live[:, 0]).sum())} samples")
+    return {**found, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
+
+
+_LEFT = {"refused": "contradicted", "late": "came too late", "withdrawn": "not needed any more"}

@@ -1,0 +1,197 @@
+"""Shared memory between the loop and the process that looks at images: poses one way, what images show the other.
+
+One writer and one reader for each direction; nobody locks and nobody waits. A writer fills a place first and counts it afterwards, and a
+place is used again only after many others.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+POSES = 2048
+"""Rows of the recording whose poses are kept: 8 s at 256 Hz, longer than any image is on its way."""
+
+LETTERS = 64
+LARGEST = 9
+"""Numbers of the largest measurement, all nine parameters."""
+
+LATE_S = 0.2
+"""How long after an exposure's end its image is looked at, where time is emulated: as `isocenter calibrate data` takes it."""
+
+WAITS_S = 1e-3
+
+KINDS = ("phantom", "marker")
+
+_HANDLED, _SENT = range(2)
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one image shows, on its way to the loop.
+
+    Attributes
+    ----------
+    exposure_id : int
+    handled : int
+        Images that had been looked at when this one was sent: those of before the panel's clock was known are sent with the first after.
+    time_s : float
+        Middle of the exposure in the loop's time.
+    kind : "phantom" or "marker"
+    positions : (axes,) array
+        Of the axes then, that `values` are deviations at.
+    values, covariance : (k,), (k, k) arrays
+        As `hil.calibration.data_driven.Measurement` has them.
+    """
+
+    exposure_id: int
+    handled: int
+    time_s: float
+    kind: str
+    positions: np.ndarray
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+class Mailbox:
+    """Both directions.
+
+    Parameters
+    ----------
+    context
+        Of `multiprocessing`, whose processes get it as an argument.
+    axes : int
+    """
+
+    def __init__(self, context: Any, axes: int) -> None:
+        self.axes = axes
+        self._width = 5 + axes + LARGEST + LARGEST**2
+        self._counters = context.RawArray("q", 2)
+        self._poses = context.RawArray("d", POSES * (2 + axes))
+        self._letters = context.RawArray("d", LETTERS * self._width)
+        self.poses[:, 0] = -1.0
+
+    @property
+    def counters(self) -> np.ndarray:
+        """(2,) images looked at, letters sent."""
+        return np.frombuffer(self._counters, dtype=np.int64)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """(POSES, 2 + axes): row, time, positions."""
+        return np.frombuffer(self._poses, dtype=float).reshape(POSES, 2 + self.axes)
+
+    @property
+    def letters(self) -> np.ndarray:
+        """(LETTERS, width)."""
+        return np.frombuffer(self._letters, dtype=float).reshape(LETTERS, self._width)
+
+    # the looking process's end
+
+    def pose_at(self, time_s: float, period_s: float) -> np.ndarray | None:
+        """Axis positions (axes,) at a time, linear between two rows; None where one of them is not there (yet, or any more)."""
+        row = int(np.floor(time_s / period_s))
+        found = self.poses[[row % POSES, (row + 1) % POSES]]
+        if row < 0 or found[0, 0] != row or found[1, 0] != row + 1:
+            return None
+        share = (time_s - found[0, 1]) / (found[1, 1] - found[0, 1])
+        return (1.0 - share) * found[0, 2:] + share * found[1, 2:]
+
+    def send(self, sighting: Sighting) -> None:
+        """Put a letter in."""
+        counters = self.counters
+        letter, size, axes = self.letters[counters[_SENT] % LETTERS], len(sighting.values), self.axes
+        letter[:5] = sighting.exposure_id, sighting.handled, sighting.time_s, KINDS.index(sighting.kind), size
+        letter[5 : 5 + axes] = sighting.positions
+        letter[5 + axes : 5 + axes + size] = sighting.values
+        letter[5 + axes + LARGEST : 5 + axes + LARGEST + size**2] = sighting.covariance.ravel()
+        counters[_SENT] += 1
+
+    def handled(self) -> None:
+        """One more image has been looked at, and what it shows was sent."""
+        self.counters[_HANDLED] += 1
+
+
+class LoopEnd:
+    """The loop's end of a mailbox: takes what has come.
+
+    Parameters
+    ----------
+    mailbox : Mailbox
+    """
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self.mailbox = mailbox
+        self._counters, self._poses, self._letters = mailbox.counters, mailbox.poses, mailbox.letters
+        self._taken = 0
+
+    def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
+        """Where the axes are in a row of the recording."""
+        place = self._poses[row % POSES]
+        place[0] = -1.0
+        place[1] = time_s
+        place[2:] = positions
+        place[0] = row
+
+    def collect(self, row: int) -> list[Sighting]:
+        """What has come by this row and was not taken yet."""
+        if self._counters[_SENT] == self._taken:
+            return []
+        return self.up_to(np.inf)
+
+    def up_to(self, handled: float) -> list[Sighting]:
+        """What was sent until so many images had been looked at, the last of them included."""
+        found = []
+        while self._taken < self._counters[_SENT]:
+            letter, axes = self._letters[self._taken % LETTERS].copy(), self.mailbox.axes
+            if letter[1] >= handled:
+                break
+            size = int(letter[4])
+            values = letter[5 + axes : 5 + axes + size]
+            covariance = letter[5 + axes + LARGEST : 5 + axes + LARGEST + size**2].reshape(size, size)
+            kind = KINDS[int(letter[3])]
+            found.append(Sighting(int(letter[0]), int(letter[1]), float(letter[2]), kind, letter[5 : 5 + axes], values, covariance))
+            self._taken += 1
+        return found
+
+    @property
+    def looked_at(self) -> int:
+        """Images looked at so far."""
+        return int(self._counters[_HANDLED])
+
+
+class LockstepEnd(LoopEnd):
+    """The loop's end where time stands still between ticks: an image comes `LATE_S` after its exposure, and the loop waits for it then.
+
+    So a run repeats bit for bit, however long images take to make and to look at.
+
+    Parameters
+    ----------
+    mailbox : Mailbox
+    due_s : (N,) array
+        When each exposure's image is there, in the loop's time.
+    period_s : float
+
+    Attributes
+    ----------
+    check : callable
+        Asked while it waits; raises where nobody makes images any more.
+    """
+
+    def __init__(self, mailbox: Mailbox, due_s: np.ndarray, period_s: float) -> None:
+        super().__init__(mailbox)
+        self._due_s, self._period_s, self._due = due_s, period_s, 0
+        self.check: Callable[[], None] = lambda: None
+
+    def collect(self, row: int) -> list[Sighting]:
+        """See `LoopEnd`."""
+        while self._due < len(self._due_s) and self._due_s[self._due] <= row * self._period_s:
+            self._due += 1
+        while self.looked_at < self._due:
+            self.check()
+            time.sleep(WAITS_S)
+        return self.up_to(self._due)
