@@ -22,6 +22,7 @@ from hil.rendezvous import EmulatorCard, published
 from hil.truth import TruthLog
 from virtual_bus.canopen.bare import BareMachine
 from virtual_bus.emulator import Ports, run_device, run_emulator
+from virtual_bus.idle_time import SILENCE_S
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 from virtual_bus.physics import Physics
@@ -32,6 +33,10 @@ from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
 
 OWN_LOOP_BANDWIDTH_Hz = 0.5
 """The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
+
+LONGEST_SILENCE_S = 0.5
+"""Where heartbeats are slow, a bench may stand still for so long before the machine's time goes on without it: each real wait takes that
+much longer."""
 
 STANDARD_BITRATE = 1_000_000
 PTY_BAUD = 115_200  # a pseudo terminal keeps any; this one is what the bench is told
@@ -115,7 +120,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     zero_counts=scaling.link_zero_counts,
                 )
             )
-    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders))
+    silence_s = min(LONGEST_SILENCE_S, *(node.heartbeat_period_s for node in bus.nodes))
+    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), max(silence_s, SILENCE_S))
 
 
 def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> int:

@@ -75,7 +75,7 @@ class EmulatedMachine:
         self._effort = np.zeros(len(physics.axes))
         self._brakes_closed = [True] * len(physics.axes)
         self._samples = 0
-        self._idle = IdleTime(period_s)
+        self._idle = IdleTime(period_s, bus.silence_s)
         for node in self._nodes:
             node.on_routes = self._collect_routes
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from virtual_bus.idle_time import SILENCE_S
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -199,3 +201,4 @@ class EmulatedBus:
     sync_cob_id: int
     drives: tuple[EmulatedDrive, ...]
     encoders: tuple[EmulatedEncoder, ...]
+    silence_s: float = SILENCE_S  # so much waiting since the last SYNC, and the machine's time goes on without one

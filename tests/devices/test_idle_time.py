@@ -5,14 +5,16 @@ from __future__ import annotations
 import pytest
 from device_wires import PERIOD_S
 
-from virtual_bus.idle_time import ANSWER_S, QUIET_S, SILENCE_S, IdleTime
+from virtual_bus.idle_time import ANSWER_SHARE, QUIET_SHARE, SILENCE_S, IdleTime
+
+QUIET_S, ANSWER_S = QUIET_SHARE * SILENCE_S, ANSWER_SHARE * SILENCE_S
 
 
 class Silence:
     """Silence in slices of a millisecond, as an emulator on the wall clock sees it; counts the periods that pass."""
 
-    def __init__(self) -> None:
-        self.idle = IdleTime(PERIOD_S)
+    def __init__(self, silence_s: float = SILENCE_S) -> None:
+        self.idle = IdleTime(PERIOD_S, silence_s)
         self.periods = 0
         self.talkative = False  # the devices send something in every period
 
@@ -36,6 +38,16 @@ def test_long_silence_passes_in_full_once_it_has_been_long_enough(slice_s: float
     assert silence.periods == 0
     silence.wait(3.0, slice_s)
     assert silence.passed_s == pytest.approx(3.0 + SILENCE_S - slice_s, abs=PERIOD_S)
+
+
+def test_a_bench_may_stand_still_for_as_long_as_it_was_said() -> None:
+    silence = Silence(silence_s=0.5)
+    for _ in range(10):
+        silence.idle.sync()
+        silence.wait(0.4)
+    assert silence.periods == 0
+    silence.wait(1.0)
+    assert silence.passed_s == pytest.approx(0.4 + 1.0, abs=PERIOD_S)  # what was held back is made up for
 
 
 def test_nothing_passes_between_syncs_of_any_usual_rate() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import select
 import subprocess
@@ -15,6 +16,10 @@ from pathlib import Path
 
 import can
 import pytest
+from patient import AT_REST, patient, since_the_bench_came
+from processes import Done, Started, start, start_until_ready
+
+from hil.cli import main
 
 PROBE = 0x7FF
 """An identifier nobody on a CANopen bus uses; seen in candump's output, it proves that candump listens."""
@@ -140,3 +145,38 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
         attach.wait(DEADLINE_S)
         for descriptor in (laptop_master, laptop_slave, kernel_master, kernel_slave, stop_read, stop_write):
             os.close(descriptor)
+
+
+@pytest.fixture
+def emulate(tmp_path) -> Iterator[Callable[..., dict[str, str]]]:
+    """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line."""
+    running: list[Started] = []
+
+    def begin(*arguments: str) -> dict[str, str]:
+        while running:
+            running.pop().end()
+        started, line = start_until_ready(tmp_path, "emulate", "--no-real-time", "--json", "-", *arguments)
+        running.append(started)
+        return json.loads(line)
+
+    yield begin
+    while running:
+        running.pop().end()
+
+
+@pytest.fixture
+def run(tmp_path) -> Callable[..., Done]:
+    """`isocenter run ...` to its end."""
+    return lambda *arguments: start(tmp_path, "run", *arguments, "--no-real-time").wait()
+
+
+@pytest.fixture(scope="session")
+def lockstep_frames(tmp_path_factory) -> list[str]:
+    """The frames of a second at rest in lockstep; run in this process, which has then loaded all that the others are forked with."""
+    folder = tmp_path_factory.mktemp("lockstep")
+    log = folder / "frames.log"
+    machine = patient(folder, can_only=True)
+    with pytest.raises(SystemExit) as left:
+        main(["run", *AT_REST, "--machine", machine, "--bus", "lockstep:", "--frame-log", str(log), "-o", str(folder / "lockstep.mf4")])
+    assert left.value.code == 0
+    return since_the_bench_came([line.split()[2] for line in log.read_text().splitlines()])
