@@ -93,6 +93,6 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     answer.say(f"misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
     if outcome.proposal is not None:
         proposal = outcome.proposal
-        predicted = f"{proposal.separation:.3g} standard deviations in {proposal.seconds:.3g} s"
-        answer.say(f"  {out / NEXT_EXPERIMENT} would tell them apart, by {predicted}")
+        by = " and ".join(f"{max(both):.3g}" for both in proposal.separations)
+        answer.say(f"  {out / NEXT_EXPERIMENT} would tell them apart, by {by} standard deviations in {proposal.seconds:.3g} s")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

@@ -214,13 +214,14 @@ def _next_experiment(
     machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...], jobs: int, report: Report
 ) -> Proposal | None:
     """What separates the likeliest set from those that are plausible beside it."""
-    rivals = [h.fitted for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE][:MOST_RIVALS]
-    models = [Model.of(tuning, fit) for fit in rivals]
+    rivals = [h for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE][:MOST_RIVALS]
+    models = [Model.of(tuning, h.fitted) for h in rivals if h.fitted is not None]
+    shares = [h.confidence for h in rivals]
 
     def say(share: float) -> None:
         report("looking for the next experiment", 0.97 + 0.03 * share)
 
-    return propose(machine, models, train.noise, train.channels, jobs=jobs, report=say)
+    return propose(machine, models, shares, train.noise, train.channels, jobs=jobs, report=say)
 
 
 def _stages(

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hil.diagnosis.diagnose import MOST_RIVALS, NEXT_EXPERIMENT, Outcome
+from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome
 from hil.diagnosis.machine_file import retuned_text
 from hil.diagnosis.report import write_report
 from hil.errors import UnusableInput
@@ -41,8 +41,7 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
 def _experiment_text(outcome: Outcome, machine: Machine) -> str:
     """The next experiment's file, with what it is for and what it should bring as comments."""
     assert outcome.proposal is not None
-    names = [" and ".join(str(effect) for effect in h.fitted.effects) for h in outcome.hypotheses[:MOST_RIVALS] if h.fitted is not None]
-    return outcome.proposal.header(names) + experiment_text(outcome.proposal.experiment, machine)
+    return outcome.proposal.header() + experiment_text(outcome.proposal.experiment, machine)
 
 
 def _finite(value: Any) -> Any:

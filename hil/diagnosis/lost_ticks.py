@@ -40,7 +40,9 @@ class _Run:
 
     @property
     def planned(self) -> dict[str, np.ndarray]:
-        return {name: channel.values for name, channel in self.whole.channels.items() if name.startswith(PLANNED)}
+        """Without an observer's damping, which answers to each run's own noise."""
+        channels = self.whole.channels.items()
+        return {name: channel.values for name, channel in channels if name.startswith(PLANNED) and not name.startswith("damping_")}
 
     def may_repeat(self, other: _Run) -> bool:
         """Whether both have the same plan wherever both kept a row."""

@@ -1,7 +1,7 @@
 """Recordings beside their free-run simulation: repeats grouped, channels chosen, residuals.
 
-Repeats are recordings of the same reference, excitation (or command) and start pose: one simulation answers all of them. A periodic
-recording without repeats is split into its periods instead, and its simulation is averaged over them.
+Repeats are recordings of the same reference, excitation (or command) and start pose, whatever an observer's damping added: one simulation
+answers all of them. A periodic recording without repeats is split into its periods instead, and its simulation is averaged over them.
 """
 
 from __future__ import annotations
@@ -168,10 +168,7 @@ def mismatch(
     """
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
-    drawn = [
-        (group, channel_outputs(machine, Simulator(group[0].machine).run(group[0].inputs, effects=effects)))
-        for group in _grouped(machine, recordings)
-    ]
+    drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
     if channels is None:
         channels = _channels(machine, [(member.recording, simulated) for group, simulated in drawn for member in group])
     channels = tuple(channels)
@@ -192,10 +189,48 @@ def mismatch(
 
 @dataclass(frozen=True, eq=False)
 class _Member:
+    """One recording of a group.
+
+    `planned` are its inputs as the experiment asked for them, `inputs` with what an observer's damping added; `damped` is what the
+    simulation makes of that beyond the group's mean, by channel.
+    """
+
     label: str
     recording: Recording
     machine: Machine
     inputs: Inputs
+    planned: Inputs
+    damped: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def measured(self, channels: Sequence[str]) -> np.ndarray:
+        """(N, C) as they would be under the group's mean damping."""
+        rows = self.recording.matrix(channels)
+        return rows - np.column_stack([self.damped[name] for name in channels]) if self.damped else rows
+
+
+def _drawn(group: list[_Member], effects: Sequence[EffectSetting] | None) -> tuple[list[_Member], dict[str, np.ndarray]]:
+    """The group and its simulated channels.
+
+    An observer's damping answers to each run's own noise: repeats differ in it. The group is simulated under its mean, and what its
+    deviation does to a repeat, by the nominal simulation, is taken out of that repeat.
+    """
+    machine, first = group[0].machine, group[0].inputs
+    simulator = Simulator(machine)
+    if all(member.inputs is member.planned for member in group) or len(group) == 1:
+        return group, channel_outputs(machine, simulator.run(first, effects=effects))
+    first = replace(first, excitation=np.mean([member.inputs.excitation for member in group], axis=0))
+    mean = channel_outputs(machine, simulator.run(first, effects=effects))
+    under_own = []
+    for member in group:
+        own = channel_outputs(machine, simulator.run(replace(first, excitation=member.inputs.excitation), effects=effects))
+        under_own.append(replace(member, inputs=first, damped={name: own[name] - mean[name] for name in mean}))
+    return under_own, mean
+
+
+def _undamped(recording: Recording) -> Recording:
+    """Without the channels of an observer's damping; itself where it has none."""
+    kept = {name: channel for name, channel in recording.channels.items() if not name.startswith("damping_")}
+    return recording if len(kept) == len(recording.channels) else Recording(kept, recording.metadata)
 
 
 def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[_Member]]:
@@ -205,11 +240,12 @@ def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list
     for label, recording in recordings.items():
         own = machines.setdefault(recording.machine_hash, _with_controller_of(machine, recording))
         try:
-            member = _Member(label, recording, own, inputs_of(own, recording))
+            inputs, plain = inputs_of(own, recording), _undamped(recording)
+            member = _Member(label, recording, own, inputs, inputs if plain is recording else inputs_of(own, plain))
         except RecordingError as problem:
             raise RecordingError(f"{label}: {problem}") from None
         for group in groups:
-            if group[0].machine is own and _same_inputs(group[0].inputs, member.inputs):
+            if group[0].machine is own and _same_inputs(group[0].planned, member.planned):
                 group.append(member)
                 break
         else:
@@ -275,7 +311,7 @@ def _is_silent(values: np.ndarray) -> bool:
 
 def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], channels: tuple[str, ...]) -> RepeatGroup:
     machine, inputs, recording = members[0].machine, members[0].inputs, members[0].recording
-    measured = np.stack([member.recording.matrix(channels) for member in members])
+    measured = np.stack([member.measured(channels) for member in members])
     rows = np.column_stack([simulated[name] for name in channels])
     labels = tuple(member.label for member in members)
     windows: tuple[slice, ...] = (slice(0, len(rows)),)

@@ -1,7 +1,10 @@
 """The experiment that would tell hypotheses apart, found by optimisation within the machine's limits.
 
-Atkinson and Fedorov 1975 (T-optimal designs), with the separation d of two free runs (separation.py) in place of a regression's. A bound
-of d is taken for every draw first, and d itself only while a draw could be the best.
+Atkinson and Fedorov 1975 (T-optimal designs), with the separation d of two free runs (separation.py) in place of a regression's, in either
+direction as likely as it is. An equation errs by a share of what it explains, so d^2 counts in units of the temperature T of naming.py:
+where an effect is large and another name differs from it by little, the difference proves nothing. Over several rivals the mean of
+log(1 + d^2 / T) counts, each as likely as it is so far: the smallest alone would be ruled by a rival that nothing within the limits
+separates. Distances without a refit rank all draws; the best of them are refitted.
 """
 
 from __future__ import annotations
@@ -14,14 +17,18 @@ import scipy.optimize
 from scipy.stats import qmc
 
 from hil.diagnosis.experiment_families import FAMILIES, Family, Request, requests
+from hil.diagnosis.naming import temperature
 from hil.diagnosis.noise import NoiseModel
-from hil.diagnosis.separation import Model, Separation
+from hil.diagnosis.separation import Distances, Model, Separation
 from hil.errors import ExperimentError
 from hil.experiments import Experiment, Plan
 from hil.machine import Machine
 
-DRAWS = 8
+DRAWS = 16
 """Quasi-random experiments of every family and axis that are looked at first: a power of two, as Sobol's sequence wants."""
+
+REFITTED = 8
+"""Of the draws."""
 
 REFINEMENTS = 30
 """Evaluations of the simplex search from the best of them."""
@@ -43,8 +50,11 @@ class Proposal:
     ----------
     experiment : Experiment
         What `isocenter run` takes.
-    separation : float
-        Smallest predicted distance d of any pair with the likeliest hypothesis, in standard deviations of one recording's noise.
+    models : tuple of Model
+        What it separates, the likeliest first.
+    separations : (rivals, 2) array
+        Predicted distances d of the first from each of the others, in standard deviations of one recording's noise: where the first is
+        right, and where the other one is.
     seconds : float
         How long the recording is.
     runs : int
@@ -52,21 +62,25 @@ class Proposal:
     """
 
     experiment: Experiment
-    separation: float
+    models: tuple[Model, ...]
+    separations: np.ndarray
     seconds: float
     runs: int
 
-    def header(self, names: Sequence[str]) -> str:
+    def header(self) -> str:
         """Comment lines for the experiment's file."""
-        return (
-            f"# Separates {' from '.join(names)}.\n"
-            f"# Predicted separation: {self.separation:.3g} standard deviations of one recording's noise, in {self.seconds:.3g} s.\n"
-        )
+        first, *others = [model.name for model in self.models]
+        lines = [f"# Separates {first} from {' and from '.join(others)}, in {self.seconds:.3g} s."]
+        lines.append("# Predicted separation, in standard deviations of one recording's noise:")
+        for name, (if_first, if_other) in zip(others, self.separations, strict=True):
+            lines.append(f"#   from {name}: {if_first:.3g} where {first} is right, {if_other:.3g} where {name} is")
+        return "\n".join(lines) + "\n"
 
 
 def propose(
     machine: Machine,
     models: Sequence[Model],
+    shares: Sequence[float],
     noise: NoiseModel,
     channels: tuple[str, ...],
     *,
@@ -81,6 +95,8 @@ def propose(
         Its limits bound everything; without controllers there is nothing to run.
     models : sequence of Model
         Two or more, the likeliest first.
+    shares : sequence of float
+        How likely each is so far.
     noise : NoiseModel
         From the recordings so far.
     channels : tuple of str
@@ -98,10 +114,15 @@ def propose(
     if not machine.controllers or len(models) < 2:
         return None
     with Separation(machine, models, noise, channels, jobs) as separation:
-        best = _best_draw(machine, separation, lambda share: report(DRAWN * share))
+        search = _Search(machine, separation, np.array(shares))
+        best = search.best_draw(lambda share: report(DRAWN * share))
         if best is None:
             return None
-        return _refined(machine, separation, best, lambda share: report(DRAWN + (1.0 - DRAWN) * share))
+        point = search.refined(best, lambda share: report(DRAWN + (1.0 - DRAWN) * share))
+        experiment = FAMILIES[best.request.family].experiment(machine, best.request, point)
+        (plan,) = experiment.plans(machine)
+        seconds = plan.rows / machine.sample_rate_Hz
+        return Proposal(experiment, tuple(models), separation.of_plan(plan).separations, seconds, separation.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,51 +132,62 @@ class _Draw:
     request: Request
     point: np.ndarray
     plan: Plan
-    separation: float
+    worth: float
 
 
-def _best_draw(machine: Machine, separation: Separation, report: Report) -> _Draw | None:
-    """The draw of the largest d."""
-    draws: list[_Draw] = []
-    asked = requests(machine)
-    for number, request in enumerate(asked):
-        family = FAMILIES[request.family]
-        points = qmc.Sobol(family.dimensions(machine), seed=0).random(DRAWS)
-        planned = [(point, plan) for point in points if (plan := _plan(machine, family, request, point)) is not None]
-        most = separation.at_most([plan for _, plan in planned])
-        draws += [_Draw(request, point, plan, found) for (point, plan), found in zip(planned, most, strict=True)]
-        report(0.5 * (number + 1) / len(asked))
-    best: _Draw | None = None
-    for number, draw in enumerate(sorted(draws, key=lambda draw: -draw.separation)):
-        if draw.separation <= (0.0 if best is None else best.separation):
-            break  # nor can those after it be better
-        found = separation.of_plan(draw.plan)
-        if found > (0.0 if best is None else best.separation):
-            best = replace(draw, separation=found)
-        report(0.5 + 0.5 * (number + 1) / len(draws))
-    return best
+class _Search:
+    """For the plan that is worth most."""
 
+    def __init__(self, machine: Machine, separation: Separation, shares: np.ndarray) -> None:
+        self._machine = machine
+        self._separation = separation
+        self._shares = shares
 
-def _refined(machine: Machine, separation: Separation, best: _Draw, report: Report) -> Proposal:
-    """A simplex search from a draw."""
-    family, start = FAMILIES[best.request.family], best.point
-    done = 0
+    def best_draw(self, report: Report) -> _Draw | None:
+        """Of all families and axes; None where none of them separates anything."""
+        draws: list[_Draw] = []
+        asked = requests(self._machine)
+        for number, request in enumerate(asked):
+            family = FAMILIES[request.family]
+            points = qmc.Sobol(family.dimensions(self._machine), seed=0).random(DRAWS)
+            planned = [(point, plan) for point in points if (plan := _plan(self._machine, family, request, point)) is not None]
+            most = self._separation.at_most([plan for _, plan in planned])
+            draws += [_Draw(request, point, plan, self._worth(found)) for (point, plan), found in zip(planned, most, strict=True)]
+            report(0.5 * (number + 1) / len(asked))
+        refitted = []
+        for number, draw in enumerate(sorted(draws, key=lambda draw: -draw.worth)[:REFITTED]):
+            refitted.append(replace(draw, worth=self._of(draw.plan)))
+            report(0.5 + 0.5 * (number + 1) / min(REFITTED, len(draws)))
+        best = max(refitted, key=lambda draw: draw.worth, default=None)
+        return None if best is None or best.worth <= 0.0 else best
 
-    def value(point: np.ndarray) -> float:
-        nonlocal done
-        done += 1
-        report(min(done / REFINEMENTS, 1.0))
-        plan = _plan(machine, family, best.request, point)
-        return 0.0 if plan is None else separation.of_plan(plan)
+    def refined(self, best: _Draw, report: Report) -> np.ndarray:
+        """The point that a simplex search from a draw ends at."""
+        family, start = FAMILIES[best.request.family], best.point
+        done = 0
 
-    simplex = np.vstack([start, start + np.where(start < 0.5, FIRST_STEP, -FIRST_STEP) * np.eye(len(start))])
-    refined = scipy.optimize.minimize(
-        lambda point: -value(np.clip(point, 0.0, 1.0)), start, method="Nelder-Mead",
-        options={"maxfev": REFINEMENTS, "initial_simplex": simplex},
-    )  # fmt: skip
-    experiment = family.experiment(machine, best.request, np.clip(refined.x, 0.0, 1.0))
-    (plan,) = experiment.plans(machine)
-    return Proposal(experiment, -float(refined.fun), plan.rows / machine.sample_rate_Hz, separation.count)
+        def worth(point: np.ndarray) -> float:
+            nonlocal done
+            done += 1
+            report(min(done / REFINEMENTS, 1.0))
+            plan = _plan(self._machine, family, best.request, point)
+            return 0.0 if plan is None else self._of(plan)
+
+        simplex = np.vstack([start, start + np.where(start < 0.5, FIRST_STEP, -FIRST_STEP) * np.eye(len(start))])
+        refined = scipy.optimize.minimize(
+            lambda point: -worth(np.clip(point, 0.0, 1.0)), start, method="Nelder-Mead",
+            options={"maxfev": REFINEMENTS, "initial_simplex": simplex},
+        )  # fmt: skip
+        return np.clip(refined.x, 0.0, 1.0)
+
+    def _of(self, plan: Plan) -> float:
+        return self._worth(self._separation.of_plan(plan))
+
+    def _worth(self, found: Distances) -> float:
+        """Mean over who may be right, the first model or a rival, of log(1 + d^2 / T)."""
+        first, rivals = self._shares[0], self._shares[1:]
+        logs = np.log1p(found.separations**2 / temperature(found.removed, 0.0))
+        return float(rivals @ (first * logs[:, 0] + rivals * logs[:, 1]) / (rivals @ (first + rivals)))
 
 
 def _plan(machine: Machine, family: Family, request: Request, point: np.ndarray) -> Plan | None:

@@ -1,13 +1,15 @@
 """How far apart an experiment puts hypotheses.
 
-What of the difference of their free runs no local refit of the other one takes away:
+What of the difference of the free runs of A and B no local refit of B takes away, where A is right:
 
-    d^2 = min over changes p of |W (y_A - y_B - J_B p)|^2 + |p_tuned|^2
+    d^2 = min over changes p of |W (y_A - y_B(p))|^2 + |p_tuned|^2
 
-with W the whitening of the noise that the recordings showed, J_B the sensitivities of B's tuned numbers and effect parameters, and the
-prior of re-tuning on the former. d is a distance in standard deviations of the noise of one recording: the misfit of B, refitted to a
-recording of A, exceeds that of A by d^2 on average. A is the likeliest hypothesis so far, B each of its rivals.
-|W (y_A - y_B)| is never smaller and needs no sensitivities.
+with W the whitening of the noise that the recordings showed, p B's tuned numbers and effect parameters, and the prior of re-tuning on the
+former; Gauss-Newton steps find the minimum. d is a distance in standard deviations of the noise of one recording: the misfit of B,
+refitted to a recording of A, exceeds that of A by d^2 on average. Where B is right, A is refitted instead: a law that has another one as
+its special case follows it wherever it goes, d = 0, and is told from it only in the other direction. |W (y_A - y_B)| is never smaller than
+either and needs no sensitivities. A is the likeliest hypothesis so far, B each of its rivals. Sensitivities of tuned numbers are taken at A
+for all of them: a small effect hardly changes them.
 """
 
 from __future__ import annotations
@@ -15,21 +17,23 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numpy as np
 
 from controllers.errors import ControlError
+from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.free_run import smooth
 from hil.diagnosis.mismatch import simulated_matrix
 from hil.diagnosis.noise import NoiseModel
-from hil.diagnosis.refit import Fitted
-from hil.diagnosis.retune import Tuning
+from hil.diagnosis.refit import DECIDED, Fitted
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
 from hil.errors import BadAnswer, BenchError
 from hil.experiments import Plan
 from hil.machine import Machine
 from hil.simulation import Inputs, Simulator
+from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EffectSetting
@@ -39,6 +43,12 @@ TUNED_STEP = 0.1
 
 EFFECT_STEP = 0.02
 """Of the sensitivities, as a share of a parameter."""
+
+ROUNDS = 3
+"""Gauss-Newton steps of a refit at most. One alone leaves some per cent of the distance that it goes."""
+
+SETTLED = 0.01
+"""Of d^2: a step that brings less is not taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +63,8 @@ class Model:
     indices, scale : (P,) arrays
         Tuned plant parameters and one unit of their prior.
     free : tuple of (effect number, parameter name)
+    name : str
+        What it is called in an experiment's file.
     """
 
     values: np.ndarray
@@ -60,24 +72,61 @@ class Model:
     indices: np.ndarray
     scale: np.ndarray
     free: tuple[tuple[int, str], ...]
+    name: str = ""
 
     @classmethod
     def of(cls, tuning: Tuning, fitted: Fitted) -> Model:
-        """The model that a fit describes."""
+        """The model that a fit describes, without what it does not need (`_needed`)."""
+        offset, own = _needed(tuning, fitted)
+        settings = tuple(setting_of(effect, values) for effect, values in zip(fitted.effects, own, strict=True))
         free = tuple((e, effects()[fitted.effects[e].effect].parameters[k].name) for e, k in fitted.free)
-        return cls(tuning.at(fitted.offset), fitted.settings, tuning.indices, tuning.scale, free)
+        name = " and ".join(str(effect) for effect in fitted.effects)
+        return cls(tuning.at(offset), settings, tuning.indices, tuning.scale, free, name)
 
-    def moved(self, plan: Plan) -> list[tuple[_Task, float]]:
-        """A run with each free number moved, and by how much: tuned ones in units of their prior, effects' in units of their size."""
+    def tuned_moves(self, plan: Plan) -> list[_Task]:
+        """A run with each tuned number moved by TUNED_STEP of its prior."""
         found = []
         for index, scale in zip(self.indices, self.scale, strict=True):
             values = self.values.copy()
             values[index] += TUNED_STEP * scale
-            found.append((_Task(values, self.effects, plan), TUNED_STEP))
+            found.append(_Task(values, self.effects, plan))
+        return found
+
+    def at(self, change: np.ndarray) -> Model:
+        """With its numbers changed: (P + F,) the tuned ones in units of their prior, the effects' in units of their size, within bounds."""
+        tuned = len(self.indices)
+        values = self.values.copy()
+        values[self.indices] += np.clip(change[:tuned], -1.0, 1.0) * self.scale
+        changed = self.effects
+        for (number, name), move in zip(self.free, change[tuned:], strict=True):
+            parameter, size = _parameter(changed[number], name), _size(self.effects[number], name)
+            value = np.clip(changed[number].parameters[name] + move * size, parameter.low, parameter.high)
+            changed = _with(changed, number, name, float(value))
+        return replace(self, values=values, effects=changed)
+
+    def effect_moves(self, plan: Plan) -> list[tuple[_Task, float]]:
+        """A run with each of the effects' free numbers moved, and by how much in units of its size."""
+        found = []
         for number, name in self.free:
             changed, step = _moved(self.effects, number, name)
             found.append((_Task(self.values, changed, plan), step))
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """How far apart a plan puts the first model and its rivals.
+
+    Attributes
+    ----------
+    separations : (rivals, 2) array
+        d where the first model is right, and where the rival is; 0 where a model cannot be simulated.
+    removed : float
+        |residual|^2 that the first model's effects take away from a recording of it.
+    """
+
+    separations: np.ndarray
+    removed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,27 +211,38 @@ class Separation:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def at_most(self, plans: Sequence[Plan]) -> list[float]:
-        """|W (y_A - y_B)| of every plan, the smallest of its pairs: no separation is larger. 0 where a model cannot be simulated."""
-        answers = self._run([_Task(model.values, model.effects, plan) for plan in plans for model in self._models])
+    def at_most(self, plans: Sequence[Plan]) -> list[Distances]:
+        """The same without a refit: no distance is larger."""
         size = len(self._models)
+        tasks = [task for plan in plans for task in (*(_Task(m.values, m.effects, plan) for m in self._models), self._bare(plan))]
+        answers = self._run(tasks)
         found = []
-        for own in (answers[k : k + size] for k in range(0, len(answers), size)):
-            whole = [answer for answer in own if answer is not None]
-            found.append(min(float(np.linalg.norm(whole[0] - other)) for other in whole[1:]) if len(whole) == size else 0.0)
+        for number in range(len(plans)):
+            own = [answer for answer in answers[number * (size + 1) : (number + 1) * (size + 1)] if answer is not None]
+            if len(own) < size + 1:
+                found.append(self._nothing())
+                continue
+            far = [float(np.linalg.norm(own[0] - other)) for other in own[1:]]
+            found.append(Distances(np.column_stack([far[:-1], far[:-1]]), far[-1] ** 2))
         return found
 
-    def of_plan(self, plan: Plan) -> float:
-        """Smallest d over the pairs; 0 where a model cannot be simulated."""
-        pairs = self._answers(plan)
-        if pairs is None:
-            return 0.0
-        first = pairs[0][0]
-        return min(left_over(first - other, jacobian, model) for (other, jacobian), model in zip(pairs[1:], self._models[1:], strict=True))
+    def of_plan(self, plan: Plan) -> Distances:
+        """After the best local refits."""
+        answers = self._run([*(_Task(model.values, model.effects, plan) for model in self._models), self._bare(plan)])
+        own = [answer for answer in answers if answer is not None]
+        tuned = self._tuned(plan)
+        if len(own) < len(answers) or tuned is None:
+            return self._nothing()
+        first, *others, bare = own
+        separations = [
+            (self._distance(model, plan, tuned, first), self._distance(self._models[0], plan, tuned, other))
+            for model, other in zip(self._models[1:], others, strict=True)
+        ]
+        return Distances(np.array(separations), _left_over(first - bare, tuned, np.zeros(tuned.shape[1]))[0])
 
-    def of_recording(self, plan: Plan, measured: np.ndarray) -> float:
-        """The separation that a recording of a plan shows, where the first model is right: by how much the closest other one, refitted
-        locally, is further from it. Negative where another one is nearer.
+    def of_recording(self, plan: Plan, measured: np.ndarray) -> np.ndarray:
+        """(rivals,) the separations that a recording of a plan shows: by how much each rival, refitted locally, is further from it than the
+        first model, refitted locally. Negative where the rival is nearer.
 
         Parameters
         ----------
@@ -190,36 +250,50 @@ class Separation:
         measured : (N, C) array
             The recording's channels.
         """
-        pairs = self._answers(plan, sensitive_first=True)
-        if pairs is None:
+        tuned = self._tuned(plan)
+        if tuned is None:
             raise BadAnswer("a hypothesis cannot be simulated along this plan; its separation is not known")
         recorded = self._noise.whiten(measured[_kept(plan) :])
-        squares = [
-            left_over(recorded - answer, jacobian, model) ** 2 for (answer, jacobian), model in zip(pairs, self._models, strict=True)
-        ]
-        excess = min(squares[1:]) - squares[0]
-        return float(np.sign(excess) * np.sqrt(abs(excess)))
+        squares = np.array([self._distance(model, plan, tuned, recorded) ** 2 for model in self._models])
+        excess = squares[1:] - squares[0]
+        return np.sign(excess) * np.sqrt(np.abs(excess))
 
-    def _answers(self, plan: Plan, *, sensitive_first: bool = False) -> list[tuple[np.ndarray, np.ndarray]] | None:
-        """(M,) answer and (M, P + F) sensitivities of each model; without those of the first where nobody asks for them.
+    def _bare(self, plan: Plan) -> _Task:
+        """The first model without its effects."""
+        return _Task(self._models[0].values, (), plan)
 
-        Columns: tuned numbers in units of their prior, then effect parameters in units of their own size.
-        """
-        tasks: list[_Task] = []
-        steps: list[list[float]] = []
-        for number, model in enumerate(self._models):
-            moved = model.moved(plan) if number or sensitive_first else []
-            tasks += [_Task(model.values, model.effects, plan), *(task for task, _ in moved)]
-            steps.append([step for _, step in moved])
-        found = iter(self._run(tasks))
-        pairs = []
-        for own in steps:
-            answer, *others = [next(found) for _ in range(1 + len(own))]
+    def _nothing(self) -> Distances:
+        return Distances(np.zeros((len(self._models) - 1, 2)), 0.0)
+
+    def _tuned(self, plan: Plan) -> np.ndarray | None:
+        """(M, P) sensitivities of the tuned numbers, in units of their prior."""
+        first = self._models[0]
+        answers = self._run([_Task(first.values, first.effects, plan), *first.tuned_moves(plan)])
+        base, *moved = answers
+        if base is None or any(answer is None for answer in moved):
+            return None
+        columns = [(answer - base) / TUNED_STEP for answer in moved if answer is not None]
+        return np.column_stack(columns) if columns else np.zeros((len(base), 0))
+
+    def _distance(self, model: Model, plan: Plan, tuned: np.ndarray, target: np.ndarray) -> float:
+        """Of a model, refitted, from whitened rows (M,); 0 where it cannot be simulated."""
+        offset, before, best = np.zeros(tuned.shape[1]), np.inf, np.inf
+        for _ in range(ROUNDS):
+            moves = model.effect_moves(plan)
+            answers = self._run([_Task(model.values, model.effects, plan), *(task for task, _ in moves)])
+            answer, *others = answers
             if answer is None or any(other is None for other in others):
-                return None
-            columns = [(other - answer) / step for other, step in zip(others, own, strict=True) if other is not None]
-            pairs.append((answer, np.column_stack(columns) if columns else np.zeros((len(answer), 0))))
-        return pairs
+                break
+            columns = [(other - answer) / step for other, (_, step) in zip(others, moves, strict=True) if other is not None]
+            far = float(np.sum((target - answer) ** 2) + offset @ offset)
+            square, change = _left_over(target - answer, np.column_stack([tuned, *columns]), offset)
+            best = min(best, square)
+            if far > before or square > (1.0 - SETTLED) * far:
+                break
+            before = far
+            offset = offset + change[: len(offset)]
+            model = model.at(change)
+        return float(np.sqrt(best)) if np.isfinite(best) else 0.0
 
     def _run(self, tasks: Sequence[_Task]) -> list[np.ndarray | None]:
         self.count += len(tasks)
@@ -233,24 +307,69 @@ def _kept(plan: Plan) -> int:
     return int(plan.metadata.get("settle_periods", 0)) * int(plan.metadata.get("period_samples", 0))
 
 
-def left_over(difference: np.ndarray, jacobian: np.ndarray, model: Model) -> float:
-    """Distance that remains after the best local refit."""
-    tuned = len(model.indices)
+def _needed(tuning: Tuning, fitted: Fitted) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Tuned coordinates and effects' values of a fit, strengths that may as well be zero at zero, the least certain first.
+
+    The other numbers go where they are best without it. Carried on to another motion, a number that the recordings do not show would make
+    differences of its own.
+    """
+    count = len(fitted.offset)
+    parameters = [effects()[effect.effect].parameters for effect in fitted.effects]
+    offset, own = fitted.offset.copy(), [values.copy() for values in fitted.values]
+    columns = np.column_stack([tuning.jacobian, fitted.jacobian])
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    size[:count] = 1.0  # whose prior has the unit size
+    precision = (columns / size).T @ (columns / size)
+    precision[:count, :count] += np.eye(count)
+    covariance = np.linalg.pinv(precision, rcond=1e-13, hermitian=True) / np.outer(size, size)
+    strengths = {n: (e, k) for n, (e, k) in enumerate(fitted.free, count) if parameters[e][k].is_strength}
+    while len(strengths) > 1:
+        surplus = {n: own[e][k] - parameters[e][k].neutral for n, (e, k) in strengths.items()}
+        deviations = {n: abs(value) / np.sqrt(covariance[n, n]) for n, value in surplus.items()}
+        least = min(strengths, key=lambda n: deviations[n])
+        if deviations[least] > DECIDED:
+            break
+        along = covariance[:, least] / covariance[least, least]
+        offset = np.clip(offset - along[:count] * surplus[least], -LARGEST_CHANGE / PRIOR, LARGEST_CHANGE / PRIOR)
+        for n, (e, k) in enumerate(fitted.free, count):
+            own[e][k] = np.clip(own[e][k] - along[n] * surplus[least], parameters[e][k].low, parameters[e][k].high)
+        covariance = covariance - np.outer(along, covariance[least])
+        del strengths[least]
+    return offset, own
+
+
+def _left_over(difference: np.ndarray, jacobian: np.ndarray, offset: np.ndarray) -> tuple[float, np.ndarray]:
+    """d^2 that remains after the best change of all numbers, and that change; the tuned ones, first, are `offset` off their mean."""
+    tuned = len(offset)
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     size[:tuned] = 1.0  # whose prior has the unit size
     columns = jacobian / size
     hessian = columns.T @ columns
     hessian[:tuned, :tuned] += np.eye(tuned)
-    change = np.linalg.lstsq(hessian, columns.T @ difference, rcond=1e-13)[0]
-    return float(np.hypot(np.linalg.norm(difference - columns @ change), np.linalg.norm(change[:tuned])))
+    gradient = columns.T @ difference
+    gradient[:tuned] -= offset
+    change = np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0]
+    left = difference - columns @ change
+    return float(left @ left + np.sum((offset + change[:tuned]) ** 2)), change / size
 
 
 def _moved(settings: tuple[EffectSetting, ...], number: int, name: str) -> tuple[tuple[EffectSetting, ...], float]:
     """Effects with one parameter moved within its bounds, and by how much in units of its size."""
+    value, size = settings[number].parameters[name], _size(settings[number], name)
+    step = EFFECT_STEP if value + EFFECT_STEP * size <= _parameter(settings[number], name).high else -EFFECT_STEP
+    return _with(settings, number, name, value + step * size), step
+
+
+def _with(settings: tuple[EffectSetting, ...], number: int, name: str, value: float) -> tuple[EffectSetting, ...]:
     setting = settings[number]
-    parameter = next(p for p in effects()[setting.name].parameters if p.name == name)
-    value = setting.parameters[name]
-    size = max(abs(value), 1e-3 * (parameter.high - parameter.low))
-    step = EFFECT_STEP if value + EFFECT_STEP * size <= parameter.high else -EFFECT_STEP
-    changed = EffectSetting(setting.name, setting.at, {**setting.parameters, name: value + step * size})
-    return (*settings[:number], changed, *settings[number + 1 :]), step
+    changed = EffectSetting(setting.name, setting.at, {**setting.parameters, name: value})
+    return (*settings[:number], changed, *settings[number + 1 :])
+
+
+def _parameter(setting: EffectSetting, name: str) -> Parameter:
+    return next(parameter for parameter in effects()[setting.name].parameters if parameter.name == name)
+
+
+def _size(setting: EffectSetting, name: str) -> float:
+    parameter = _parameter(setting, name)
+    return max(abs(setting.parameters[name]), 1e-3 * (parameter.high - parameter.low))
