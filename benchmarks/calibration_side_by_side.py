@@ -42,7 +42,7 @@ from hil.imaging.scan_folder import ImageScan, read_scan
 from hil.imaging.scenes import scene
 from hil.machine import Machine, load_machine
 from hil.observing import design_observer, observe, read_design, tune, write_design
-from hil.observing.design import COARSE_GRID, GRID, STANDING_s, _grid
+from hil.observing.design import COARSE_GRID, GRID, STANDING_s, axis_grid
 from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.reconstruction.cone_beam import line_integrals, reconstruct
 from hil.reconstruction.quality import wire_quality
@@ -147,7 +147,7 @@ def command(*arguments: object) -> None:
 
 def responses(folder: Path, machine: Machine) -> tuple[list, list[Recording]]:
     """Frequency responses and standing records of the machine as built, undisturbed."""
-    grids = {axis: _grid(machine, k, n) for k, (axis, n) in enumerate(zip(machine.axes, (COARSE_GRID, GRID), strict=True))}
+    grids = {axis: axis_grid(machine, k, n) for k, (axis, n) in enumerate(zip(machine.axes, (COARSE_GRID, GRID), strict=True))}
     poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
     files = [folder / "responses" / f"{k}.npz" for k in range(len(poses))]
     built = load_machine(str(folder / "before.toml"))

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 
 from hil.calibration.observed_beam import ObservedBeam
 from hil.calibration.quasi_static import QuasiStatic, marker_view
+from hil.calibration.smoothed import smoothed_displacement
 
 STRAYS_S = 3.0
 """How long an error of the observer's displacement lasts: most of it lies below 0.5 Hz (docs/observer.md)."""
@@ -51,6 +52,10 @@ class Measurement:
     kind: str = "phantom"
 
 
+Sight = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of a measurement: change with the parameters (k, p) and with the displacement (k, 6), and what it says beyond the observer (k,)."""
+
+
 @dataclass(frozen=True)
 class Parameters:
     """What is known of the quasi-static parameters.
@@ -83,7 +88,7 @@ class Calibration:
     live : (N, 9) array
         Deviations from nominal as they were known at each sample.
     final : (N, 9) array
-        With the parameters found at the end.
+        With the parameters found at the end; where marker plates were seen, with the displacement that all images tell.
     sigma : (N, 9) array
         Standard deviations of `live`.
     parameters : Parameters
@@ -277,13 +282,22 @@ def calibrate_data(
         work.dropped(k)
     result.parameters = work.parameters
     result.final = observed.deviation + all_rows @ work.x[: work.size]
+    if any(measurements[k].kind == "marker" for k in result.used):
+        order = sorted(result.used, key=lambda k: measurements[k].time_s)
+        parameters, strayed = smoothed_displacement(
+            DataDrivenFilter(model, start, observed.displacement_std),
+            STRAYS_S,
+            np.array([measurements[k].time_s for k in order]),
+            [sights[k] for k in order],
+            [measurements[k].covariance for k in order],
+            {order.index(k) for k in result.changes},
+            observed.time_s,
+        )
+        result.final = observed.deviation + all_rows @ parameters + np.einsum("nij,nj->ni", twist_now, strayed)
     return result
 
 
-def _at_exposures(
-    model: QuasiStatic, observed: ObservedBeam, measurements: Sequence[Measurement]
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of every measurement: change with the parameters (k, p) and the displacement (k, 6), and what it says beyond the observer."""
+def _at_exposures(model: QuasiStatic, observed: ObservedBeam, measurements: Sequence[Measurement]) -> list[Sight]:
     if not measurements:
         return []
     positions, expected, load = observed.at(np.array([each.time_s for each in measurements]))

@@ -131,7 +131,7 @@ def design_observer(
 def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:
     """The design of a machine that has not been measured: its emulation is, like the machine would be."""
     last = machine.axes[-1]
-    grids = {axis: _grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
+    grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
     poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
     responses = emulated_responses(machine, poses, seed)
     simulator = Simulator(machine)
@@ -150,7 +150,7 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
     return design_observer(machine, responses, standing, tuned_on, modes, sweeps)
 
 
-def _grid(machine: Machine, axis: int, count: int) -> list[float]:
+def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:
     """Positions of one axis over its range [rad or m]."""
     limit = machine.limits[axis]
     is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.calibration.data_driven import Measurement, Parameters, calibrate_data
+from hil.calibration.data_driven import STRAYS_S, Measurement, Parameters, calibrate_data
 from hil.calibration.observed_beam import ObservedBeam
 from hil.calibration.quasi_static import QuasiStatic, marker_view
 from hil.machine import load_machine
@@ -84,3 +84,37 @@ def test_where_the_plate_is_mounted_is_found_with_the_phantom_and_not_without(sw
     deviation = np.sqrt(np.diag(found.covariance))[first : first + 6]
     assert (np.abs(found.values[first : first + 6] - PLATE) < 3.5 * deviation).all() and (deviation[:3] < 0.2e-3).all()
     assert np.sqrt(lone.covariance[first, first]) > 0.4e-3
+
+
+def test_afterwards_every_sample_has_what_all_images_tell_of_it(swinging):
+    """Against the conditional mean of parameters and displacement together, all covariances written out."""
+    observed, nine, _ = swinging
+    plates, phantoms = seen(swinging, "marker", 17, seed=1), seen(swinging, "phantom", 61)
+    images = sorted([*plates, *phantoms], key=lambda each: each.time_s)
+    found = calibrate_data(MODEL, observed, images, Parameters.unknown(MODEL))
+    assert found.used and not found.changes
+    at = np.searchsorted(observed.time_s, [each.time_s for each in images])
+    of_phantom = MODEL.rows(observed.positions, observed.load)
+    of_plate = MODEL.marker_rows(of_phantom)
+    rows = [of_phantom[k] if each.kind == "phantom" else of_plate[k] for k, each in zip(at, images, strict=True)]
+    twist = slice(MODEL.names.index("detector_place_x"), MODEL.names.index("detector_place_x") + 6)
+    place = np.cumsum([0, *(len(each.values) for each in images)])
+    gradient, values = np.vstack(rows), np.concatenate([each.values for each in images])
+    spread = np.diag(observed.displacement_std**2)
+    together = (gradient * MODEL.prior**2) @ gradient.T
+    for i, one in enumerate(images):
+        for j, other in enumerate(images):
+            alike = np.exp(-abs(one.time_s - other.time_s) / STRAYS_S) * spread
+            together[place[i] : place[i + 1], place[j] : place[j + 1]] += rows[i][:, twist] @ alike @ rows[j][:, twist].T
+        together[place[i] : place[i + 1], place[i] : place[i + 1]] += one.covariance
+    weights = np.linalg.solve(together, values)
+    parameters = MODEL.prior**2 * (gradient.T @ weights)
+    for row in (0, 100, 301, ROWS - 1):
+        strays = sum(
+            np.exp(-abs(observed.time_s[row] - each.time_s) / STRAYS_S) * spread @ part[:, twist].T @ weights[place[i] : place[i + 1]]
+            for i, (each, part) in enumerate(zip(images, rows, strict=True))
+        )
+        expected = of_phantom[row] @ parameters + of_phantom[row][:, twist] @ strays
+        assert np.abs(found.final[row] - expected).max() < 1e-9
+    error = (found.final - nine)[50:-50, :2]
+    assert (np.sqrt(np.mean(error**2, axis=0)) < 0.9 * np.sqrt(np.mean((found.live - nine)[50:-50, :2] ** 2, axis=0))).all()
