@@ -181,7 +181,7 @@ def emulate_machine(
             # which a bench of real-time priority would wait.
             stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url)))
             imu = ports.imu_device or ports.imu_url
-            ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "io": ports.io_url}
+            ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "imu_tcp": ports.imu_url, "io": ports.io_url}
             on_ready(ready_now | ({"io_rtu": f"rtu:{ports.io_line}@{baud}"} if ports.io_line else {}))
 
         with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it

@@ -62,23 +62,17 @@ def write_frame(folder: Path, frame: Frame) -> None:
 
 
 class FrameSpool:
-    """A panel's folder, read from its first frame on.
+    """A panel's folder, read from its first frame on; a number that is skipped is a frame that was lost.
 
     Parameters
     ----------
     folder : Path
-
-    Attributes
-    ----------
-    lost : list of int
-        Numbers that were skipped: the frame after them has come.
     """
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             raise SpoolError(f"{folder}: no folder; the panel's software must write its frames there")
         self.folder = folder
-        self.lost: list[int] = []
         self._seen: set[Path] = set()
         self._next: int | None = None
 
@@ -96,8 +90,6 @@ class FrameSpool:
         for frame in frames:
             if self._next is not None and frame.exposure_id < self._next:
                 raise SpoolError(f"{self.folder}: frame {frame.exposure_id} after frame {self._next - 1}; is an earlier run's still there?")
-            if self._next is not None:
-                self.lost.extend(range(self._next, frame.exposure_id))
             self._next = frame.exposure_id + 1
         return frames
 

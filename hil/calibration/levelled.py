@@ -14,7 +14,7 @@ from hil.errors import UnusableInput
 from hil.machine import Machine
 from hil.recording import Channel, Recording
 
-NOT_OFFSETS = ("detector_sag", "source_sag")
+NOT_OFFSETS = ("detector_sag", "source_sag", "mount_yield")
 """Bending by gravity is the observer's to find."""
 
 

@@ -140,11 +140,14 @@ def grid_tour(machine: Machine, step: float, share: float, pace: float, dwell_s:
 
 
 def _range(machine: Machine, model: FlexibleChain, share: float) -> tuple[list[int], np.ndarray]:
-    """Axes that carry the panel, and (axes, 2) ends of a share of every axis's range."""
+    """Axes that carry the panel, and (axes, 2) ends of a share of every axis's range, about its middle."""
     axes = [k for k, row in enumerate(model.driven) if row >= 0]
-    ends = share * np.array([[limit.lower, limit.upper] for limit in machine.limits])
-    if not np.isfinite(ends[axes]).all():
+    limits = np.array([[limit.lower, limit.upper] for limit in machine.limits])
+    if not np.isfinite(limits[axes]).all():
         raise UnusableInput(f"{machine.name}: its file has no limits.AXIS.range_deg; a calibration stays within it")
+    ends = np.zeros_like(limits)
+    middle = limits[axes].mean(axis=1, keepdims=True)
+    ends[axes] = middle + share * (limits[axes] - middle)
     return axes, ends
 
 

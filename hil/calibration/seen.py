@@ -25,7 +25,6 @@ class NullCombination:
     """A direction in parameter space the poses do not see: parameters by name and their shares, largest first."""
 
     shares: tuple[tuple[str, float], ...]
-    singular_value: float  # relative to the largest
 
     def __str__(self) -> str:
         return " ".join(f"{share:+.2f} {name}" for name, share in self.shares if abs(share) > 0.05)
@@ -143,17 +142,11 @@ def combinations_seen(jacobian: np.ndarray, tolerance: np.ndarray, names: Sequen
         Those below 1.
     """
     _, s, vt = np.linalg.svd(jacobian * tolerance, full_matrices=False)
-    null = tuple(
-        NullCombination(_shares(np.array(names), row), float(value / s[0])) for row, value in zip(vt, s, strict=True) if value < 1.0
-    )
-    return s, null
+    return s, tuple(NullCombination(_shares(np.array(names), row)) for row, value in zip(vt, s, strict=True) if value < 1.0)
 
 
 def _null(seen: _Seen, names: Sequence[str]) -> tuple[NullCombination, ...]:
-    return tuple(
-        NullCombination(_shares(np.array(names), row), float(value / seen.all_values[0]))
-        for row, value in zip(seen.null, seen.all_values[len(seen.s) :], strict=True)
-    )
+    return tuple(NullCombination(_shares(np.array(names), row)) for row in seen.null)
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,15 @@ SpoolOption = Annotated[
     Path | None, typer.Option("--spool", metavar="DIR", help="With --images on a bus: the folder where the panel's software leaves frames.")
 ]
 
+BinningOption = Annotated[
+    int, typer.Option("--image-binning", metavar="N", min=1, help="With --images: pixels of the panel read as one, in each direction.")
+]
+
 DISTANCE_MM = 250.0
 """Of a marker plate from the focal spot."""
 
-BINNING = 4
+MANY = 8
+"""Lost frames that are named."""
 
 
 @contextmanager
@@ -39,6 +44,7 @@ def images_beside(
     images: Path | None,
     scene_name: str,
     rate_Hz: float,
+    binning: int,
     spool: Path | None,
     recordings: list[Path],
     truth: Path | None,
@@ -75,7 +81,7 @@ def images_beside(
         raise UnusableInput("--spool: on lockstep: the emulated panel has its own; on a bus give the folder of the panel's frames")
     if not 0.0 < rate_Hz < np.inf:
         raise UnusableInput(f"--image-rate {rate_Hz:g}: must be a positive number")
-    detector = nominal_detector(machine, BINNING)
+    detector = nominal_detector(machine, binning)
     plate, nominal = watched_marker(machine, scene_name, 1e-3 * DISTANCE_MM)
     with tempfile.TemporaryDirectory() as scratch:
         live = None if beside is None else Live(machine, beside.mailbox)
@@ -95,7 +101,10 @@ def images_beside(
                 answer.say("the run is over; waiting for the emulated panel's last images")
         shown: dict[str, object] = {"scene": scene_name} if plate is None else {"marker": scene_name, "marker_distance_mm": DISTANCE_MM}
         got = finished_scan(machine, order, read_recording(recordings[0], machine), {**shown, "recording": recordings[0].name})
+    if got.lost:
+        shown_numbers = ", ".join(map(str, got.lost[:MANY])) + (", …" if len(got.lost) > MANY else "")
+        answer.say(f"{images}: {len(got.lost)} frames never came: {shown_numbers}; what they showed is missing, the others are whole")
     answer.say(
-        f"{images}: {got.exposures} images, {got.lost} lost; the panel's clock runs {got.clock_ppm:+.0f} ppm against the loop's,"
+        f"{images}: {got.exposures} images, {len(got.lost)} lost; the panel's clock runs {got.clock_ppm:+.0f} ppm against the loop's,"
         f" known to {got.doubt_ppm:.0f}, pulses {1e3 * got.residual_s:.2f} ms rms about it"
     )

@@ -24,7 +24,7 @@ from hil.cli.options import (
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
 from hil.cli.run_data import DataOption, UntilOption, data_beside, leave
-from hil.cli.run_images import ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
+from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class RunOptions:
     images: ImagesOption = None
     scene: SceneOption = "dodecahedron"
     image_rate: ImageRateOption = 7.0
+    image_binning: BinningOption = 4
     spool: SpoolOption = None
     data: DataOption = None
     until: UntilOption = 0.0
@@ -91,7 +92,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
     watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)
-    frames = images_beside(machine, run.images, run.scene, run.image_rate, run.spool, paths, run.truth, answer, lockstep, data)
+    frames = images_beside(
+        machine, run.images, run.scene, run.image_rate, run.image_binning, run.spool, paths, run.truth, answer, lockstep, data
+    )
     with contextlib.ExitStack() as stack:
         truth = stack.enter_context(frames)
         options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)

@@ -15,6 +15,9 @@ from hil.experiments.plan import Plan, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
 
+LONGEST_S = 86400.0
+"""All of a plan is in memory: a day at 256 Hz is 350 MB for every signal of two axes."""
+
 
 @dataclass(frozen=True)
 class Tour:
@@ -40,14 +43,18 @@ class Tour:
             raise ExperimentError(f"tour: {len(self.stops)} stops: must be two at least")
         if not 0.0 < self.pace <= 1.0:
             raise ExperimentError(f"tour: pace = {self.pace:g}: must be above 0 and at most 1")
-        if not 0.0 <= self.dwell_s < 1e6:
+        if not self.dwell_s >= 0.0:
             raise ExperimentError(f"tour: dwell_s = {self.dwell_s:g}: must not be negative")
         limits = tuple(
             replace(each, speed=self.pace * each.speed, acceleration=self.pace * each.acceleration, jerk=self.pace * each.jerk)
             for each in machine.limits
         )
-        still = round(self.dwell_s * machine.sample_rate_Hz)
         here = start = pose_array(machine, self.stops[0])
+        if not (least := self._least_s(machine)) <= LONGEST_S:
+            raise ExperimentError(
+                f"tour: takes {least:.3g} s at least with pace = {self.pace:g}, dwell_s = {self.dwell_s:g}: a day at most"
+            )
+        still = round(self.dwell_s * machine.sample_rate_Hz)
         blocks = [np.tile(start, (still, 1))]
         for stop in self.stops[1:]:
             named = pose_array(machine, stop)
@@ -67,3 +74,13 @@ class Tour:
         peaks = safety.check_motion("tour", reference)
         metadata = experiment_metadata("tour", period_samples=len(reference), settle_periods=0, periods=1, start_pose=start)
         return [safety.plan(reference, np.zeros_like(reference), start, metadata, (peaks,))]
+
+    def _least_s(self, machine: Machine) -> float:
+        """Standstill, and every way at the speed of the pace without the time that speeding up takes."""
+        way_s, here = 0.0, pose_array(machine, self.stops[0])
+        for stop in self.stops[1:]:
+            named = pose_array(machine, stop)
+            there = np.array([named[k] if axis in stop else here[k] for k, axis in enumerate(machine.axes)])
+            way_s += max(abs(there[k] - here[k]) / (self.pace * limit.speed) for k, limit in enumerate(machine.limits))
+            here = there
+        return way_s + self.dwell_s * len(self.stops)

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 
+import numpy as np
+
 from hil.errors import UnusableInput
 from hil.imaging import emulated_panel, receiver
 from hil.imaging.emulated import positions_at
@@ -30,7 +32,7 @@ class ReceivedScan:
     """What came: exposures, the numbers skipped between them, and the panel's clock against the loop's, known to `doubt_ppm`."""
 
     exposures: int
-    lost: int
+    lost: tuple[int, ...]
     clock_ppm: float
     doubt_ppm: float
     residual_s: float
@@ -128,5 +130,5 @@ def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, 
     positions = positions_at(machine, recording, start_s + 0.5 * width_s)
     write_exposures(order.folder, numbers, start_s, width_s, {axis.axis: axis.position for axis in machine.units}, positions)
     (order.folder / STAMPS).unlink()
-    lost = int(numbers[-1] - numbers[0] + 1 - len(numbers))
+    lost = tuple(map(int, np.setdiff1d(np.arange(numbers[0], numbers[-1] + 1), numbers)))
     return ReceivedScan(len(numbers), lost, 1e6 * (1.0 / clock.rate - 1.0), 1e6 * clock.rate_doubt, clock.residual_s)

@@ -50,6 +50,7 @@ def test_levelling_turns_gravity_as_the_offsets_turn_the_detector(scanned, tmp_p
     found = read_data_file(scanned / "a.npz")
     values = np.zeros(len(found.names))
     values[found.names.index("detector_turn_y")] = 2e-3
+    values[[found.names.index(f"mount_yield_{of}_turn_x") for of in ("cos", "sin")]] = 1e-3  # bends: the observer finds that
     with np.load(scanned / "a.npz") as file:
         np.savez(tmp_path / "turned.npz", **{**dict(file), "values": values})
     out = tmp_path / "level.mf4"

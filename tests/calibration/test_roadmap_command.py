@@ -1,6 +1,7 @@
 """isocenter roadmap and geometry on a scan of the emulated C-arm: overlay errors, volume, compensated images."""
 
 import json
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -126,3 +127,12 @@ def test_a_grid_of_poses_is_proposed_and_kept_of_what_was_exposed_on_the_way(tmp
         assert isocenter(*arguments) == 2
         error = capsys.readouterr().err
         assert line in error and error.count("\n") == 1
+
+
+def test_a_grid_keeps_to_the_middle_of_a_range_that_is_not_about_zero(tmp_path):
+    text = resources.files("hil.machine").joinpath("shipped/carm.toml").read_text(encoding="utf-8")
+    (tmp_path / "m.toml").write_text(text.replace("range_deg = [-95.0, 95.0]", "range_deg = [-15.0, 95.0]"), encoding="utf-8")
+    assert isocenter("calibrate", "grid", tmp_path / "m.toml", "--step", "20", "-o", tmp_path / "grid.toml") == 0
+    machine = load_machine(str(tmp_path / "m.toml"))
+    rolls = np.degrees([stop["roll"] for stop in read_experiment(tmp_path / "grid.toml", machine).stops])
+    assert -15.0 < rolls.min() < 0.0 and 80.0 < rolls.max() < 95.0 and rolls.min() + rolls.max() == pytest.approx(80.0)

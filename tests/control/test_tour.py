@@ -38,6 +38,11 @@ def test_its_file_reads_back_equal(tmp_path):
         ("stops = [{roll_deg = 3}, {roll_deg = 200}]", "roll = 3.4907 rad is outside"),
         ("dwell_s = 0\nstops = [{roll_deg = 3}, {roll_deg = 3}]", "dwell_s = 0 and one pose throughout"),
         ("stops = [{roll_deg = 3}, 4]", "stops[1] = 4: must be a table; write [name] or { key = value }"),
+        (
+            "dwell_s = 40000.0\nstops = [{roll_deg = 3}, {roll_deg = 4}, {roll_deg = 3}]",
+            "takes 1.2e+05 s at least with pace = 0.2, dwell_s = 40000",
+        ),
+        ("pace = 1e-7\nstops = [{roll_deg = 3}, {roll_deg = 90}]", "with pace = 1e-07, dwell_s = 1: a day at most"),
         ("pace = 2.0\nstops = [{roll_deg = 3}, {roll_deg = 20}]", "pace = 2.0: must be at most 1"),
     ],
 )

@@ -9,10 +9,12 @@ from calibration.commands import isocenter
 from drivers.imaging import ClocksDisagree, Frame, FrameSpool, PanelClock, SpoolError, write_frame
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
-from hil.imaging.frames_beside import frames_beside
+from hil.imaging.frames_beside import finished_scan, frames_beside
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.receiver import ReceiverOrder
 from hil.imaging.scan_folder import read_scan
+from hil.machine import load_machine
+from hil.recording import Channel, Recording
 
 PERIOD = 1.0 / 256.0
 
@@ -55,7 +57,7 @@ def frame(number):
     return Frame(number, 5000.0 + 0.1 * number, 0.008, 0.1 * number, np.full((4, 6), number, dtype=np.uint16))
 
 
-def test_frames_come_in_order_once_and_lost_ones_are_counted(tmp_path):
+def test_frames_come_in_order_once_whether_or_not_some_were_lost(tmp_path):
     spool = FrameSpool(tmp_path)
     assert spool.poll() == []
     for number in (3, 4):
@@ -69,7 +71,7 @@ def test_frames_come_in_order_once_and_lost_ones_are_counted(tmp_path):
         0.008,
         0.7000000000000001,
     )
-    assert spool.lost == [5, 6] and spool.poll() == []
+    assert spool.poll() == []
     write_frame(tmp_path, frame(2))
     with pytest.raises(SpoolError, match="frame 2 after frame 7; is an earlier run's still there"):
         spool.poll()
@@ -88,6 +90,20 @@ def test_what_is_no_frame_is_named(tmp_path):
     write_frame(tmp_path, Frame(0, 5000.0, 0.008, 0.0, np.zeros((4, 6))))
     with pytest.raises(SpoolError, match="the image is of float64; photon counts are uint16"):
         FrameSpool(tmp_path).poll()
+
+
+def test_frames_that_never_came_are_named_and_the_rest_is_a_scan(tmp_path):
+    machine = load_machine("carm")
+    (tmp_path / "spool").mkdir()
+    order = ReceiverOrder(tmp_path / "spool", tmp_path / "scan", Detector(6, 4, 1e-3), None, None)
+    with frames_beside(order, None):
+        for number in (3, 4, 7, 9):
+            write_frame(order.spool, frame(number))
+    time = np.arange(300) * PERIOD
+    channels = {f"position_{axis}": Channel("rad", np.zeros(300)) for axis in machine.axes}
+    got = finished_scan(machine, order, Recording({"time": Channel("s", time), **channels}, {}), {})
+    assert got.lost == (5, 6, 8) and got.exposures == 4
+    assert list(read_scan(order.folder).exposure_id) == [3, 4, 7, 9]
 
 
 def test_a_receiver_that_dies_is_told(tmp_path):
