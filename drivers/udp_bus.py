@@ -30,9 +30,13 @@ WHOLE, NOTHING = 0xFFFFFFFF, 0
 
 
 class UdpBus(UdpMulticastBus):
-    """CAN frames as datagrams to a multicast group. Parameters are those of `UdpMulticastBus`."""
+    """CAN frames as datagrams to a multicast group. Parameters are those of `UdpMulticastBus`.
 
-    def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 1, fd: bool = False) -> None:
+    A hop limit of 0 keeps frames on this host: the network is spared them, and other benches on it too. With python-can's 1 they leave
+    through the host's network device, which costs a quarter of a tick (docs/timing.md).
+    """
+
+    def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 0, fd: bool = False) -> None:
         super().__init__(channel, port, hop_limit, fd=fd)
         self.channel_info = f"udp:{channel}" + ("" if port == PYTHON_CAN_PORT else f"@{port}")
         self._fields = msgpack.unpackb(pack_message(can.Message(is_extended_id=False)))  # of a data frame, as python-can names them

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from drivers.bus_url import open_bus, parse_bus_url
 from drivers.errors import BusUnavailable
 
+IP_RECVTTL = 12  # linux/in.h; Python's socket module does not name it
+
 
 def refusal(url: str, bitrate: int = 1_000_000) -> str:
     with pytest.raises(BusUnavailable) as caught:
@@ -109,6 +111,22 @@ def test_udp_buses_of_two_groups_do_not_hear_each_other():
     finally:
         for bus in buses:
             bus.shutdown()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="how a datagram's hop limit is asked for is Linux's")
+def test_frames_of_a_udp_bus_do_not_leave_this_host():
+    url = _udp_url()
+    group, port = "239.74.163.2", int(url.rpartition("@")[2])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as witness, open_bus(url, 1) as bus:
+        witness.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        witness.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton("0.0.0.0"))
+        witness.setsockopt(socket.IPPROTO_IP, IP_RECVTTL, 1)
+        witness.bind((group, port))
+        witness.settimeout(2.0)
+        bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        _, told, _, _ = witness.recvmsg(4096, socket.CMSG_SPACE(4))
+    hops = [int.from_bytes(value, sys.byteorder) for level, kind, value in told if (level, kind) == (socket.IPPROTO_IP, socket.IP_TTL)]
+    assert hops == [0]
 
 
 def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
