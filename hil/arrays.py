@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -53,5 +54,14 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = Unusab
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as problem:
-        raise error(f"{path}: not {what} ({problem})") from None
+    except OSError as problem:
+        raise error(f"{path}: not {what} ({problem.strerror or problem})") from None
+    except (
+        ValueError,
+        EOFError,
+        AttributeError,
+        TypeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ):  # NumPy's words are of pickles, which no file of ours has
+        raise error(f"{path}: not {what}: no whole archive of NumPy arrays (.npz)") from None

@@ -47,7 +47,7 @@ def read_design(path: str | Path) -> ObserverDesign:
     UnusableInput
         The file is missing, is no design, or does not fit together.
     """
-    arrays = read_arrays(path, "an observer design")
+    arrays = read_arrays(path, "an observer design, which `isocenter observe --save-design` writes")
     if int(arrays.get("observer_format", -1)) != FORMAT:
         raise UnusableInput(f"{path}: not an observer design of format {FORMAT}; `isocenter observe --save-design` writes one")
     try:

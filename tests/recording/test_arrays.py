@@ -29,3 +29,11 @@ def test_a_full_disk_leaves_what_was_there_and_is_one_line(tmp_path, monkeypatch
         write_arrays(path, {"values": np.ones(3)})
     np.testing.assert_array_equal(read_arrays(path, "an archive")["values"], np.zeros(3))
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize("content", [b"", b"hello\n", b"PK\x03\x04 the beginning of an archive"])
+def test_what_is_no_archive_is_said_in_our_words(tmp_path, content: bytes) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(content)
+    with pytest.raises(UnusableInput, match=r"a\.npz: not an archive: no whole archive of NumPy arrays \(\.npz\)$"):
+        read_arrays(path, "an archive")
