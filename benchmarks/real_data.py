@@ -13,6 +13,7 @@ import numpy as np
 import scipy.signal
 
 from hil.machine import Machine, load_machine
+from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, read_recording, recording_metadata
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -24,13 +25,33 @@ SILVERBOX_BAND = 0.48
 """Share of the sample rate up to which the measured input is taken for a signal."""
 
 DRIVES_FIT_ROWS = 400
-MOTOR_SECONDS = 0.02
-"""Length of one piece of a motor's record: on top of a cog of 0.16 Nm at 72 a turn the open loop's position runs away by e in 5 ms."""
-MOTOR_PIECES = 60
+MOTOR_SECONDS = 0.25
+MOTOR_PIECES = 12
+"""Pieces of a motor's record, and how long each is: 13 cogs, which they pass without losing phase."""
 MOTOR_RUN_UP_S = 1.0
 """Left out at the beginning: the motor starts from standstill there."""
-MOTOR_SLOPE_ROWS = 11
-"""Rows of the third-order polynomial that a piece's first speed is taken from: half a cogging period at 6 rad/s."""
+MOTOR_SLOPE_ROWS = 7
+"""Rows of the second-order polynomial that a piece's first speed is taken from."""
+MOTOR_SPEED_A = 0.555
+"""What the speed loop asks for at standstill: its gain times the reference of 6.28 rad/s."""
+MOTOR_LOOP = """
+# The loop that drove it: regressed on positions, Iq is 0.555 A less 0.0887 A s/rad times a weighted mean of the last five differences
+# of positions, 0.20, 0.26, 0.24, 0.19 and 0.12 (0.025 A rms are left of 0.29).
+[controller.rotor]
+position_sections = [
+    [17.4, 26.4764, 14.1825, 1, 0, 0],
+    [1, -0.205538, 0.733297, 1, 0, 0],
+    [1, -1, 0, 1, 0, 0],
+]
+
+[limits.rotor]
+range_rad = [-1.0e4, 1.0e4]
+speed_rad_s = 100.0
+acceleration_rad_s2 = 1.0e6
+jerk_rad_s3 = 1.0e9
+tracking_error_rad = 1.0e4
+"""
+"""In open loop the position runs away by e in 5 ms on top of a cog of 0.16 Nm at 72 a turn; in this loop it does not."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +105,11 @@ def coupled_electric_drives() -> RealSet:
 
 
 def laas_anti_cogging() -> RealSet:
-    """The bare motor, uncompensated: pieces of speed_test1 for fitting, pieces of speed_test held out.
+    """The bare motor, uncompensated, in its speed loop: pieces of speed_test1 for fitting, pieces of speed_test held out.
 
     The flag means the opposite in the two files: the rough half, which nothing compensates, has flag 0 in speed_test1 and 1 in speed_test.
     """
-    machine = load_machine("laas_anti_cogging")
+    machine = machine_from_text(load_machine("laas_anti_cogging").text + MOTOR_LOOP, label="laas_anti_cogging in its loop")
     return RealSet(machine, _motor_pieces(machine, "speed_test1.txt", 0), _motor_pieces(machine, "speed_test.txt", 1))
 
 
@@ -118,38 +139,54 @@ def _one_row_later(effort: np.ndarray) -> np.ndarray:
 
 
 def _motor_pieces(machine: Machine, file: str, rough_flag: int) -> dict[str, Recording]:
-    """Pieces of the uncompensated half, spread over it, each from its own pose and speed."""
+    """Pieces of the uncompensated half, spread over it, each from its own pose, speed and controller state, where the motor is fastest:
+    an error of the first pose or speed shrinks with the speed from there, and would grow from where the motor creeps over a cog.
+    """
     table = _table(DATA / "laas_anti_cogging" / file, 6)
     time, position, speed, _, current, _ = table[table[:, 5] == rough_flag].T
     rate_Hz = machine.sample_rate_Hz
     even = np.arange(time[0], time[-1], 1.0 / rate_Hz)
     position, speed, current = (np.interp(even, time, values) for values in (position, speed, current))
     acting = np.append(0.5 * (current[1:] + current[:-1]), current[-1])
-    slope = scipy.signal.savgol_filter(position, MOTOR_SLOPE_ROWS, 3, deriv=1, delta=1.0 / rate_Hz)
+    slope = scipy.signal.savgol_filter(position, MOTOR_SLOPE_ROWS, 2, deriv=1, delta=1.0 / rate_Hz)
     rows = round(MOTOR_SECONDS * rate_Hz)
     run_up = round(MOTOR_RUN_UP_S * rate_Hz)
-    drawn = np.random.default_rng(0).integers(run_up, len(even) - rows, MOTOR_PIECES)  # equal distances would alias one order with others
-    starts = np.sort(drawn)
+    fastest, _ = scipy.signal.find_peaks(slope[: len(even) - rows], distance=8, height=np.quantile(slope[run_up:], 0.8))
+    fastest = fastest[fastest > run_up]
+    starts = np.sort(np.random.default_rng(0).choice(fastest, MOTOR_PIECES, replace=False))
+    inertia = machine.plant.tree.bodies[0].inertia_kg_m2[2, 2]
     pieces = {}
     for number, start in enumerate(starts, 1):
         channels = {"command_rotor": _one_row_later(acting), "position_rotor": position, "speed_rotor": speed}
+        channels |= {"reference_rotor": np.full(len(even), position[start]), "excitation_rotor": np.full(len(even), MOTOR_SPEED_A)}
+        states = {"rotor": {"position": _section_states(machine.controllers[0].position_sections, position[start] - position[:start])}}
+        # until its first command acts a simulation has no effort: what acted goes into the first speed
+        begins = float(slope[start] + acting[start] / inertia / rate_Hz)
         part = slice(start, start + rows)
-        pieces[f"{Path(file).stem} piece {number}"] = _recording(machine, channels, part, speeds=[float(slope[start])])
+        initial = {"speeds": [begins], "controller_states": states}
+        pieces[f"{Path(file).stem} piece {number}"] = _recording(machine, channels, part, initial=initial)
     return pieces
 
 
+def _section_states(sections: np.ndarray, errors: np.ndarray) -> list[list[float]]:
+    """(sections, 2) states after these errors of position."""
+    states = np.zeros((len(sections), 2))
+    _, states = scipy.signal.sosfilt(sections, errors, zi=states)
+    return states.tolist()
+
+
 def _recording(
-    machine: Machine, channels: Mapping[str, np.ndarray], rows: slice, *, settle_rows: int = 0, speeds: list[float] | None = None
+    machine: Machine, channels: Mapping[str, np.ndarray], rows: slice, *, settle_rows: int = 0, initial: Mapping[str, object] | None = None
 ) -> Recording:
     units = machine.units[0]
-    unit_of = {"command": units.effort, "position": units.position, "speed": f"{units.position}/s"}
+    unit_of = {"command": units.effort, "excitation": units.effort, "speed": f"{units.position}/s"}
+    unit_of |= dict.fromkeys(("reference", "position"), units.position)
     values = {name: column[rows] for name, column in channels.items()}
     count = len(next(iter(values.values())))
     made = {"time": Channel("s", np.arange(count) / machine.sample_rate_Hz)}
     made |= {name: Channel(unit_of[name.split("_")[0]], column) for name, column in values.items()}
     experiment = {"settle_rows": settle_rows} if settle_rows else {}
-    initial = {"speeds": speeds} if speeds is not None else {}
-    return Recording(made, recording_metadata(machine, experiment=experiment, initial=initial))
+    return Recording(made, recording_metadata(machine, experiment=experiment, initial=dict(initial or {})))
 
 
 def _table(path: Path, columns: int) -> np.ndarray:
