@@ -2,9 +2,12 @@
 
 python benchmarks/concealed make --seeds development --strata null --cases 0-59 --work WORK
 python benchmarks/diagnosis_noise.py WORK/development
+python benchmarks/diagnosis_noise.py WORK/development --along 45,48,15
 
 For every null: |residual|^2 over its expectation at the true machine numbers, on the repeats' mean and on the held-out recording (1 is
-right), and after re-tuning. Truths are read here, as only a development set's may be. Prints JSON.
+right), and after re-tuning. With --along, for these nulls: the variance, in units of the noise model's, of twelve fresh repeats and of the
+recorded ones (about their mean) along what every candidate changes, re-tuning projected out; 1 is right. Truths are read here, as only a
+development set's may be. Prints JSON.
 """
 
 from __future__ import annotations
@@ -15,12 +18,20 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from concealed import making
+from concealed.truth.build import Workshop
 
+from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import retune
+from hil.diagnosis.screening import screen
 from hil.machine import load_machine
 from hil.recording import read_recording
+
+FRESH = range(600, 612)
+"""Repeats that no case holds."""
 
 
 def true_values(runs: FreeRuns, factors: dict[str, float]) -> np.ndarray:
@@ -51,6 +62,43 @@ def judged(case: Path, truth: dict) -> dict[str, object]:
     return {"case": case.name, "machine": truth["machine"], "colour": truth["colour"], **ratios}
 
 
+def along(folder: Path, number: int) -> dict[str, object]:
+    """One null's noise along the candidates' responses."""
+    places = making.Places(folder.parent, folder.name)
+    making.make(places, number)
+    machine = load_machine(places.case(number) / "machine.toml")
+    train = mismatch(machine, {path.stem: read_recording(path, machine) for path in sorted(places.case(number).glob("run_*.csv"))})
+    case = making.case_of(places, number)
+    shop = Workshop(case, making.machines(places.models)[case.machine])
+    nothing = shop.setup(())
+    columns = [case.channels.index(name) for name in train.channels]
+    group = train.groups[0]
+    clean = shop.matrix(nothing, shop.training)[: len(group.mean), columns]
+    fresh = []
+    for repeat in FRESH:
+        readings = shop.recorded(nothing, shop.training, repeat)[1]
+        fresh.append(train.noise.whiten(np.column_stack([readings[name] for name in train.channels])[: len(clean)] - clean))
+    free = np.sqrt(group.repeats / (group.repeats - 1.0))
+    own = [free * train.noise.whiten(rows - group.mean) for rows in group.complete]
+    runs = FreeRuns({TRAIN: train}, train.noise)
+    tuning = retune(runs)
+    projection = Projection.of(tuning)
+    found = screen(runs, tuning, candidates_for(runs, tuning)(None), runs.measured() - tuning.predicted)
+    variances: dict[str, list[float]] = {"fresh": [], "own": []}
+    for screened in found:
+        response = screened.response.astype(float)
+        size = np.linalg.norm(response)
+        if size > 0.0:
+            for name, repeats in (("fresh", fresh), ("own", own)):
+                left = [projection.left(one) @ response / size for one in repeats]
+                variances[name].append(float(np.mean(np.square(left))))
+    answer: dict[str, object] = {"case": number, "machine": case.machine, "colour": case.colour, "repeats": group.repeats}
+    for name, values in variances.items():
+        numbers = {"mean": np.mean(values), "median": np.median(values), "most": max(values)}
+        answer[name] = {key: round(float(value), 2) for key, value in numbers.items()}
+    return answer
+
+
 def main(folder: Path) -> None:
     """Print a line per null of a set, then the median and range over them."""
     warnings.simplefilter("ignore")
@@ -66,4 +114,9 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    if "--along" in sys.argv:
+        warnings.simplefilter("ignore")
+        for number in sys.argv[sys.argv.index("--along") + 1].split(","):
+            print(json.dumps(along(Path(sys.argv[1]), int(number))), flush=True)
+    else:
+        main(Path(sys.argv[1]))

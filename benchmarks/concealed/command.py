@@ -14,7 +14,8 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import making, mutating, running, scoring
+from concealed import calibrating, making, mutating, running, scoring
+from hil.diagnosis.naming import WEIGHTS
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 
@@ -22,7 +23,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -44,6 +45,12 @@ def main(arguments: list[str]) -> int:
         _append(path, numbers, partial(running.run_case, places, keep=options.keep), options.jobs)
     if options.step == "mutate":
         _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options.jobs)
+    if options.step == "calibrate":
+        if options.seeds != "development":
+            parser.error("calibrate reads truths and sets the tool's constants: only development cases may be used")
+        path = options.results / f"evidence_{options.seeds}.jsonl"
+        _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs)
+        print(calibrating.calibrate([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()], WEIGHTS))
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results, numbers, partial=options.partial))
     return 0

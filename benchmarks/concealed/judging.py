@@ -84,8 +84,8 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     by_tuning = tuned and verdict == "retuned"
     sets = [findings] if findings else []
     ranked = [hypothesis["effects"] for hypothesis in diagnosis.get("hypotheses") or []]
-    right = by_tuning or (alarm and verdict != "unknown_physics" and named and bool(sets) and _matches(findings, effects))
-    three = right or (alarm and named and any(_matches(some, effects) for some in ranked[:3]))
+    right = by_tuning or (alarm and verdict != "unknown_physics" and named and bool(sets) and matches(findings, effects))
+    three = right or (alarm and named and any(matches(some, effects) for some in ranked[:3]))
     wrong = verdict == "explained" and any(not any(_accepts(effect, finding) for effect in effects) for finding in findings)
     possible = [*findings, *(other for finding in findings for other in finding.get("ambiguous_with", []))]
     return Judgement(
@@ -123,7 +123,7 @@ def _accepts(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
     return finding["effect"] in effect["accepted"] and finding["at"] in effect["accepted_at"]
 
 
-def _matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bool:
+def matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bool:
     """Every finding is an effect of its own, and what has no finding is a number of the machine file, left to re-tuning."""
     return len(findings) <= len(effects) and any(
         all(_accepts(effect, finding) for effect, finding in zip(order, findings, strict=False))

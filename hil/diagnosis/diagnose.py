@@ -12,12 +12,11 @@ from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.estimates import covariance_of, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
-from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Weighed, unnamed_share, weighed, weighed_with_nothing
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, ranking
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
@@ -60,6 +59,8 @@ class Outcome:
         "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended", and "without_effects": the extended
         one's numbers without its effects.
     selection : Selection
+    evidence : Evidence
+        What `hypotheses` were weighed from.
     hypotheses : tuple of Weighed
     suspicions : tuple of str
         What looks like a wrong unit, a wrong sign or a gross delay.
@@ -75,6 +76,7 @@ class Outcome:
     held_out: Mismatch | None
     stages: Mapping[str, Mapping[str, list[np.ndarray]]]
     selection: Selection
+    evidence: Evidence
     hypotheses: tuple[Weighed, ...]
     suspicions: tuple[str, ...]
     proposal: Proposal | None
@@ -122,7 +124,8 @@ def diagnose(
         judged = HeldOut(runs, tuning) if runs.has_held_out else None
         selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
-        hypotheses = _weigh(runs, tuning, judged, selection)
+        evidence = _evidence(runs, tuning, judged, selection)
+        hypotheses = ranking(evidence)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None
         values = tuning.values if chosen is None else tuning.at(chosen.offset)
         effects = () if chosen is None else chosen.settings
@@ -177,29 +180,28 @@ def diagnose(
             seconds=time.monotonic() - began,
         )
     found = (*effects, *(dropout.setting(channel) for channel, dropout in train.lost.items()))
-    return Outcome(diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, hypotheses, suspicions(train), proposal)
+    return Outcome(
+        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, suspicions(train), proposal
+    )
 
 
-def _weigh(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> tuple[Weighed, ...]:
-    """Every set that competes for the name, on training and held-out recordings; nothing is among them where none passed the gate."""
-    noise = float(len(tuning.predicted)) + (0.0 if judged is None else len(judged.measured))
-    noise += certain_excess(noise)  # what is left within this is nothing that needs a name
+def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> Evidence:
+    """Every set that competes for the name, on training and held-out recordings."""
     rivals = selection.contenders
-    if not rivals:
-        return ()
-    train = min(c.fitted.cost for c in rivals) + max(c.gained for c in rivals)
-    held_out = min(c.left_held_out for c in rivals) + max(c.gained_held_out for c in rivals)
-    base = Weighed(None, train, held_out, 0)
-    sets = [Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.decided) for c in rivals]
-    if selection.chosen is None:
-        ranked = weighed_with_nothing(sets, base, noise, len(selection.screened), _cap(runs))
-    else:
-        ranked = weighed(sets, base, noise, _cap(runs))
-        unnamed = unnamed_share(base.train, ranked[0].train, float(len(tuning.predicted)))
-        ranked = [replace(h, confidence=(1.0 - unnamed) * h.confidence) for h in ranked]
-    unconfirmed = {id(c.fitted) for c in rivals if not c.passed}
-    ranked = [_at_most(h, CAP_UNCONFIRMED) if id(h.fitted) in unconfirmed else h for h in ranked]
-    return tuple(sorted(ranked, key=lambda h: -h.confidence))
+    train = min((c.fitted.cost for c in rivals), default=0.0) + max((c.gained for c in rivals), default=0.0)
+    held_out = min((c.left_held_out for c in rivals), default=0.0) + max((c.gained_held_out for c in rivals), default=0.0)
+    return Evidence(
+        sets=tuple(
+            Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.decided, searched=c.searched, passed=c.passed)
+            for c in rivals
+        ),
+        base=Weighed(None, train, held_out, 0),
+        entries_train=float(len(tuning.predicted)),
+        entries_held_out=0.0 if judged is None else float(len(judged.measured)),
+        tried=len(selection.screened),
+        found=selection.chosen is not None,
+        cap=_cap(runs),
+    )
 
 
 def _cap(runs: FreeRuns) -> float:

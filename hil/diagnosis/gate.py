@@ -1,8 +1,9 @@
 """Is an effect there at all? Four questions, all of which must be answered with yes.
 
-1. On the training repeats: is the fall of the misfit above what the best of all candidates gains where there is nothing? The noise model
-   sets the scale, and the scatter of the effect's strength from repeat to repeat widens it where the two disagree (a disturbance that
-   depends on reversals is larger along a friction's response than the spectrum says).
+1. On the training repeats: is the fall of the misfit above what the best of all candidates gains where there is nothing, with every order,
+   frequency and shape that was searched between its starts and its fit? The noise model sets the scale, what the fit leaves raises it,
+   and the scatter of the effect's strength from repeat to repeat widens it where the two disagree (a disturbance that depends on
+   reversals is larger along a friction's response than the spectrum says).
 2. On the held-out recordings, everything frozen: does the misfit fall along the predicted change?
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
 4. Does it explain a share of what there is to explain?
@@ -30,6 +31,11 @@ SIMULATOR_ERROR = 1e-3
 
 SPECTRUM_WEIGHT = 2.0
 """What the noise spectra count for against the repeats' scatter of an effect's strength, in repeats."""
+
+IN_SAMPLE = 0.56
+"""Power of the repeats' deviations along a response, over that of fresh repeats. The spectra were taken from the same deviations and whiten
+them too well: by 1 - C / n for C channels and n degrees of freedom where the spectrum is flat (0.75; Muirhead 1982, sec. 3.2), by more
+where few lines decide. Measured on development nulls (`benchmarks/diagnosis_noise.py --along`): 0.3 to 1.0, median 0.5."""
 
 HELD_OUT_DEVIATIONS = 2.5
 """Of the held-out response along the predicted one, in units of its noise."""
@@ -109,12 +115,15 @@ class Gate:
         return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]
 
 
-def needed_gain(candidates: int, freedom: int, entries: int) -> float:
-    """Fall of |residual|^2 that the best of this many candidates with this many parameters reaches by chance at TRAIN_LEVEL.
+def needed_gain(trials: float, freedom: int, left: float, entries: int) -> float:
+    """Fall of |residual|^2 that a set of effects with this many parameters reaches by chance at TRAIN_LEVEL, as one of all that were tried.
 
-    It is not less than the simulator's own errors may cost over this many entries of the residual.
+    Every candidate has the same share of the level, and shares it among its own shapes: what has none to search pays for no other's search.
+    What the fit leaves, `left`, over its `entries` is the noise's level where it is above the noise model's (an F test with so many
+    entries that it is chi-squared). It is not less than the simulator's own errors may cost.
     """
-    return max(float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(candidates, 1), max(freedom, 1))), SIMULATOR_ERROR * entries)
+    level = max(1.0, left / max(entries, 1))
+    return level * max(float(scipy.stats.chi2.isf(TRAIN_LEVEL / max(trials, 1.0), max(freedom, 1))), SIMULATOR_ERROR * entries)
 
 
 def certain_excess(noise: float) -> float:
@@ -132,8 +141,8 @@ class Scatter:
     def along(self, response: np.ndarray) -> float:
         """Variance along a response (M,), in units of the noise model's; at least 1.
 
-        Each repeat's deviation from the mean along it has unit variance where the model holds; SPECTRUM_WEIGHT repeats' worth of that is
-        taken for granted.
+        Each repeat's deviation from the mean along it has variance IN_SAMPLE where the model holds; SPECTRUM_WEIGHT repeats' worth of that
+        is taken for granted.
         """
         length = float(np.sqrt(response @ response))
         if length == 0.0:
@@ -146,7 +155,7 @@ class Scatter:
             if len(deviations) < 2 or size < 0.1 * length:
                 continue
             along = deviations @ own / size
-            total += float(along @ along)
+            total += float(along @ along) / IN_SAMPLE
             free += len(deviations) - 1.0
         return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
 

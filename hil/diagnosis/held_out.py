@@ -50,9 +50,10 @@ class HeldOut:
         return self.product(residual, residual)
 
     def deviations(self, before: np.ndarray | None, after: np.ndarray | None) -> float:
-        """How far the residual goes along a predicted change, in standard deviations."""
+        """How far the residual goes along a predicted change, in standard deviations of noise, or of what is left if larger."""
         if before is None or after is None:
             return -np.inf
         change = after - before
         length = self.product(change, change)
-        return self.product(change, self.measured - before) / np.sqrt(length) if length > 0.0 else 0.0
+        level = max(1.0, self.misfit(after) / max(len(self.measured), 1))
+        return self.product(change, self.measured - before) / np.sqrt(length * level) if length > 0.0 else 0.0

@@ -4,7 +4,7 @@ log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 k log(1 + 
 over T: a parameter that is known to one part in sqrt(g) of itself costs the logarithm of that (MacKay 2003, ch. 28). A real effect never
 has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two
 names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with UNKNOWN_FREEDOM
-parameters and leaves nothing above noise.
+parameters and leaves nothing above noise. An order or frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
 stands alone only where both agree. What even the best set leaves above noise for certain, as a share of what there was to explain, is the
@@ -21,17 +21,36 @@ import numpy as np
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.refit import Fitted
 
-FORM_ERROR = 0.004
-"""Share of the removed energy by which a right name's equation may err before it counts against the name."""
 
-LEFT_WEIGHT = 0.02
-"""The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little."""
+@dataclass(frozen=True)
+class Weights:
+    """What confidences rest on besides the recordings: fitted to development cases by `python benchmarks/concealed calibrate`.
 
-EXACT = 0.3
-"""Probability that the right name's equation errs by nothing that these recordings show."""
+    Attributes
+    ----------
+    form_error : float
+        Share of the removed energy by which a right name's equation may err before it counts against the name.
+    left_weight : float
+        The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little.
+    exact : float
+        Probability that the right name's equation errs by nothing that these recordings show.
+    unknown_freedom : float
+        Parameters that something without a name is charged with: it could explain whatever is above noise.
+    outside : float
+        Share of answers whose recordings a wrong name explains down to the noise: physics in no catalogue that a known effect imitates.
+    """
 
-UNKNOWN_FREEDOM = 8
-"""Parameters that something without a name is charged with: it could explain whatever is above noise."""
+    form_error: float
+    left_weight: float
+    exact: float
+    unknown_freedom: float
+    outside: float
+
+
+WEIGHTS = Weights(form_error=0.004, left_weight=0.02, exact=0.3, unknown_freedom=8.0, outside=0.001)
+
+LIKELIER = 0.5
+"""Confidence of nothing from which no effect is named although one passed the gate."""
 
 CONFIDENT = 0.9
 """Confidence from which a name stands alone."""
@@ -55,59 +74,110 @@ class Weighed:
     held_out: float  # |residual|^2; 0 without held-out recordings
     freedom: int
     confidence: float = 0.0
+    searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
+    passed: bool = True  # the gate
 
     @property
     def misfit(self) -> float:
         return self.train + self.held_out
 
 
-def weighed(hypotheses: Sequence[Weighed], base: Weighed, noise: float, cap: float = 1.0) -> list[Weighed]:
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything a ranking rests on.
+
+    Attributes
+    ----------
+    sets : tuple of Weighed
+        Every set that passed its own fit.
+    base : Weighed
+        Without effects.
+    entries_train, entries_held_out : float
+        Expected |residual|^2 of a perfect simulation.
+    tried : int
+        Candidates that were screened.
+    found : bool
+        Whether a set passed the gate.
+    cap : float
+        Largest confidence.
+    """
+
+    sets: tuple[Weighed, ...]
+    base: Weighed
+    entries_train: float
+    entries_held_out: float
+    tried: int
+    found: bool
+    cap: float = 1.0
+
+
+def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ...]:
     """Hypotheses with their confidence, the likeliest first.
+
+    Nothing is among them where no set passed the gate, and where it is likelier than all that did together.
+    """
+    if not evidence.sets:
+        return ()
+    noise = evidence.entries_train + evidence.entries_held_out
+    noise += certain_excess(noise)  # what is left within this is nothing that needs a name
+    ranked, nothing = weighed(evidence.sets, evidence.base, noise, evidence.tried, evidence.cap, weights)
+    if not evidence.found or nothing.confidence > LIKELIER:
+        ranked.append(nothing)
+    else:
+        named = 1.0 - unnamed_share(evidence.base.train, ranked[0].train, evidence.entries_train)
+        ranked = [replace(h, confidence=named * h.confidence) for h in ranked]
+    ranked = [h if h.passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked]
+    return tuple(sorted(ranked, key=lambda h: -h.confidence))
+
+
+def weighed(
+    hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, cap: float = 1.0, weights: Weights = WEIGHTS
+) -> tuple[list[Weighed], Weighed]:
+    """Sets with their confidence, the likeliest first, and nothing with its own.
+
+    Beforehand nothing is as likely as all sets together; each set is one of so many that were tried, in one of the shapes that were
+    searched for it: the best of many gains by chance what one alone does not.
 
     Parameters
     ----------
     hypotheses : sequence of Weighed
-        Every set that passed its own fit.
     base : Weighed
         Without effects.
     noise : float
         Expected |residual|^2 of a perfect simulation.
+    tried : int
+        Candidates.
     cap : float
         Largest confidence.
+    weights : Weights
     """
-    *shares, _ = _shares(hypotheses, base, noise, None)
-    return _ranked(hypotheses, shares, cap)
+    *shares, nothing = _shares(hypotheses, base, noise, tried, weights)
+    sets = [replace(h, confidence=min(share, cap)) for h, share in zip(hypotheses, shares, strict=True)]
+    return sorted(sets, key=lambda h: -h.confidence), replace(base, confidence=min(nothing, cap))
 
 
-def weighed_with_nothing(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, cap: float = 1.0) -> list[Weighed]:
-    """The same where no set passed the gate: nothing is one of the hypotheses, and each set is one of so many that were tried.
-
-    Beforehand, nothing is as likely as all of them together; the best of many gains by chance what one alone does not.
-    """
-    shares = _shares(hypotheses, base, noise, float(np.log(max(tried, 1))))
-    return _ranked([*hypotheses, base], shares, cap)
-
-
-def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, prior: float | None) -> list[float]:
-    """Of every set and, last, of nothing, which has a log prior before any of them; None: something is there for certain."""
+def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, weights: Weights) -> list[float]:
+    """Of every set and, last, of nothing."""
     best = min(h.misfit for h in hypotheses)
     removed = base.misfit - best
-    temper = temperature(removed, best - noise)
+    temper = temperature(removed, best - noise, weights)
     price = price_of_a_parameter(removed, temper)
-    unknown = -0.5 * min(noise, best) / temper - price * UNKNOWN_FREEDOM
-    tempered = _normalised([*_evidence(hypotheses, base, temper, price, prior), unknown])[:-1]
-    exact = _normalised(_evidence(hypotheses, base, 1.0, price_of_a_parameter(removed, 1.0), prior))
-    return [float(share) for share in (1.0 - EXACT) * tempered + EXACT * exact]
+    unknown = -0.5 * min(noise, best) / temper - price * weights.unknown_freedom
+    tempered = _normalised([*_evidence(hypotheses, base, temper, price, tried), unknown])[:-1]
+    exact = _normalised(_evidence(hypotheses, base, 1.0, price_of_a_parameter(removed, 1.0), tried))
+    shares = (1.0 - weights.exact) * tempered + weights.exact * exact
+    shares[:-1] *= 1.0 - weights.outside
+    return [float(share) for share in shares]
 
 
-def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, price: float, prior: float | None) -> list[float]:
-    nothing = -np.inf if prior is None else -0.5 * base.misfit / temper + prior
-    return [*(-0.5 * h.misfit / temper - price * h.freedom for h in hypotheses), nothing]
+def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, price: float, tried: int) -> list[float]:
+    nothing = -0.5 * base.misfit / temper + float(np.log(max(tried, 1)))
+    return [*(-0.5 * h.misfit / temper - price * h.freedom - h.searched for h in hypotheses), nothing]
 
 
 def _normalised(evidence: Sequence[float]) -> np.ndarray:
-    weights = np.exp(np.array(evidence) - max(evidence))
-    return weights / weights.sum()
+    shares = np.exp(np.array(evidence) - max(evidence))
+    return shares / shares.sum()
 
 
 def unnamed_share(before: float, after: float, noise: float) -> float:
@@ -115,16 +185,11 @@ def unnamed_share(before: float, after: float, noise: float) -> float:
     return float(np.clip((after - noise - certain_excess(noise)) / max(before - noise, 1e-9), 0.0, 1.0))
 
 
-def _ranked(hypotheses: Sequence[Weighed], shares: Sequence[float], cap: float) -> list[Weighed]:
-    found = [replace(h, confidence=min(share, cap)) for h, share in zip(hypotheses, shares, strict=True)]
-    return sorted(found, key=lambda h: -h.confidence)
-
-
 def price_of_a_parameter(removed: float, temper: float) -> float:
     """What a fitted parameter costs in log evidence."""
     return 0.5 * float(np.log1p(max(removed, 0.0) / temper))
 
 
-def temperature(removed: float, left: float) -> float:
+def temperature(removed: float, left: float, weights: Weights = WEIGHTS) -> float:
     """T, from the energies that the best set removes and leaves above noise."""
-    return 1.0 + FORM_ERROR * max(removed, 0.0) + LEFT_WEIGHT * max(left, 0.0)
+    return 1.0 + weights.form_error * max(removed, 0.0) + weights.left_weight * max(left, 0.0)

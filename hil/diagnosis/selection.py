@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -51,6 +52,7 @@ class Contender:
     gained_held_out: float
     left_held_out: float  # the held-out misfit
     gates: tuple[Gate, ...]  # of the step that added each of its effects
+    searched: float = 0.0  # logarithm of the number of shapes searched for its effects
 
     @property
     def passed(self) -> bool:
@@ -117,6 +119,7 @@ def select(
     base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
     unseen_at_first = 0.0 if held_out is None else held_out.misfit(held_out.base)
     passed_so_far: tuple[Gate, ...] = ()
+    searched = 0.0
     for size in range(MOST_EFFECTS):
         if chosen is not None and len(chosen.effects) >= MOST_EFFECTS:
             break
@@ -145,7 +148,7 @@ def select(
             fits = in_order([*fits, *_pairs(runs, tuning, measured, fits)], base, noise_energy)
         placebo = placebo_gain(runs, present, screened, residual)
         judged = [
-            (fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, len(found)))
+            (fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, found))
             for fit in fits
         ]
         closest = min(fits, key=lambda fit: fit.cost)
@@ -164,12 +167,14 @@ def select(
                 unseen_at_first - unseen + (gate.held_out_gain or 0.0),
                 unseen - (gate.held_out_gain or 0.0),
                 (*earlier, *[gate] * (len(fit.effects) - len(earlier))),
+                searched + _searched(fit.effects[len(earlier) :], found),
             )
             for fit, gate in judged
             if gate.passed or gate.certain_gain > least
         )
         if not passed:
             break
+        searched += _searched(passed[0][0].effects[len(earlier) :], found)
         chosen = passed[0][0]
         passed_so_far = (*earlier, *[gates[-1]] * (len(chosen.effects) - len(earlier)))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
@@ -202,6 +207,12 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[F
     return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + fit.decided * price)
 
 
+def _searched(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:
+    """Logarithm of the number of shapes that were searched for these effects together."""
+    shapes = {candidate.effect: candidate.shapes for candidate in tried}
+    return sum(math.log(shapes[effect]) for effect in added)
+
+
 def _gate(
     scatter: Scatter,
     present: Tuning,
@@ -212,8 +223,10 @@ def _gate(
     residual: np.ndarray,
     explainable: float,
     noise_energy: float,
-    tried: int,
+    tried: Sequence[Candidate],
 ) -> Gate:
+    added = after.effects[len(before.effects) if before is not None else 0 :]
+    trials = len(tried) ** len(added) / math.factorial(len(added)) * math.exp(_searched(added, tried))
     gain = float(residual @ residual + present.offset @ present.offset) - after.cost
     projection = Projection.of(present)
     deviations = fall = None
@@ -224,7 +237,7 @@ def _gate(
         fall = held_out.misfit(predicted[0]) - held_out.misfit(predicted[1])
     return Gate(
         gain=gain,
-        needed=needed_gain(tried, after.freedom - (before.freedom if before is not None else 0), len(residual)),
+        needed=needed_gain(trials, after.freedom - (before.freedom if before is not None else 0), after.cost, len(residual)),
         scatter=scatter.along(projection.left(after.predicted - present.predicted)[: len(residual)]),
         held_out_deviations=deviations,
         held_out_gain=fall,

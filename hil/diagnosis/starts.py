@@ -27,6 +27,18 @@ MOST_ORDERS = 8000
 HIGHEST_ORDER_Hz = 20.0
 """Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through."""
 
+ONE_HARMONIC = 0.5
+TWO_HARMONICS = 0.75 * np.sqrt(2.5)
+"""Gamma((s+1)/2) / (Gamma(s/2) sqrt(pi)) for two and for four amplitudes, the latter times the rms of 1 and 2 (see `shapes_of`)."""
+
+_WAVES = {
+    "cogging": TWO_HARMONICS,
+    "torque_ripple": TWO_HARMONICS,
+    "transmission_error": TWO_HARMONICS,
+    "position_dependent_friction": ONE_HARMONIC,
+    "encoder_eccentricity": ONE_HARMONIC,
+}
+
 PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
 """Of friction over position."""
 
@@ -48,6 +60,25 @@ def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
         if np.isfinite(values).all() and not is_neutral(effect, values) and not any(np.array_equal(values, other) for other in found):
             found.append(values)
     return found
+
+
+def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
+    """How many shapes that can be told from each other are searched between an effect's starts and its fit.
+
+    The largest energy that chance puts along s amplitudes of a wave cos(w x + p) with w anywhere in a range exceeds u with probability
+    V P(chi^2 > u), chi^2 with s + 1 degrees of freedom (its search counts as one), V = range(w) rms(x) Gamma((s+1)/2) / (Gamma(s/2)
+    sqrt(pi)) times the rms of the harmonics' numbers: the expected number of upcrossings (Davies 1987) as a volume (Hotelling's and Weyl's
+    tubes; Adler and Taylor 2007, ch. 10). It is n cycles over the travel or the time, give or take. Other effects count their starts.
+    """
+    effect = effects()[name]
+    residual = motion.residual(at, coupled=effect.kind is COUPLING)
+    typical = _Typical(motion, at, residual)
+    if name in _WAVES:
+        lowest, highest = _range_of_orders(residual, typical)
+        return max(_WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
+    if name == "base_motion":
+        return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)
+    return float(max(starts, 1))
 
 
 def is_neutral(effect: Effect, values: np.ndarray) -> bool:
@@ -147,11 +178,15 @@ def _orders(
     return find
 
 
+def _range_of_orders(residual: Residual, typical: _Typical) -> tuple[float, float]:
+    """Radians per radian (or metre) of the joint between which orders are looked for."""
+    usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
+    return 2.0 * np.pi / typical.travel * 0.75, 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
+
+
 def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
     """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort."""
-    lowest = 2.0 * np.pi / typical.travel * 0.75
-    usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
-    highest = 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
+    lowest, highest = _range_of_orders(residual, typical)
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     every = max(1, len(values) // 3000)

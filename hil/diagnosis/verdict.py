@@ -43,7 +43,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     """The first verdict that applies, and why."""
     if standing.missing:
         return "inconclusive", standing.missing
-    found = any(gate.passed for gate in standing.gates)
+    named = bool(standing.hypotheses) and standing.hypotheses[0].fitted is not None
+    found = named and any(gate.passed for gate in standing.gates)
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
     structured = left > certain_excess(standing.noise)

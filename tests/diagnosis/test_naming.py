@@ -8,13 +8,14 @@ from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, Weighed, unnamed_share, weighed
 
 NOISE = 20000.0
+TRIED = 50
 
 
 def confidences(base, *misfits, freedom=None, cap=1.0):
     """Of sets with these misfits above noise, in the order given."""
     freedom = freedom or [1] * len(misfits)
     sets = [Weighed(None, NOISE + misfit, 0.0, k) for misfit, k in zip(misfits, freedom, strict=True)]
-    ranked = weighed(sets, Weighed(None, NOISE + base, 0.0, 0), NOISE, cap)
+    ranked, _ = weighed(sets, Weighed(None, NOISE + base, 0.0, 0), NOISE, TRIED, cap)
     return [next(r.confidence for r in ranked if r.misfit == h.misfit and r.freedom == h.freedom) for h in sets]
 
 

@@ -8,7 +8,7 @@ from carriage import MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.diagnose import diagnose, removed_share
 from hil.diagnosis.gate import Gate
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed_with_nothing
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.selection import Contender
@@ -26,8 +26,8 @@ def test_removed_share_is_of_what_stands_above_the_floor_and_of_nothing_below_it
 def nothing_beside(*gains: float, excess: float = 0.0, tried: int = 100) -> float:
     base = Weighed(None, NOISE + excess, 0.0, 0)
     sets = [Weighed(None, NOISE + excess - gain, 0.0, 1) for gain in gains]
-    ranked = weighed_with_nothing(sets, base, NOISE, tried)
-    return next(h.confidence for h in ranked if h.freedom == 0)
+    _, nothing = weighed(sets, base, NOISE, tried)
+    return nothing.confidence
 
 
 def test_nothing_is_likely_where_the_best_of_many_gains_what_chance_does():

@@ -1,0 +1,182 @@
+"""Confidences fitted to development cases: what `hil.diagnosis.naming` rests on besides the recordings.
+
+Each case's raw numbers (misfits, parameters, shapes searched, of every set of effects that was weighed; the truth's names beside them) are
+kept as a line of evidence_development.jsonl, so that a fit takes seconds and the tool is not run again. The constants are those under which
+what was hidden was likeliest: log confidence of the right sets, or of what is left where none is right, with a prior around the values set
+by hand. Cases up to LAST_FITTED are fitted, those after it only checked.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+import scipy.special
+
+from concealed.judging import matches
+from concealed.making import Places, make, seal
+from concealed.running import commit
+from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking
+from hil.machine import load_machine
+from hil.recording import read_recording
+
+LAST_FITTED = 89
+"""Of the development cases; later ones only check."""
+
+BY_HAND = Weights(form_error=0.004, left_weight=0.02, exact=0.3, unknown_freedom=8.0, outside=0.1)
+SPREAD = 1.5
+"""Standard deviation of the prior, in natural logarithms (logits for probabilities)."""
+
+FOLDS = 5
+BINS = 5
+LEAST = 1e-3
+"""Probability below which a case is not counted as less likely: one case must not decide."""
+
+
+def evidence_of(places: Places, number: int) -> dict[str, Any]:
+    """One case's raw numbers."""
+    warnings.simplefilter("ignore")
+    make(places, number)
+    folder = places.case(number)
+    machine = load_machine(folder / "machine.toml")
+    runs = {path.stem: read_recording(path, machine) for path in sorted(folder.glob("run_*.csv"))}
+    held_out = {"held_out": read_recording(folder / "held_out.csv", machine)}
+    sealed = seal(places.truth(number))
+    outcome = diagnose(machine, runs, held_out)
+    truth = json.loads(places.truth(number).read_text(encoding="utf-8"))
+    found = outcome.evidence
+    sets = []
+    for h in found.sets:
+        names = [{"effect": effect.effect, "at": effect.at} for effect in h.fitted.effects] if h.fitted is not None else []
+        right = bool(truth["effects"]) and all(e["accepted"] for e in truth["effects"]) and matches(names, truth["effects"])
+        sets.append({"effects": [f"{n['effect']}@{n['at']}" for n in names], "right": right} | _numbers(h))
+    first = outcome.selection.gates[0] if outcome.selection.gates else None
+    return {
+        "number": number,
+        "commit": commit(),
+        "truth_sha256": sealed,
+        "stratum": truth["stratum"],
+        "truth": [f"{e['kind']}@{e['at']}" for e in truth["effects"]],
+        "detectability": truth.get("detectability"),
+        "verdict": outcome.diagnosis.verdict,
+        "findings": [f"{f.effect.effect}@{f.effect.at}" for f in outcome.diagnosis.findings],
+        "confidence": outcome.diagnosis.findings[0].confidence if outcome.diagnosis.findings else None,
+        "gate": None
+        if first is None
+        else {
+            "gain": round(first.gain, 2),
+            "needed": round(first.needed, 2),
+            "scatter": round(first.scatter, 3),
+            "held_out_deviations": None if first.held_out_deviations is None else round(first.held_out_deviations, 2),
+            "placebo_gain": round(first.placebo_gain, 2),
+            "share": round(first.share, 4),
+            "passed": bool(first.passed),
+        },
+        "sets": sets,
+        "base": _numbers(found.base),
+        "entries": [found.entries_train, found.entries_held_out],
+        "tried": found.tried,
+        "found": found.found,
+        "cap": found.cap,
+    }
+
+
+def _numbers(h: Weighed) -> dict[str, Any]:
+    return {
+        "train": round(h.train, 3),
+        "held_out": round(h.held_out, 3),
+        "freedom": h.freedom,
+        "searched": round(h.searched, 3),
+        "passed": bool(h.passed),
+    }
+
+
+def _evidence(row: dict[str, Any]) -> Evidence:
+    def one(numbers: dict[str, Any]) -> Weighed:
+        return Weighed(
+            None, numbers["train"], numbers["held_out"], numbers["freedom"], searched=numbers["searched"], passed=numbers["passed"]
+        )
+
+    return Evidence(tuple(map(one, row["sets"])), one(row["base"]), *row["entries"], row["tried"], row["found"], row["cap"])
+
+
+def weighed(row: dict[str, Any], weights: Weights) -> tuple[float, bool, float]:
+    """Confidence of the likeliest set, whether it is right, and the probability given to what was so.
+
+    Where nothing is the likeliest, 0, False, and 1: no name is said.
+    """
+    sets = {(s["train"], s["held_out"], s["freedom"], s["searched"]): s["right"] for s in row["sets"]}
+    ranked = ranking(_evidence(row), weights)
+    if ranked[0].freedom == 0:
+        return 0.0, False, 1.0
+    right = [sets.get((h.train, h.held_out, h.freedom, h.searched), False) for h in ranked]
+    confidences = [h.confidence for h in ranked]
+    so = sum(c for c, is_right in zip(confidences, right, strict=True) if is_right) if any(right) else 1.0 - sum(confidences)
+    return confidences[0], right[0], so
+
+
+def log_likelihood(rows: Sequence[dict[str, Any]], weights: Weights) -> float:
+    """Of what was hidden, over the rows in which a set passed the gate."""
+    return float(sum(np.log(max(weighed(row, weights)[2], LEAST)) for row in rows))
+
+
+def fit(rows: Sequence[dict[str, Any]]) -> Weights:
+    """The constants of greatest likelihood times prior."""
+    start = _coordinates(BY_HAND)
+
+    def cost(at: np.ndarray) -> float:
+        return 0.5 * float(np.sum(((at - start) / SPREAD) ** 2)) - log_likelihood(rows, _weights(at))
+
+    found = [
+        scipy.optimize.minimize(cost, start + move, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-3, "maxfev": 300})
+        for move in (np.zeros(len(start)), np.array([1.0, 1.0, -1.0, 0.0, 1.0]))
+    ]
+    return _weights(min(found, key=lambda one: one.fun).x)
+
+
+def _coordinates(weights: Weights) -> np.ndarray:
+    form_error, left_weight, exact, unknown, outside = astuple(weights)
+    return np.array([np.log(form_error), np.log(left_weight), scipy.special.logit(exact), np.log(unknown), scipy.special.logit(outside)])
+
+
+def _weights(at: np.ndarray) -> Weights:
+    exact, outside = (float(scipy.special.expit(at[k])) for k in (2, 4))
+    return Weights(float(np.exp(at[0])), float(np.exp(at[1])), exact, float(np.exp(at[3])), outside)
+
+
+def reliability(rows: Sequence[dict[str, Any]], weights: Weights) -> list[tuple[float, float, int]]:
+    """(mean confidence said, share right, cases) of up to BINS bins of equal count."""
+    said = sorted((confidence, right) for confidence, right, _ in (weighed(row, weights) for row in rows) if confidence > 0.0)
+    bins = np.array_split(np.arange(len(said)), min(BINS, len(said)))
+    return [(float(np.mean([said[k][0] for k in b])), float(np.mean([said[k][1] for k in b])), len(b)) for b in bins]
+
+
+def calibrate(rows: Sequence[dict[str, Any]], present: Weights) -> str:
+    """Fit, cross-validate, and say how reliable the confidences are before and after."""
+    named = [row for row in rows if row["found"] and row["sets"]]
+    fitted_rows = [row for row in named if row["number"] <= LAST_FITTED]
+    checked = [row for row in named if row["number"] > LAST_FITTED]
+    nulls = [row for row in rows if row["stratum"] == "null"]
+    quiet = ("consistent", "retuned", "inconclusive")
+    alarms = [row["number"] for row in nulls if row["verdict"] not in quiet]
+    lines = [f"{len(rows)} cases; {len(nulls)} nulls, false alarms {len(alarms)} {alarms or ''}"]
+    lines.append(f"a set passed the gate in {len(fitted_rows)} cases to fit and {len(checked)} to check")
+    weights = fit(fitted_rows)
+    crossed = 0.0
+    for k in range(FOLDS):
+        others = [row for number, row in enumerate(fitted_rows) if number % FOLDS != k]
+        crossed += log_likelihood(fitted_rows[k::FOLDS], fit(others))
+    before, after = log_likelihood(checked, present), log_likelihood(checked, weights)
+    lines.append(f"log likelihood, fitted half: present {log_likelihood(fitted_rows, present):.2f}, cross-validated {crossed:.2f}")
+    lines.append(f"log likelihood, other half: present {before:.2f}, fitted {after:.2f}")
+    for name, some in (("fitted half", fitted_rows), ("other half", checked)):
+        for label, these in (("present", present), ("fitted", weights)):
+            bins = ", ".join(f"{said:.2f}: {right:.2f} of {count}" for said, right, count in reliability(some, these))
+            lines.append(f"{name}, {label}, said: right  {bins}")
+    return "\n".join([*lines, str(weights)])

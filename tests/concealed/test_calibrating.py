@@ -1,0 +1,44 @@
+"""Confidences fitted to answers, on answers whose share of right names is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from concealed.calibrating import calibrate, fit, reliability, weighed
+
+from hil.diagnosis.naming import Weights
+
+CERTAIN = Weights(form_error=0.004, left_weight=0.02, exact=0.3, unknown_freedom=8.0, outside=0.001)
+NOISE = 4000.0
+
+
+def row(number: int, right: bool) -> dict[str, object]:
+    """A case in which one set explains everything and its only rival nothing."""
+    base = {"train": NOISE + 500.0, "held_out": 0.0, "freedom": 0, "searched": 0.0, "passed": True}
+    best = {"train": NOISE, "held_out": 0.0, "freedom": 1 + number % 3, "searched": 0.0, "passed": True, "right": right}
+    rival = {"train": NOISE + 300.0, "held_out": 0.0, "freedom": 1, "searched": 0.0, "passed": True, "right": False}
+    said = {"number": number, "stratum": "single", "verdict": "explained", "found": True}
+    return said | {"sets": [best, rival], "base": base, "entries": [NOISE, 0.0], "tried": 50, "cap": 0.999}
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict[str, object]]:
+    """Names that look certain, three in ten of them wrong."""
+    wrong = np.random.default_rng(1).permutation(20) < 6
+    return [row(number, not bool(is_wrong)) for number, is_wrong in enumerate(wrong)]
+
+
+def test_fitted_confidences_are_the_share_of_right_names(rows):
+    assert np.mean([weighed(one, CERTAIN)[0] for one in rows]) > 0.95
+    weights = fit(rows)
+    assert np.mean([weighed(one, weights)[0] for one in rows]) == pytest.approx(0.7, abs=0.08)
+    bins = reliability(rows, weights)
+    assert [count for _, _, count in bins] == [4] * 5
+    assert np.mean([right for _, right, _ in bins]) == pytest.approx(0.7)
+
+
+def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows):
+    null = row(100, False) | {"stratum": "null", "found": False}
+    said = calibrate([*rows[:6], null, row(95, True)], CERTAIN)
+    assert "1 nulls, false alarms 1 [100]" in said
+    assert "6 cases to fit and 1 to check" in said
