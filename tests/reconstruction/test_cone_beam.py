@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInput
 from hil.imaging import ConeBeam, Detector
-from hil.reconstruction.cone_beam import line_integrals, reconstruct, short_scan_weights
+from hil.reconstruction.cone_beam import line_integrals, ramp_filtered, reconstruct, short_scan_weights
 from hil.reconstruction.quality import wire_quality
 from virtual_bus.xray.objects import Ball, Rod
 from virtual_bus.xray.render import Panel, View, attenuation
@@ -40,6 +40,17 @@ def test_two_balls_come_back_with_their_attenuation_and_place(axis):
     volume = reconstruct(projections(beam, balls), DETECTOR, beam, size=64)
     inside, both, outside = volume.sample(np.array([[0.005, -0.010, -0.004], [0.012, 0.0, 0.0], [-0.025, 0.0, 0.0]]))
     assert inside == pytest.approx(20.0, rel=0.01) and both == pytest.approx(50.0, rel=0.02) and abs(outside) < 1.0
+
+
+def test_the_ramp_is_that_of_rtk():
+    itk = pytest.importorskip("itk")
+    images = np.random.default_rng(0).random((3, 20, 33), dtype=np.float32)
+    stack = itk.image_from_array(images)
+    stack.SetSpacing([1.3, 0.9, 1.0])
+    ramp = itk.RTK.FFTRampImageFilter[itk.Image[itk.F, 3], itk.Image[itk.F, 3], itk.D].New()
+    ramp.SetInput(stack)
+    ramp.Update()
+    assert np.abs(1e3 * itk.array_from_image(ramp.GetOutput()) - ramp_filtered(images, 1.3e-3)).max() < 1e-6 * 770.0
 
 
 @pytest.mark.parametrize("arc_deg", [190.0, 200.0])
