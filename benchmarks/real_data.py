@@ -25,9 +25,11 @@ SILVERBOX_BAND = 0.48
 """Share of the sample rate up to which the measured input is taken for a signal."""
 
 DRIVES_FIT_ROWS = 400
-MOTOR_SECONDS = 0.25
-MOTOR_PIECES = 12
-"""Pieces of a motor's record, and how long each is: 13 cogs, which they pass without losing phase."""
+MOTOR_SECONDS = 0.1
+MOTOR_PIECES = 24
+"""Pieces of a motor's record, and how long each is: 5 cogs, which they pass without losing phase."""
+MOTOR_SPEED_LATE_ROWS = 2
+"""The recorded speed is a weighted mean of the last five differences of positions (regressed), this late; taken back here."""
 MOTOR_RUN_UP_S = 1.0
 """Left out at the beginning: the motor starts from standstill there."""
 MOTOR_SLOPE_ROWS = 7
@@ -148,6 +150,7 @@ def _motor_pieces(machine: Machine, file: str, rough_flag: int) -> dict[str, Rec
     even = np.arange(time[0], time[-1], 1.0 / rate_Hz)
     position, speed, current = (np.interp(even, time, values) for values in (position, speed, current))
     acting = np.append(0.5 * (current[1:] + current[:-1]), current[-1])
+    speed = np.append(speed[MOTOR_SPEED_LATE_ROWS:], speed[-MOTOR_SPEED_LATE_ROWS:])
     slope = scipy.signal.savgol_filter(position, MOTOR_SLOPE_ROWS, 2, deriv=1, delta=1.0 / rate_Hz)
     rows = round(MOTOR_SECONDS * rate_Hz)
     run_up = round(MOTOR_RUN_UP_S * rate_Hz)
