@@ -178,7 +178,7 @@ def look_around(constants, scheduled, memory, kind):
     """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, array = memory.x, memory.factor, memory.seen, memory.lines, memory.array
-    here, moved, sensed, mean = lines[1], lines[2], lines[3], lines[5]
+    here, moved, sensed, centre, mean = lines[1], lines[2], lines[3], lines[4], lines[5]
     biases = first_bias(constants)
     distance = np.sqrt(float(states)) if kind == UNSCENTED else 1.0
     signals(constants, scheduled, x, scheduled.command, here)
@@ -191,6 +191,7 @@ def look_around(constants, scheduled, memory, kind):
             for k in range(scheduled.sees.shape[1]):
                 sensed[k] = here[k] + step * moved[k]
             readings(constants, scheduled, sensed, array[2 * i + sign])
+    centre[:] = mean
     if kind == UNSCENTED:
         weight = 0.5 / states
         for j in range(measurements):
@@ -206,7 +207,7 @@ def look_around(constants, scheduled, memory, kind):
     for i in range(biases, states):
         for j in range(measurements):
             seen[i, j] = 0.0
-            seen[states + i, j] = 0.0
+            seen[states + i, j] = 2.0 * half * (centre[j] - mean[j])  # both points of such a pair see the centre
     for j in range(2 * n, measurements):
         bias = biases + j - 2 * n
         mean[j] += x[bias]

@@ -36,7 +36,10 @@ JOG_ROOM = 0.06
 """rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
 
 COARSE_GRID = 5
-"""Positions of the other axes: gravity and the mount turn against the detector with them, as one or two harmonics."""
+"""Positions of the other axes: the mount turns against the detector with them, as one or two harmonics."""
+
+STANDING_GRID = 9
+"""Positions of the other axes in which it stands: what gravity bends is a sum over modes, each with a shape that turns with them."""
 
 SWEEP_SHARE = 0.75
 """Of the largest speed, at which an emulated machine's axes are swept: what turning pushes grows with the square."""
@@ -135,9 +138,12 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
     poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
     responses = emulated_responses(machine, poses, seed)
     simulator = Simulator(machine)
+    at_rest = {axis: grids[axis] if axis == last else axis_grid(machine, index, STANDING_GRID) for index, axis in enumerate(machine.axes)}
     standing = [
-        emulated_recording(machine, Static(STANDING_s, pose).plans(machine)[0], 500 + 100 * seed + i, simulator)
-        for i, pose in enumerate(poses)
+        emulated_recording(
+            machine, Static(STANDING_s, dict(zip(at_rest, pose, strict=True))).plans(machine)[0], 500 + 100 * seed + i, simulator
+        )
+        for i, pose in enumerate(product(*at_rest.values()))
     ]
     sweeps: list[Recording] = []
     for axis in machine.axes:
@@ -151,8 +157,16 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
 
 
 def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:
-    """Positions of one axis over its range [rad or m]."""
+    """Positions of one axis over its range [rad or m], closer together towards the ends.
+
+    Chebyshev points of the arc, for trigonometric polynomials, stretched to reach its ends: between points that are evenly far apart the
+    polynomials swing, most near the ends.
+    """
     limit = machine.limits[axis]
     is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())
-    ends = (limit.lower + JOG_ROOM, limit.upper - JOG_ROOM) if is_bounded else (-1.0, 1.0)
-    return [float(position) for position in np.linspace(*ends, count)]
+    low, high = (limit.lower + JOG_ROOM, limit.upper - JOG_ROOM) if is_bounded else (-1.0, 1.0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if half >= np.pi:
+        return [float(position) for position in np.linspace(low, high, count)]
+    points = -np.cos((np.arange(count) + 0.5) * np.pi / count) / np.cos(0.5 * np.pi / count)
+    return [float(position) for position in middle + 2.0 * np.arcsin(np.sin(0.5 * half) * points)]

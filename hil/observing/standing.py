@@ -80,7 +80,7 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
     system, target = [], []
     basis = np.zeros(width)
     harmonics = np.array(model.harmonics, dtype=np.int64)
-    bends, pushes = [], []
+    seen, pushes = [], []
     table = model.at(np.zeros(n))[: modes * model.mode_stride].reshape(modes, model.mode_stride)
     strength = np.abs(table[:, -n:]) @ model.effort_limit / table[:, 0]  # gravity bends a mode about as far as the drives could
     for each in standing:
@@ -88,14 +88,16 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
         table = values[: modes * model.mode_stride].reshape(modes, model.mode_stride)
         basis_values(harmonics, each.motor, basis)
         rest = chain_at_rest(model.chain, model.sensors, each.motor)
-        bends.append((basis.copy(), table[:, -n:] @ each.command / table[:, 0]))
+        seen.append(basis.copy())
+        given = table[:, -n:] @ each.command / table[:, 0]  # what bends a mode beside gravity: η = (b u + d) / ω²
         first = modes * model.mode_stride
         pushes.append(-values[first : first + n * n].reshape(n, n) @ each.command)
         for k in range(n):
             row = np.zeros(unknowns)
-            row[: modes * width] = np.outer(table[:, 2 + n + k] - table[:, 2 + k], basis).ravel()
+            by_modes = table[:, 2 + n + k] - table[:, 2 + k]
+            row[: modes * width] = np.outer(by_modes, basis).ravel()
             system.append(row / ENCODER_TRUST_rad)
-            target.append((each.link[k] - each.motor[k]) / ENCODER_TRUST_rad)
+            target.append((each.link[k] - each.motor[k] - by_modes @ given) / ENCODER_TRUST_rad)
         for s, sensor in enumerate(model.sensors):
             twist = table[:, 2 + 2 * n + 6 * s : 8 + 2 * n + 6 * s]
             tilt = np.cross(twist[:, 3:], rest.down) @ sensor.rotation  # (modes, 3)
@@ -104,10 +106,11 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
             upright = -rest.down @ sensor.rotation
             for j in range(3):
                 row = np.zeros(unknowns)
-                row[: modes * width] = np.outer(tilt[:, j] + by_chain[:, j], basis).ravel()
+                by_modes = tilt[:, j] + by_chain[:, j]
+                row[: modes * width] = np.outer(by_modes, basis).ravel()
                 row[modes * width + 3 * s + j] = 1.0
                 system.append(row / TILT_TRUST_m_s2)
-                target.append((each.inertial[6 * s + j] - upright[j]) / TILT_TRUST_m_s2)
+                target.append((each.inertial[6 * s + j] - upright[j] - by_modes @ given) / TILT_TRUST_m_s2)
     for i in range(modes):
         for k in range(width):
             row = np.zeros(unknowns)
@@ -122,14 +125,10 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
     table = np.array(system)
     solution = np.linalg.lstsq(table, np.array(target), rcond=1e-12)[0]
     spread = np.sqrt(np.diag(np.linalg.inv(table.T @ table)))[modes * width :]
-    bend = solution[: modes * width].reshape(modes, width)
-    # what bends a mode so far: η = (b u + d) / ω²
-    modal = np.array([bend @ b - given for b, given in bends])
-    table = np.array([b for b, _ in bends])
-    rows = np.linalg.lstsq(table, np.hstack((np.array(pushes), modal)), rcond=1e-8)[0].T
     coefficients = model.coefficients.copy()
     first = modes * model.mode_stride + n * (n + 1)
-    coefficients[first : first + n + modes] = rows
+    coefficients[first : first + n] = np.linalg.lstsq(np.array(seen), np.array(pushes), rcond=1e-8)[0].T
+    coefficients[first + n : first + n + modes] = solution[: modes * width].reshape(modes, width)
     biases, deviations = np.zeros(6 * sensors), np.zeros(6 * sensors)
     for s in range(sensors):
         forces, rates = slice(6 * s, 6 * s + 3), slice(6 * s + 3, 6 * s + 6)

@@ -17,6 +17,7 @@ from hil.errors import RecordingError, UnusableInput
 from hil.experiments import Scan, Static
 from hil.machine import Machine
 from hil.observing import ObserverDesign, design_observer, observe
+from hil.observing.design import axis_grid
 from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.modal_fit import drive_friction
 from hil.observing.noise import effort_gain
@@ -129,3 +130,18 @@ def test_a_counter_set_a_fraction_of_a_count_off_at_homing_raises_no_alarm(machi
 def test_offsets_that_do_not_fit_are_one_clear_line() -> None:
     with pytest.raises(DesignError, match="must both be 2 numbers, 8 or none"):
         ModalObserver(small_model(), replace(small_noise(), offset_walk=np.zeros(8)))
+
+
+def test_positions_to_measure_at_are_those_between_which_polynomials_do_not_swing(machine: Machine) -> None:
+    for axis, count in ((0, 5), (0, 9), (1, 11)):
+        positions, limit = np.array(axis_grid(machine, axis, count)), machine.limits[axis]
+        assert limit.lower < positions[0] < limit.lower + 0.1 and limit.upper - 0.1 < positions[-1] < limit.upper
+        between = np.linspace(positions[0], positions[-1], 1001)
+        assert (
+            np.abs(_functions(between, count) @ np.linalg.inv(_functions(positions, count))).sum(axis=1).max() < 2.5
+        )  # Lebesgue's constant
+
+
+def _functions(positions: np.ndarray, count: int) -> np.ndarray:
+    """1, cos, sin, cos 2, ... at positions: as many as positions can tell."""
+    return np.column_stack([np.ones_like(positions), *(f(k * positions) for k in range(1, count // 2 + 1) for f in (np.cos, np.sin))])
