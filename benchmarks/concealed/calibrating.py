@@ -51,10 +51,11 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
     outcome = diagnose(machine, runs, held_out)
     truth = json.loads(places.truth(number).read_text(encoding="utf-8"))
     found = outcome.evidence
+    lost = [{"effect": f.effect.effect, "at": f.effect.at} for f in (d.finding(channel) for channel, d in outcome.train.lost.items())]
     sets = []
     for h in found.sets:
         names = [{"effect": effect.effect, "at": effect.at} for effect in h.fitted.effects] if h.fitted is not None else []
-        right = bool(truth["effects"]) and all(e["accepted"] for e in truth["effects"]) and matches(names, truth["effects"])
+        right = bool(truth["effects"]) and all(e["accepted"] for e in truth["effects"]) and matches([*names, *lost], truth["effects"])
         sets.append({"effects": [f"{n['effect']}@{n['at']}" for n in names], "right": right} | _numbers(h))
     first = outcome.selection.gates[0] if outcome.selection.gates else None
     return {
@@ -153,7 +154,7 @@ def _weights(at: np.ndarray) -> Weights:
 def reliability(rows: Sequence[dict[str, Any]], weights: Weights) -> list[tuple[float, float, int]]:
     """(mean confidence said, share right, cases) of up to BINS bins of equal count."""
     said = sorted((confidence, right) for confidence, right, _ in (weighed(row, weights) for row in rows) if confidence > 0.0)
-    bins = np.array_split(np.arange(len(said)), min(BINS, len(said)))
+    bins = np.array_split(np.arange(len(said)), max(min(BINS, len(said)), 1)) if said else []
     return [(float(np.mean([said[k][0] for k in b])), float(np.mean([said[k][1] for k in b])), len(b)) for b in bins]
 
 

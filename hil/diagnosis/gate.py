@@ -35,7 +35,7 @@ SPECTRUM_WEIGHT = 2.0
 IN_SAMPLE = 0.56
 """Power of the repeats' deviations along a response, over that of fresh repeats. The spectra were taken from the same deviations and whiten
 them too well: by 1 - C / n for C channels and n degrees of freedom where the spectrum is flat (0.75; Muirhead 1982, sec. 3.2), by more
-where few lines decide. Measured on development nulls (`benchmarks/diagnosis_noise.py --along`): 0.3 to 1.0, median 0.5."""
+where few lines decide. Measured on development nulls (`benchmarks/diagnosis_noise.py --along`): 0.1 to 1.0, median 0.5."""
 
 HELD_OUT_DEVIATIONS = 2.5
 """Of the held-out response along the predicted one, in units of its noise."""

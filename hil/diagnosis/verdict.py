@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate, certain_excess
-from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed
+from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, WEIGHTS, Weighed
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from hil.diagnosis.selection import Contender
 
@@ -22,7 +22,7 @@ UNNAMED_GAIN = 2.0
 recordings by more than the scatter of three repeats says."""
 
 NAMED = 0.5
-"""Confidence of all sets together below which something without a name is likelier."""
+"""Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     shown = found or any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
     if structured and left > UNKNOWN_LEFT * explainable and shown:
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
-    if found and sum(h.confidence for h in standing.hypotheses) < NAMED:
+    if found and sum(h.confidence for h in standing.hypotheses) < NAMED * (1.0 - WEIGHTS.outside):
         return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
     if found:
         best = standing.hypotheses[0]
         assert best.fitted is not None
         names = " and ".join(str(effect) for effect in best.fitted.effects)
-        if best.confidence >= CONFIDENT:
+        if best.confidence >= CONFIDENT * (1.0 - WEIGHTS.outside):
             return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 
 from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, Weighed, unnamed_share, weighed
+from hil.diagnosis.naming import CONFIDENT, WEIGHTS, Weighed, unnamed_share, weighed
 
 NOISE = 20000.0
 TRIED = 50
+ALONE = CONFIDENT * (1.0 - WEIGHTS.outside)
+CERTAIN = 1.0 - WEIGHTS.outside
 
 
 def confidences(base, *misfits, freedom=None, cap=1.0):
@@ -21,17 +23,17 @@ def confidences(base, *misfits, freedom=None, cap=1.0):
 
 def test_a_set_that_alone_removes_what_is_there_is_certain():
     right, wrong = confidences(400.0, 0.0, 200.0)
-    assert right > CONFIDENT
+    assert right > ALONE
     assert wrong < 0.01
 
 
 def test_sets_that_fit_alike_share_the_confidence():
-    assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5, 0.5], abs=0.02)
+    assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5 * CERTAIN, 0.5 * CERTAIN], abs=0.02)
 
 
 def test_small_differences_between_large_effects_prove_nothing():
     one, other = confidences(1e6, 2000.0, 5000.0)
-    assert one < CONFIDENT
+    assert one < ALONE
     assert other > 0.04
 
 
@@ -45,12 +47,12 @@ def test_what_leaves_most_of_it_is_no_name():
 
 
 def test_confidence_is_capped_where_the_noise_is_assumed():
-    assert max(confidences(4000.0, 0.0, 3000.0, cap=CAP_ASSUMED)) == CAP_ASSUMED
+    assert max(confidences(4000.0, 0.0, 3000.0, cap=0.6)) == 0.6
 
 
 def test_a_name_stands_alone_only_where_it_would_if_equations_were_exact():
     simple, closer = confidences(10000.0, 80.0, 0.0, freedom=[1, 4])
-    assert simple < CONFIDENT
+    assert simple < ALONE
     assert closer > 0.04
 
 
