@@ -319,6 +319,18 @@ def filter_rows(constants, scheduled, memory, kind, commands, measured, summarie
 
 
 @exactly_compiled
+def next_and_read(constants, scheduled, x, command, after, read):  # type: ignore[no-untyped-def]
+    """State (states,) a sample after x while a command (axes,) acts, and what the sensors (measurements,) read in x but for their biases.
+
+    Of the model as it was last prepared.
+    """
+    seen = np.empty(scheduled.sees.shape[1])
+    transition(constants, scheduled, x, command, after)
+    signals(constants, scheduled, x, command, seen)
+    readings(constants, scheduled, seen, read)
+
+
+@exactly_compiled
 def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
     """See `gradients`."""
     gradients(constants, scheduled, x, F, H)

@@ -13,8 +13,7 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.damping import ModalDamping
-from controllers.observers.linear_part import signals, transition
-from controllers.observers.modal_equations import readings
+from controllers.observers.modal_kernel import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInput
 from hil.machine import Machine
@@ -153,14 +152,12 @@ def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) ->
     F, H = observer.linearised(at_rest)
     K = covariance @ H.T / observer.noise.measurement**2
     constants, scheduled, states = observer.constants, observer.scheduled, len(F)  # at rest since `linearised`
-    rest, sensed = np.zeros(states), np.zeros(scheduled.sees.shape[1])
+    rest = np.zeros(states)
     rest[:n] = at_rest
 
     def answer(effort: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         after, read = np.zeros(states), np.zeros(len(H))
-        transition(constants, scheduled, rest, effort, after)
-        signals(constants, scheduled, rest, effort, sensed)
-        readings(constants, scheduled, sensed, read)
+        next_and_read(constants, scheduled, rest, effort, after, read)
         return after, read
 
     still = answer(np.zeros(n))

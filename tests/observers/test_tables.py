@@ -8,23 +8,14 @@ import numpy as np
 import pytest
 from observed_models import DenseModel, FREQUENCIES_Hz, drawn_rows, small_model, small_noise, with_lower_mode
 
-from controllers.compiled import exactly_called
-from controllers.observers.linear_part import signals, transition
-from controllers.observers.modal_equations import readings
+from controllers.observers.modal_kernel import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 
 
-@exactly_called
-def _next_and_read(constants, scheduled, x, u, after, seen, read):  # type: ignore[no-untyped-def]
-    transition(constants, scheduled, x, u, after)
-    signals(constants, scheduled, x, u, seen)
-    readings(constants, scheduled, seen, read)
-
-
-def next_and_read(observer: ModalObserver, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def asked(observer: ModalObserver, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """State a sample after x while u acts, and what the sensors read in x, of the model as it was last prepared."""
-    after, seen, read = np.zeros(len(x)), np.zeros(observer.scheduled.sees.shape[1]), np.zeros(10)
-    _next_and_read(observer.constants, observer.scheduled, x, u, after, seen, read)
+    after, read = np.zeros(len(x)), np.zeros(10)
+    next_and_read(observer.constants, observer.scheduled, x, u, after, read)
     read[4:] += x[-6:]
     return after, read
 
@@ -42,7 +33,7 @@ def test_a_sample_and_its_readings_are_those_of_the_equations_written_with_matri
     generator = np.random.default_rng(8)
     for _ in range(20):
         x, u = generator.normal(size=dense.states), generator.normal(size=2)
-        after, read = next_and_read(observer, x, u)
+        after, read = asked(observer, x, u)
         expected = dense.transition(x, u), dense.outputs(x, u)
         assert np.abs(after - expected[0]).max() < 1e-12 * np.abs(expected[0]).max()
         assert np.abs(read - expected[1]).max() < 1e-12 * np.abs(expected[1]).max()
@@ -63,10 +54,10 @@ def test_with_adapted_modes_the_ukf_is_one_that_asks_the_model_at_every_sigma_po
         if not is_later:
             continue
         points = x + _deviations(P)
-        after = np.array([next_and_read(observer, point, u)[0] for point in points])
+        after = np.array([asked(observer, point, u)[0] for point in points])
         x, P = after.mean(axis=0), (after - after.mean(axis=0)).T @ (after - after.mean(axis=0)) / len(after) + Q
         points = x + _deviations(P)
-        read = np.array([next_and_read(observer, point, u)[1] for point in points])
+        read = np.array([asked(observer, point, u)[1] for point in points])
         mean, away = read.mean(axis=0), points - x
         S, C = (read - mean).T @ (read - mean) / len(read) + R, away.T @ (read - mean) / len(read)
         gain = np.linalg.solve(S, C.T).T
