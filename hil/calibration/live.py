@@ -115,7 +115,7 @@ class LiveCalibration:
         self.channels, self.values = list(CHANNELS), np.full(len(CHANNELS), np.nan)
         self.restart(0)
         self.level(np.zeros(len(measured)))  # compiled before a tick waits for it
-        pose_rows(*self._chain, self.gravity, poses[0], self._rows, self._nominal)
+        pose_rows(*self._chain, self.gravity, poses[0].copy(), self._rows, self._nominal)
         deviation_from_nominal(self._chain[2], self._nominal, np.zeros(9), self._deviation)
         self._publish(0.0, np.zeros(9))
 

@@ -112,7 +112,7 @@ def observe(
     filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
     adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
     data: Annotated[
-        Path | None, typer.Option("--data", metavar="FILE", help="The live calibration too: what it went on from (run --data).")
+        Path | None, typer.Option("--data", metavar="FILE", help="Replay the live calibration too: what it went on from (run --data).")
     ] = None,
     images: Annotated[Path | None, typer.Option("--images", metavar="DIR", help="With --data: the folder of that run's images.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
@@ -242,6 +242,8 @@ def _against_live(estimate: Estimate, recording: Recording) -> str:
     if not differ.any():
         return "the same"
     row = int(np.flatnonzero(differ.any(axis=1))[0])
+    if "deviation_images" in recording and "deviation_images" not in estimate.names:
+        return f"others from row {row} on: a calibration ran along, which levels what the observer reads; give --data and --images as well"
     return f"others from row {row} on ({estimate.names[int(np.flatnonzero(differ[row])[0])]}): another design, filter or --adapt ran along"
 
 

@@ -83,6 +83,7 @@ class LiveObserver:
             self.metadata["damping"] = {"mode": damping.settings.mode + 1, "ratio": damping.settings.ratio}
         if calibration is not None:
             self.channels += calibration.channels
+            self.metadata["calibration"] = {"until_m": calibration.until_m}
         self.estimate = np.full(len(self.channels), np.nan)
         self._observed = len(observer.channels)
         self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")

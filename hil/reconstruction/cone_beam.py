@@ -78,7 +78,9 @@ def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
     return axis, float(np.ptp(angles))
 
 
-def reconstruct(projections: np.ndarray, detector: Detector, beam: ConeBeam, size: int = 128, spacing_m: float = 1e-3) -> Volume:
+def reconstruct(
+    projections: np.ndarray, detector: Detector, beam: ConeBeam, size: int = 128, spacing_m: float = 1e-3, hann: float = 0.0
+) -> Volume:
     """Feldkamp, Davis and Kress with short-scan weights, every projection with its own geometry.
 
     Exposures at standstill before, between and after sweeps are left out.
@@ -94,6 +96,8 @@ def reconstruct(projections: np.ndarray, detector: Detector, beam: ConeBeam, siz
     size : int
         Voxels along each edge.
     spacing_m : float
+    hann : float
+        Cut-off of the Hann window on the ramp filter, relative to Nyquist; 0: none.
 
     Raises
     ------
@@ -122,7 +126,7 @@ def reconstruct(projections: np.ndarray, detector: Detector, beam: ConeBeam, siz
     weights = short_scan_weights(turned, u, pitch_u, projections.shape[2], arc)
     projections = projections * weights[:, None, :].astype(np.float32)
     frames = np.stack([turned.source_in_phantom_m, turned.detector_in_phantom_m, u, v], axis=1)
-    values = _fdk(*_with_dark_ends(projections, frames), (pitch_u, pitch_v), size, spacing_m)
+    values = _fdk(*_with_dark_ends(projections, frames), (pitch_u, pitch_v), size, spacing_m, hann)
     return Volume(values, spacing_m, to_volume)
 
 
@@ -205,8 +209,10 @@ def _with_dark_ends(projections: np.ndarray, frames: np.ndarray) -> tuple[np.nda
     return np.concatenate([nothing, projections, nothing]), np.concatenate([before[None], frames, after[None]])
 
 
-def ramp_filtered(projections: np.ndarray, pitch_m: float) -> np.ndarray:
+def ramp_filtered(projections: np.ndarray, pitch_m: float, hann: float = 0.0) -> np.ndarray:
     """Projections (N, rows, columns) convolved along their columns with the ramp, band-limited at the pixels' Nyquist frequency [1/m].
+
+    `hann` as of `reconstruct`.
 
     Kak and Slaney, Principles of Computerized Tomographic Imaging, (3.61): 1 / 4 in the middle, -1 / (pi n)^2 at odd n, over the pitch.
     RTK's own filter makes the same numbers, slower: docs/imaging.md.
@@ -217,12 +223,16 @@ def ramp_filtered(projections: np.ndarray, pitch_m: float) -> np.ndarray:
     n = np.minimum(n, length - n)
     kernel = np.where(n % 2 == 1, -1.0 / (np.pi * np.maximum(n, 1)) ** 2, 0.0)
     kernel[0] = 0.25
-    response = (rfft(kernel).real / pitch_m).astype(projections.dtype)
+    response = rfft(kernel).real / pitch_m
+    if hann > 0.0:
+        share = np.arange(len(response)) / round(min(hann, 1.0) * len(response))
+        response *= np.where(share < 1.0, 0.5 + 0.5 * np.cos(np.pi * share), 0.0)
+    response = response.astype(projections.dtype)
     filtered = irfft(rfft(projections, length, axis=2, workers=-1) * response, length, axis=2, workers=-1)
     return np.ascontiguousarray(filtered[:, :, :columns])
 
 
-def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float) -> np.ndarray:
+def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float, hann: float) -> np.ndarray:
     """(size, size, size) attenuation [1/m]; weights and backprojection by RTK, which counts millimetres.
 
     Frames (N, 4, 3) are source, panel, its u and v.
@@ -249,7 +259,7 @@ def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, floa
     weights.SetInput(stack_of(projections))
     weights.SetGeometry(geometry)
     weights.Update()
-    filtered = ramp_filtered(itk.array_view_from_image(weights.GetOutput()), pitch_m[0])
+    filtered = ramp_filtered(itk.array_view_from_image(weights.GetOutput()), pitch_m[0], hann)
     empty = rtk.ConstantImageSource[image_type].New()
     empty.SetSpacing([1e3 * spacing_m] * 3)
     empty.SetOrigin([-0.5e3 * (size - 1) * spacing_m] * 3)

@@ -31,12 +31,13 @@ def isocenter(*arguments: object) -> int:
 
 @pytest.fixture(scope="module")
 def files(machine: Machine, design: ObserverDesign, tmp_path_factory) -> Path:
-    """An observer's design, and a calibration that knows nothing but that there was an observer."""
+    """An observer's design, and a calibration that knows next to nothing but that there was an observer."""
     folder: Path = tmp_path_factory.mktemp("live")
     write_design(design, folder / "observer.npz")
     model, nothing = QuasiStatic.of(machine), np.zeros((2, 9))
     observed = ObservedBeam(np.arange(2.0), np.zeros((2, 2)), nothing, np.zeros((2, 3)), np.zeros(6), np.full((4, 9), 1e-12))
-    write_data_file(model, observed, Calibration(nothing, nothing, nothing, Parameters.unknown(model)), folder / "start.npz")
+    known = Parameters(np.full(len(model.names), 1e-9), Parameters.unknown(model).covariance)
+    write_data_file(model, observed, Calibration(nothing, nothing, nothing, known), folder / "start.npz")
     return folder
 
 
@@ -70,6 +71,8 @@ def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(machin
     replay = ["--design", files / "observer.npz", "--data", files / "start.npz", "--images", files / "phantom"]
     assert isocenter("observe", "carm", files / "phantom.mf4", "-o", files / "again.npz", *replay) == 0
     assert "live estimates in the recording: the same" in capsys.readouterr().out
+    assert isocenter("observe", "carm", files / "phantom.mf4", "-o", files / "other.npz", *replay[:2]) == 0
+    assert "a calibration ran along, which levels what the observer reads; give --data and --images as well" in capsys.readouterr().out
     geometry = read_data_file(files / "phantom" / "geometry.npz")
     assert np.array_equal(geometry.live, deviation) and len(geometry.beam(machine, recording.time[rows])) == len(rows)
 
