@@ -99,13 +99,20 @@ def data_beside(
     return DataBeside(machine, read_data_file(source), source, mailbox, inbox, 1e-3 * until_mm, poses)
 
 
+def keep_sightings(beside: DataBeside, images: Path) -> None:
+    """What a replay needs, into the images' folder: of a run that was aborted, too."""
+    from hil.calibration.live_file import SIGHTINGS, write_sightings
+
+    if beside.calibration is not None and images.is_dir():
+        write_sightings(beside.calibration, images / SIGHTINGS)
+
+
 def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]:
-    """Write what a replay and a reconstruction need into the images' folder, and say how it went."""
-    from hil.calibration.live_file import GEOMETRY, SIGHTINGS, write_live_geometry, write_sightings
+    """Write the geometry into the images' folder, and say how it went."""
+    from hil.calibration.live_file import GEOMETRY, write_live_geometry
 
     live = beside.calibration
     assert live is not None
-    write_sightings(live, images / SIGHTINGS)
     write_live_geometry(live, images / GEOMETRY)
     found = live.summary
     place = 1e3 * found["place_sigma_m"]

@@ -23,7 +23,7 @@ from hil.cli.options import (
     read_effects,
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
-from hil.cli.run_data import DataOption, UntilOption, data_beside, leave
+from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
 from hil.errors import UnusableInput
 
@@ -96,6 +96,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         machine, run.images, run.scene, run.image_rate, run.image_binning, run.spool, paths, run.truth, answer, lockstep, data
     )
     with contextlib.ExitStack() as stack:
+        if data is not None and run.images is not None:
+            stack.callback(keep_sightings, data, run.images)
         truth = stack.enter_context(frames)
         options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
