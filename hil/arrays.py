@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -13,6 +14,13 @@ import numpy as np
 
 from hil.errors import UnusableInput
 from hil.recording.atomic import write_atomically
+
+_DAMAGED = (
+    *(ValueError, TypeError, AttributeError, KeyError, EOFError, RuntimeError, SyntaxError),
+    *(tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+)
+"""What NumPy and zipfile raise on files that are something else or have changed: RuntimeError of a method or a password they do not know,
+the tokenizer's of an array's header."""
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
@@ -47,7 +55,7 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = Unusab
     Raises
     ------
     UnusableInput
-        The file is missing or no archive of arrays.
+        The file is missing, damaged, or no archive of arrays.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -56,12 +64,5 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = Unusab
         raise error(f"{path}: no such file") from None
     except OSError as problem:
         raise error(f"{path}: not {what} ({problem.strerror or problem})") from None
-    except (
-        ValueError,
-        EOFError,
-        AttributeError,
-        TypeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ):  # NumPy's words are of pickles, which no file of ours has
+    except _DAMAGED:  # NumPy's words are of pickles, which no file of ours has
         raise error(f"{path}: not {what}: no whole archive of NumPy arrays (.npz)") from None

@@ -120,7 +120,7 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     zero_counts=scaling.link_zero_counts,
                 )
             )
-    silence_s = min(LONGEST_SILENCE_S, *(node.heartbeat_period_s for node in bus.nodes))
+    silence_s = min(LONGEST_SILENCE_S, bus.master_heartbeat_period_s, *(node.heartbeat_period_s for node in bus.nodes))
     return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), max(silence_s, SILENCE_S))
 
 

@@ -59,7 +59,7 @@ def live_observer(
     from hil.observing.live import LiveObserver
 
     design = read_design(path)
-    _check_machine(design, machine, answer)
+    _check_machine(design, path, machine, answer)
     observer, law = design.observer(), None
     if damping:
         from controllers.damping import DampingSettings, ModalDamping
@@ -74,11 +74,11 @@ def live_observer(
     return live
 
 
-def _check_machine(design: ObserverDesign, machine: Machine, answer: Answer) -> None:
+def _check_machine(design: ObserverDesign, path: Path, machine: Machine, answer: Answer) -> None:
     """Refuse a design of other axes or another sample rate; say where the machine file has changed since."""
     if design.model.axes != machine.axes or design.model.sample_rate_Hz != machine.sample_rate_Hz:
         raise UnusableInput(
-            f"the observer design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
+            f"{path}: the observer design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
             f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
         )
     if design.machine_hash != machine.hash:
@@ -108,7 +108,7 @@ def observe(
         list[Path] | None, typer.Option("--tune", metavar="REC", help="Recording of ordinary operation to tune on; repeatable.")
     ] = None,
     save_design: Annotated[Path | None, typer.Option("--save-design", metavar="FILE", help="Write the design as well.")] = None,
-    modes: Annotated[int, typer.Option("--modes", min=0, help="Modes of the model.")] = 4,
+    modes: Annotated[int, typer.Option("--modes", min=1, help="Modes of the model.")] = 4,
     filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
     adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
     data: Annotated[
@@ -130,8 +130,13 @@ def observe(
         raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one")
     machine = load(machine_name)
     answer = Answer(json_to)
-    can_be_written(out, figure, save_design)
-    not_an_input(out, recording_path, *(frf or []), *(multisine or []), *(standing or []), *(tune or []))
+    can_be_written(out, suffixes=(".npz", ".mf4", ".csv"))
+    can_be_written(figure, save_design)
+    inputs = [recording_path, *(frf or []), *(multisine or []), *(standing or []), *(sweep or []), *(tune or [])]
+    inputs += [path for path in (design_path, data) if path is not None]
+    for written in (out, save_design, figure):
+        if written is not None:
+            not_an_input(written, *inputs)
     recording = read_recording(recording_path, machine)
     design = (
         read_design(design_path)
@@ -142,7 +147,8 @@ def observe(
         write_design(design, save_design)
         answer.say(f"{save_design}: design")
     observer = design.observer(filter_name, _modes(adapt, design.model.modes))  # type: ignore[arg-type]
-    _check_machine(design, machine, answer)
+    if design_path is not None:
+        _check_machine(design, design_path, machine, answer)
     calibration = _calibration(machine, observer, data, images)
     with progress(answer.console) as bars:
         task = bars.add_task(recording_path.name, total=recording.rows)

@@ -87,8 +87,10 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         answer.say(note)
     paths = recording_paths(run.out, plans)
     can_be_written(*paths, run.frame_log, run.truth)
-    emulated = _emulated(machine, run)
     lockstep = run.bus.startswith("lockstep:")
+    if run.emulated and not lockstep:
+        raise UnusableInput("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
+    emulated = _emulated(machine, run)
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
     watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)

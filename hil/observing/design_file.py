@@ -48,42 +48,49 @@ def read_design(path: str | Path) -> ObserverDesign:
         The file is missing, is no design, or does not fit together.
     """
     arrays = read_arrays(path, "an observer design, which `isocenter observe --save-design` writes")
-    if int(arrays.get("observer_format", -1)) != FORMAT:
+    if str(arrays.get("observer_format")) != str(FORMAT):
         raise UnusableInput(f"{path}: not an observer design of format {FORMAT}; `isocenter observe --save-design` writes one")
     try:
-        sensors = tuple(
-            InertialSensor(
-                body_end_m=arrays["sensor_body_end_m"][s],
-                sensor_end_m=arrays["sensor_sensor_end_m"][s],
-                rotation=arrays["sensor_rotation"][s],
-                lag_s=float(arrays["sensor_lag_s"][s]),
-                channels=tuple(str(name) for name in arrays["sensor_channels"][s]),
-            )
-            for s in range(len(arrays["sensor_lag_s"]))
-        )
-        model = ModalModel(
-            axes=tuple(str(axis) for axis in arrays["axes"]),
-            chain=Chain(*(arrays[f"chain_{name}"] for name in _CHAIN)),
-            sensors=sensors,
-            source_end_m=arrays["source_end_m"],
-            harmonics=tuple(int(order) for order in arrays["harmonics"]),
-            coefficients=arrays["coefficients"],
-            sample_rate_Hz=float(arrays["sample_rate_Hz"]),
-            effort_limit=arrays["effort_limit"],
-            position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
-            directions=arrays.get("directions"),
-            turning=arrays.get("turning"),
-        )
-        optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
-        given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]
-        noise = ObserverNoise(**{name: _plain(arrays[f"noise_{name}"]) for name in given})
+        design = _design(arrays)
+        design.observer()
     except KeyError as missing:
         raise UnusableInput(f"{path}: not an observer design: the array {missing} is missing") from None
     except DesignError as error:
-        raise UnusableInput(f"{path}: {error}") from None
+        raise UnusableInput(f"{path}: {' '.join(str(error).split())}") from None
+    except (TypeError, ValueError, IndexError) as error:
+        raise UnusableInput(f"{path}: not an observer design: its arrays do not fit together ({' '.join(str(error).split())})") from None
+    return design
+
+
+def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
+    sensors = tuple(
+        InertialSensor(
+            body_end_m=arrays["sensor_body_end_m"][s],
+            sensor_end_m=arrays["sensor_sensor_end_m"][s],
+            rotation=arrays["sensor_rotation"][s],
+            lag_s=float(arrays["sensor_lag_s"][s]),
+            channels=tuple(str(name) for name in arrays["sensor_channels"][s]),
+        )
+        for s in range(len(arrays["sensor_lag_s"]))
+    )
+    model = ModalModel(
+        axes=tuple(str(axis) for axis in arrays["axes"]),
+        chain=Chain(*(arrays[f"chain_{name}"] for name in _CHAIN)),
+        sensors=sensors,
+        source_end_m=arrays["source_end_m"],
+        harmonics=tuple(int(order) for order in arrays["harmonics"]),
+        coefficients=arrays["coefficients"],
+        sample_rate_Hz=float(arrays["sample_rate_Hz"]),
+        effort_limit=arrays["effort_limit"],
+        position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
+        directions=arrays.get("directions"),
+        turning=arrays.get("turning"),
+    )
+    optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
+    given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]
     return ObserverDesign(
         model,
-        noise,
+        ObserverNoise(**{name: _plain(arrays[f"noise_{name}"]) for name in given}),
         arrays["isocenter_m"],
         str(arrays["machine"]),
         str(arrays["machine_hash"]),

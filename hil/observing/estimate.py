@@ -81,8 +81,10 @@ def read_estimate(path: str | Path) -> Estimate:
         The file is missing or no EST file.
     """
     arrays = read_arrays(path, "an EST file")
-    if int(arrays.get("estimate_format", -1)) != FORMAT:
+    if str(arrays.get("estimate_format")) != str(FORMAT):
         raise UnusableInput(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
+    if lacking := [name for name in (*_ARRAYS, *_NAMES, "filter", "machine_hash") if name not in arrays]:
+        raise UnusableInput(f"{path}: not an EST file: the array {lacking[0]} is missing")
     fields: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     fields |= {name: tuple(str(text) for text in arrays[name]) for name in _NAMES}
     return Estimate(**fields, filter=str(arrays["filter"]), machine_hash=str(arrays["machine_hash"]))

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from device_wires import PERIOD_S
 
+from hil.emulation import emulated_bus
+from hil.machine import load_machine
 from virtual_bus.idle_time import ANSWER_SHARE, QUIET_SHARE, SILENCE_S, IdleTime
+from virtual_bus.physics import Physics
 
 QUIET_S, ANSWER_S = QUIET_SHARE * SILENCE_S, ANSWER_SHARE * SILENCE_S
 
@@ -48,6 +53,18 @@ def test_a_bench_may_stand_still_for_as_long_as_it_was_said() -> None:
     assert silence.periods == 0
     silence.wait(1.0)
     assert silence.passed_s == pytest.approx(0.4 + 1.0, abs=PERIOD_S)  # what was held back is made up for
+
+
+@pytest.mark.parametrize(
+    ("nodes_s", "master_s", "silence_s"), [(0.1, 0.1, 0.1), (0.3, 1.0, 0.3), (4.0, 0.2, 0.2), (4.0, 1.5, 0.5), (0.05, 1.0, 0.1)]
+)
+def test_an_emulated_machine_waits_as_long_as_the_shortest_heartbeat_of_its_file(nodes_s: float, master_s: float, silence_s: float) -> None:
+    machine = load_machine("carm")
+    assert machine.bus is not None
+    nodes = tuple(replace(node, heartbeat_period_s=nodes_s) for node in machine.bus.nodes)
+    bus = replace(machine.bus, nodes=nodes, master_heartbeat_period_s=master_s)
+    machine = replace(machine, bus=bus)
+    assert emulated_bus(machine, Physics(machine.plant)).silence_s == silence_s
 
 
 def test_nothing_passes_between_syncs_of_any_usual_rate() -> None:

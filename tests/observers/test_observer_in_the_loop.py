@@ -236,7 +236,11 @@ def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
         main([*replay, "--json", "-"])
     document = json.loads(capsys.readouterr().out)
     assert left.value.code == 0 and document["live"] == "the same"
-    for more, word in ((["--observer", "absent.npz"], "absent.npz: no such file"), (["--damping", "0.1"], "give --observer FILE as well")):
+    for more, word in (
+        (["--observer", "absent.npz"], "absent.npz: no such file"),
+        (["--damping", "0.1"], "give --observer FILE as well"),
+        (["-b", "virtual:nobody", "--emulated", "carm"], "--emulated: only a run on lockstep:"),
+    ):
         with pytest.raises(SystemExit) as left:
             main([*still, *more])
         error = capsys.readouterr().err

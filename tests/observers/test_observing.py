@@ -147,8 +147,8 @@ def test_a_recording_without_link_encoders_is_replayed_and_that_is_said(design: 
     assert np.isfinite(estimate.values).all()
     assert any("link_position_roll" in note for note in estimate.notes)
     whole = observe(scan.part(slice(0, 300)), design.observer("ukf"))
-    bend = estimate["estimate_detector_x_variance"][-1] / whole["estimate_detector_x_variance"][-1]
-    assert bend > 1.3  # any measurement makes a variance smaller: that would show nothing
+    ratio = estimate["estimate_detector_x_variance"][-1] / whole["estimate_detector_x_variance"][-1]
+    assert ratio > 1.3  # any measurement makes a variance smaller: that would show nothing
     for k, axis in enumerate(design.model.axes):  # where the link side is, is then known as well as its motor's counter was set, no better
         bare_variance, variance = (e[f"estimate_link_position_{axis}_variance"][-1] for e in (estimate, whole))
         assert bare_variance == pytest.approx(design.noise.initial_offset[k] ** 2, rel=0.3)
@@ -174,6 +174,29 @@ def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design
             read(tmp_path / "other.npz")
         with pytest.raises(UnusableInput, match="no such file"):
             read(tmp_path / "absent.npz")
+    write_design(design, tmp_path / "made.npz")
+    with np.load(tmp_path / "made.npz") as file:
+        arrays = dict(file)
+    for name in (
+        "observer_format",
+        "axes",
+        "sample_rate_Hz",
+        "coefficients",
+        "directions",
+        "effort_limit",
+        "noise_command",
+        "noise_measurement",
+    ):
+        np.savez(tmp_path / "changed.npz", **{**arrays, name: np.full((3, 2), "x")})
+        with pytest.raises(UnusableInput, match=r"changed\.npz: .+") as refused:
+            read_design(tmp_path / "changed.npz")
+        assert len(str(refused.value).splitlines()) == 1, name
+    np.savez(tmp_path / "part.npz", **{name: values for name, values in arrays.items() if name != "notes"})
+    with pytest.raises(UnusableInput, match="the array 'notes' is missing"):
+        read_design(tmp_path / "part.npz")
+    np.savez(tmp_path / "part.npz", estimate_format=1, values=np.zeros((2, 3)))
+    with pytest.raises(UnusableInput, match="not an EST file: the array time_s is missing"):
+        read_estimate(tmp_path / "part.npz")
     with pytest.raises(UnusableInput, match="geometry"):
         design_observer(load_machine("emps"), emulated_responses_none())
     with pytest.raises(BadAnswer, match="no further resonance"):
@@ -201,7 +224,7 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
     assert len(read_estimate(tmp_path / "scan.est.npz").time_s) == 400
     for more, word in (
         (["--filter", "pf"], "kf, ekf, ukf"),
-        (["--modes", "-1"], "'--modes': Input should be greater than or equal to 0"),
+        (["--modes", "0"], "'--modes': Input should be greater than or equal to 1"),
         (["--adapt", "7"], "modes 1 to 3"),
         (["--design", "absent.npz"], "no such file"),
     ):
@@ -210,6 +233,21 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
             main([*arguments, *extra])
         error = capsys.readouterr().err
         assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
+
+
+def test_the_command_writes_over_nothing_that_it_reads(design: ObserverDesign, scan: Recording, tmp_path, capsys) -> None:
+    from hil.recording import write_recording
+
+    recording, made = tmp_path / "scan.mf4", tmp_path / "made.npz"
+    write_recording(scan.part(slice(0, 100)), recording)
+    write_design(design, made)
+    before = recording.read_bytes(), made.read_bytes()
+    est = ["-o", str(tmp_path / "est.npz")]
+    for more in (["-o", str(made)], [*est, "--save-design", str(recording)], [*est, "--figure", str(made)]):
+        with pytest.raises(SystemExit) as left:
+            main(["observe", "carm", str(recording), "--design", str(made), *more])
+        assert left.value.code == 2 and "is read by this command" in capsys.readouterr().err
+    assert (recording.read_bytes(), made.read_bytes()) == before
 
 
 def test_the_command_designs_from_multisines_and_standing_records(machine: Machine, scan: Recording, tmp_path, capsys) -> None:

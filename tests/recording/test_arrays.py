@@ -37,3 +37,17 @@ def test_what_is_no_archive_is_said_in_our_words(tmp_path, content: bytes) -> No
     path.write_bytes(content)
     with pytest.raises(UnusableInput, match=r"a\.npz: not an archive: no whole archive of NumPy arrays \(\.npz\)$"):
         read_arrays(path, "an archive")
+
+
+def test_an_archive_that_has_changed_is_read_as_it_was_or_said_to_be_none(tmp_path) -> None:
+    path, generator = tmp_path / "a.npz", np.random.default_rng(1)
+    write_arrays(path, {"values": np.arange(4.0), "names": ("propeller", "roll")})
+    whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    for at in range(0, len(whole), 3):
+        changed = whole.copy()
+        changed[at] ^= generator.integers(1, 256, dtype=np.uint8)
+        path.write_bytes(changed.tobytes())
+        try:
+            read_arrays(path, "an archive")
+        except UnusableInput as refused:
+            assert str(refused).startswith(f"{path}: not an archive")
