@@ -32,8 +32,8 @@ WHOLE, NOTHING = 0xFFFFFFFF, 0
 class UdpBus(UdpMulticastBus):
     """CAN frames as datagrams to a multicast group. Parameters are those of `UdpMulticastBus`.
 
-    A hop limit of 0 keeps frames on this host: the network is spared them, and other benches on it too. With python-can's 1 they leave
-    through the host's network device, which costs a quarter of a tick (docs/timing.md).
+    A hop limit of 0 keeps frames on this host: the network is spared them, and other benches on it too. With python-can's 1 they also leave
+    through the host's network device, and sending one takes about twice the processor time (docs/timing.md).
     """
 
     def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 0, fd: bool = False) -> None:

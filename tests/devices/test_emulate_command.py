@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -62,6 +63,14 @@ def test_the_same_io_answers_on_tcp(carm):
     client = ModbusClient(host=host, port=int(port), unit_id=1, timeout=TIMEOUT_S)
     assert client.read_discrete_inputs(HOLD_TO_RUN, 2) == [True, True]
     client.close()
+
+
+def test_the_imu_listens_where_the_ready_line_says(carm):
+    scheme, host, port = carm["imu_tcp"].split(":")
+    assert scheme == "tcp" and os.path.exists(carm["imu"])
+    with socket.create_connection((host, int(port)), TIMEOUT_S) as line:
+        line.sendall(bytes.fromhex("fa ff 30 00 d1"))  # Xbus: GoToConfig, answered by GoToConfigAck
+        assert line.makefile("rb").read(5) == bytes.fromhex("fa ff 31 00 d0")
 
 
 def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path):
