@@ -127,6 +127,19 @@ def test_a_counter_set_a_fraction_of_a_count_off_at_homing_raises_no_alarm(machi
     assert offset == pytest.approx(0.75 * count, abs=0.5 * count)
 
 
+def test_an_offset_that_nothing_measures_fades_and_is_as_uncertain_as_ever() -> None:
+    walk, spread, seconds = 2e-4, 2e-4, 2.0
+    offsets = {"offset_walk": np.full(2, walk), "initial_offset": np.full(2, spread)}
+    observer, nothing = ModalObserver(small_model(), replace(small_noise(), **offsets)), np.full(10, np.nan)
+    observer.step_measured(nothing, np.zeros(2))
+    at = observer.state_names.index("offset_motor_roll")
+    observer.state[at] = 3e-4
+    for _ in range(round(seconds * observer.model.sample_rate_Hz)):
+        observer.step_measured(nothing, np.zeros(2))
+    assert observer.state[at] == pytest.approx(3e-4 * np.exp(-seconds * walk**2 / (2.0 * spread**2)), rel=1e-9)
+    assert observer.covariance[at, at] == pytest.approx(spread**2, rel=1e-9)
+
+
 def test_offsets_that_do_not_fit_are_one_clear_line() -> None:
     with pytest.raises(DesignError, match="must both be 2 numbers, 8 or none"):
         ModalObserver(small_model(), replace(small_noise(), offset_walk=np.zeros(8)))
