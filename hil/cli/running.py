@@ -20,6 +20,7 @@ from hil.cli.options import (
     can_be_written,
     keep_earlier,
     load,
+    not_an_input,
     read_effects,
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
@@ -87,6 +88,10 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         answer.say(note)
     paths = recording_paths(run.out, plans)
     can_be_written(*paths, run.frame_log, run.truth)
+    inputs = [path for path in (run.observer, run.data, run.effects) if path is not None]
+    for written in (run.frame_log, run.truth):
+        if written is not None:
+            not_an_input(written, *inputs)
     lockstep = run.bus.startswith("lockstep:")
     if run.emulated and not lockstep:
         raise UnusableInput("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")

@@ -240,6 +240,7 @@ def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
         (["--observer", "absent.npz"], "absent.npz: no such file"),
         (["--damping", "0.1"], "give --observer FILE as well"),
         (["-b", "virtual:nobody", "--emulated", "carm"], "--emulated: only a run on lockstep:"),
+        (["--observer", str(tmp_path / "carm.observer.npz"), "--truth", str(tmp_path / "carm.observer.npz")], "is read by this command"),
     ):
         with pytest.raises(SystemExit) as left:
             main([*still, *more])
