@@ -3,7 +3,7 @@
 log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 k log(1 + g), k fitted parameters, g the energy the best set removes
 over T: a parameter that is known to one part in sqrt(g) of itself costs the logarithm of that (MacKay 2003, ch. 28). A real effect never
 has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two
-names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with UNKNOWN_FREEDOM
+names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with `unknown_freedom`
 parameters and leaves nothing above noise. An order or frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
