@@ -235,21 +235,6 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
         assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
 
 
-def test_the_command_writes_over_nothing_that_it_reads(design: ObserverDesign, scan: Recording, tmp_path, capsys) -> None:
-    from hil.recording import write_recording
-
-    recording, made = tmp_path / "scan.mf4", tmp_path / "made.npz"
-    write_recording(scan.part(slice(0, 100)), recording)
-    write_design(design, made)
-    before = recording.read_bytes(), made.read_bytes()
-    est = ["-o", str(tmp_path / "est.npz")]
-    for more in (["-o", str(made)], [*est, "--save-design", str(recording)], [*est, "--figure", str(made)]):
-        with pytest.raises(SystemExit) as left:
-            main(["observe", "carm", str(recording), "--design", str(made), *more])
-        assert left.value.code == 2 and "is read by this command" in capsys.readouterr().err
-    assert (recording.read_bytes(), made.read_bytes()) == before
-
-
 def test_the_command_designs_from_multisines_and_standing_records(machine: Machine, scan: Recording, tmp_path, capsys) -> None:
     from controllers.lines import Band
     from hil.experiments import Multisine
