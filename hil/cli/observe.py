@@ -128,6 +128,8 @@ def observe(
         raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
     if design_path is not None and (frf or multisine or standing or sweep or tune):
         raise typer.BadParameter("--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one")
+    if (data is None) != (images is None):
+        raise typer.BadParameter("--data and --images: a live calibration is replayed from both")
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, suffixes=(".npz", ".mf4", ".csv"))
@@ -183,8 +185,6 @@ def observe(
 
 def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, images: Path | None) -> LiveCalibration | None:
     """The calibration that ran along, with its images as they came then."""
-    if (data is None) != (images is None):
-        raise typer.BadParameter("--data and --images: a live calibration is replayed from both")
     if data is None or images is None:
         return None
     from hil.calibration.data_file import read_data_file
