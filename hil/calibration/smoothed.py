@@ -74,7 +74,8 @@ def _bridged(time_s: np.ndarray, strays: np.ndarray, at_s: np.ndarray, lasts_s: 
     after = np.searchsorted(time_s, at_s)
     left, right = np.maximum(after - 1, 0), np.minimum(after, len(time_s) - 1)
     since, until = np.abs(at_s - time_s[left]) / lasts_s, np.abs(time_s[right] - at_s) / lasts_s
-    whole = np.where(left == right, 1.0, np.sinh(since + until))
-    of_left = np.where(left == right, np.exp(-since), np.sinh(until) / whole)
-    of_right = np.where(left == right, 0.0, np.sinh(since) / whole)
+    # sinh(until) / sinh(since + until) and the other way round, written so that a pause of any length does not overflow
+    whole = np.where(left == right, 1.0, -np.expm1(-2.0 * (since + until)))
+    of_left = np.exp(-since) * np.where(left == right, 1.0, -np.expm1(-2.0 * until) / whole)
+    of_right = np.where(left == right, 0.0, -np.exp(-until) * np.expm1(-2.0 * since) / whole)
     return of_left[:, None] * strays[left] + of_right[:, None] * strays[right]

@@ -32,10 +32,13 @@ def test_a_case_shows_recordings_and_the_nominal_machine_only(machines, tmp_path
     from concealed.truth.build import make_case
     from concealed.truth.draw import draw
 
-    number = next(
-        n for n in range(200) if (case := draw(n, 5, machines)).stratum == "single" and case.hidden[0].kind.name == "coulomb_friction"
+    case = next(
+        case
+        for number in range(1000)
+        if (case := draw(number, 5, machines)).stratum == "single"
+        and case.hidden[0].kind.name == "coulomb_friction"
+        and (case.machine, case.training.kind) == ("slider", "mixed")
     )
-    case = draw(number, 5, machines)
     make_case(case, machines[case.machine], tmp_path / "case", tmp_path / "truth.json")
     names = {path.name for path in (tmp_path / "case").iterdir()}
     runs = {f"run_{i + 1}{ending}" for i in range(case.repeats) for ending in (".csv", ".toml")}
