@@ -64,8 +64,21 @@ class KeptSightings:
     def __init__(self, path: Path) -> None:
         arrays = read_arrays(path, "sightings of a live calibration")
         wanted = ("until_m", "poses", "row", "exposure_id", "time_s", "kind", "positions", "values", "covariance")
-        if int(arrays.get("sightings_format", -1)) != FORMAT or any(name not in arrays for name in wanted):
+        if arrays.get("sightings_format", np.array(-1)).tolist() != FORMAT or any(name not in arrays for name in wanted):
             raise UnusableInput(f"{path}: no sightings of a live calibration; `isocenter run ... --data` leaves them with its images")
+        rows, poses = arrays["row"].shape, arrays["poses"].shape
+        shapes = {
+            "until_m": (),
+            "poses": poses[:1] + poses[-1:],
+            "row": rows[:1],
+            **dict.fromkeys(("exposure_id", "time_s", "kind"), rows),
+            "positions": rows + poses[-1:],
+            "values": (*rows, LARGEST),
+            "covariance": (*rows, LARGEST, LARGEST),
+        }
+        bent = [name for name, shape in shapes.items() if arrays[name].shape != shape]
+        if bent:
+            raise UnusableInput(f"{path}: damaged: {bent[0]} has shape {arrays[bent[0]].shape}, expected {shapes[bent[0]]}")
         self.until_m, self.poses = float(arrays["until_m"]), arrays["poses"]
         self._by_row: dict[int, list[Sighting]] = {}
         for k, row in enumerate(arrays["row"]):

@@ -89,7 +89,6 @@ def images_beside(
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
-            truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
             on_tube = None if plate is None else TubeMarker(plate, 1e-3 * DISTANCE_MM, panel_in_tube(machine))
             items = scene(scene_name) if plate is None else []
             panel = PanelOrder(machine, truth, order.spool, Exposures(rate_Hz), items, detector, Optics(), SPOT, on_tube, 0)

@@ -66,6 +66,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         raise UnusableInput(f"{order.spool}: no folder; the panel's software must write its frames there")
     if any(order.spool.iterdir()):
         raise UnusableInput(f"{order.spool}: is not empty; the panel's folder must be when the run begins")
+    if panel is not None:
+        panel.truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
     context = multiprocessing.get_context("spawn")
     is_over, is_exposed = context.Event(), context.Event()
     started = [context.Process(target=_politely, args=(receiver.serve, order, is_exposed), daemon=True)]

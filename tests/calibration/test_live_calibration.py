@@ -143,6 +143,17 @@ def test_what_it_leaves_is_replayed_bit_for_bit_and_read_as_a_calibration(moving
     assert np.array_equal(found.live[-1], published[-1, :9]) and np.array_equal(found.static, moving.start.static)
 
 
+@pytest.mark.parametrize("name", ["row", "time_s", "positions", "covariance", "sightings_format"])
+def test_sightings_of_another_shape_are_one_line(moving, tmp_path, name):
+    live, _ = live_run(moving, Post(moving.sightings[:3]))
+    path = tmp_path / "sightings.npz"
+    write_sightings(live, path)
+    arrays = dict(np.load(path))
+    np.savez(path, **(arrays | {name: np.zeros((2, 7))}))
+    with pytest.raises(UnusableInput, match=r"sightings\.npz: (damaged: \w+ has shape|no sightings)"):
+        KeptSightings(path)
+
+
 def test_an_image_that_comes_before_an_earlier_ones_or_of_no_row_is_left_out(moving):
     (row, first), (_, second), *_ = moving.sightings
     future = Sighting(9, 9, 100.0, "phantom", first.positions, first.values, first.covariance)
