@@ -16,7 +16,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, ranking
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, ranking
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
@@ -146,7 +146,8 @@ def diagnose(
         covariance = covariance_of(runs, tuning, chosen)
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
-            findings = findings_of(selection.contenders, hypotheses, effect_estimates(runs, tuning, chosen, covariance), _cap(runs))
+            estimates = effect_estimates(runs, tuning, chosen, covariance)
+            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(_cap(runs)))
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)

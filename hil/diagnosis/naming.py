@@ -57,7 +57,7 @@ CONFIDENT = 0.9
 wrong is in `outside`, which no experiment on the same machine tells: confidences carry it, the verdict `explained` does not wait for it."""
 
 CAP_ASSUMED = 0.9
-"""Largest confidence without repeats: the noise, and with it every scale here, is assumed."""
+"""The same share at most without repeats: the noise, and with it every scale here, is assumed."""
 
 CAP_UNCONFIRMED = 0.5
 """Largest confidence of a set that did not pass the gate."""
@@ -100,7 +100,7 @@ class Evidence:
     found : bool
         Whether a set passed the gate.
     cap : float
-        Largest confidence.
+        Largest share of what has a name.
     """
 
     sets: tuple[Weighed, ...]
@@ -149,11 +149,11 @@ def weighed(
     tried : int
         Candidates.
     cap : float
-        Largest confidence.
+        Largest share of what has a name.
     weights : Weights
     """
     *shares, nothing = _shares(hypotheses, base, noise, tried, weights)
-    sets = [replace(h, confidence=min(share, cap)) for h, share in zip(hypotheses, shares, strict=True)]
+    sets = [replace(h, confidence=confidence_of(min(share, cap), weights)) for h, share in zip(hypotheses, shares, strict=True)]
     return sorted(sets, key=lambda h: -h.confidence), replace(base, confidence=min(nothing, cap))
 
 
@@ -166,9 +166,12 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: i
     unknown = -0.5 * min(noise, best) / temper - price * weights.unknown_freedom
     tempered = _normalised([*_evidence(hypotheses, base, temper, price, tried), unknown])[:-1]
     exact = _normalised(_evidence(hypotheses, base, 1.0, price_of_a_parameter(removed, 1.0), tried))
-    shares = (1.0 - weights.exact) * tempered + weights.exact * exact
-    shares[:-1] *= 1.0 - weights.outside
-    return [float(share) for share in shares]
+    return [float(share) for share in (1.0 - weights.exact) * tempered + weights.exact * exact]
+
+
+def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:
+    """Confidence of a name that has this share of what has one: what is in no catalogue may have been imitated."""
+    return share * (1.0 - weights.outside)
 
 
 def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, price: float, tried: int) -> list[float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate, certain_excess
-from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, WEIGHTS, Weighed
+from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from hil.diagnosis.selection import Contender
 
@@ -51,13 +51,13 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     shown = found or any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
     if structured and left > UNKNOWN_LEFT * explainable and shown:
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
-    if found and sum(h.confidence for h in standing.hypotheses) < NAMED * (1.0 - WEIGHTS.outside):
+    if found and sum(h.confidence for h in standing.hypotheses) < confidence_of(NAMED):
         return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
     if found:
         best = standing.hypotheses[0]
         assert best.fitted is not None
         names = " and ".join(str(effect) for effect in best.fitted.effects)
-        if best.confidence >= CONFIDENT * (1.0 - WEIGHTS.outside):
+        if best.confidence >= confidence_of(CONFIDENT):
             return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)

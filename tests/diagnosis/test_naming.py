@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.naming import CONFIDENT, WEIGHTS, Weighed, unnamed_share, weighed
+from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, WEIGHTS, Weighed, unnamed_share, weighed
 
 NOISE = 20000.0
 TRIED = 50
@@ -47,7 +47,8 @@ def test_what_leaves_most_of_it_is_no_name():
 
 
 def test_confidence_is_capped_where_the_noise_is_assumed():
-    assert max(confidences(4000.0, 0.0, 3000.0, cap=0.6)) == 0.6
+    assert max(confidences(4000.0, 0.0, 3000.0, cap=CAP_ASSUMED)) == pytest.approx(CAP_ASSUMED * CERTAIN)
+    assert max(confidences(4000.0, 0.0, 3000.0)) > 1.05 * CAP_ASSUMED * CERTAIN
 
 
 def test_a_name_stands_alone_only_where_it_would_if_equations_were_exact():
