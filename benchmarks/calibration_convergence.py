@@ -10,8 +10,6 @@ without noise: rms of the distance [mm] and of the angle [mrad]. Medians of twen
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 
 import numpy as np
 from calibration_model import NOISE, NOMINAL, SPREAD, TRUE, angles
@@ -19,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.models.kinematics import DenavitHartenberg
 from hil.calibration.model_based import pose_difference
+from hil.cli.output import Answer
 
 IMAGES, DRAWS, INNER = 40, 20, 6
 
@@ -83,12 +82,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     options = parser.parse_args()
+    to = Answer(options.json)
     answer = {kind: curve(kind) for kind in ("interleaved", "one axis after the other", "joint 2 alone")}
-    text = json.dumps(answer, indent=1)
-    if options.json == "-":
-        print(text)
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
 
 
 if __name__ == "__main__":

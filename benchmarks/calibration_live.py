@@ -22,6 +22,7 @@ from calibration_side_by_side import ASKEW, UNSEEN, command, machine_text, shaki
 from hil.calibration.data_file import read_data_file
 from hil.calibration.live import LiveCalibration
 from hil.calibration.live_file import SIGHTINGS, KeptSightings
+from hil.cli.output import Answer
 from hil.imaging.emulated import SPOT, true_beam, xray_side
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.nominal import nominal_beam
@@ -80,6 +81,7 @@ def main() -> None:
     parser.add_argument("--work", metavar="FOLDER", type=Path, required=True, help="of calibration_side_by_side.py")
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     options = parser.parse_args()
+    to = Answer(options.json)
     carm, folder = load_machine("carm"), options.work / "not_repeatable"
     built, effects, images = folder / "live.toml", folder / "live.effects.toml", folder / "live.images"
     built.write_text(balanced_text(), encoding="utf-8")
@@ -117,11 +119,7 @@ def main() -> None:
         "replay": json.loads(replayed.read_text(encoding="utf-8"))["live"],
         "step": step_time(carm, known, observer, images, recording.matrix(names)),
     }
-    text = json.dumps(answer, indent=1)
-    if options.json == "-":
-        print(text)
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from hil.calibration.phantom import calibrate_phantom
 from hil.calibration.quasi_static import QuasiStatic
 from hil.calibration.roadmap import overlay
 from hil.cli import main as isocenter
+from hil.cli.output import Answer
 from hil.experiments import Static
 from hil.identification import read_frf, write_frf
 from hil.imaging.emulated import SPOT, true_beam, xray_side
@@ -347,6 +348,7 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     parser.add_argument("--only", choices=("repeatable", "not_repeatable"), help="one machine alone")
     options = parser.parse_args()
+    to = Answer(options.json)
     options.work.mkdir(parents=True, exist_ok=True)
     answer: dict[str, object] = {"workload": workload()}
     for name in ("repeatable", "not_repeatable"):
@@ -357,11 +359,7 @@ def main() -> None:
             found = side_by_side(options.work, name == "repeatable", lambda text: print(text, file=sys.stderr, flush=True))
             kept.write_text(json.dumps(found), encoding="utf-8")
         answer[name] = json.loads(kept.read_text(encoding="utf-8"))
-    text = json.dumps(answer, indent=1)
-    if options.json == "-":
-        print(text)
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 import tempfile
 from pathlib import Path
@@ -25,6 +24,7 @@ from ring_down import rung_ratio
 
 from controllers.damping import DampingSettings, ModalDamping
 from hil.bench import BenchOptions, open_bench
+from hil.cli.output import Answer
 from hil.errors import UnusableInput
 from hil.experiments import Static
 from hil.machine import Machine, load_machine
@@ -101,11 +101,8 @@ def main() -> None:
     parser.add_argument("--over-poses", action="store_true", help="the linear loop over 25 poses as well")
     parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
     arguments = parser.parse_args()
-    text = json.dumps(measure(read_design(arguments.design), arguments.over_poses), indent=2)
-    if arguments.json == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    to = Answer(arguments.json)
+    to.write(measure(read_design(arguments.design), arguments.over_poses))
 
 
 if __name__ == "__main__":

@@ -9,13 +9,13 @@ parallel beams and by a fan at 30, 60, 100, 150 and 600 angles, and a 0.2 mm wir
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from hil.cli.output import Answer
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.reconstruction.cone_beam import reconstruct
@@ -101,6 +101,7 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     parser.add_argument("--figure", metavar="PNG", type=Path, help="draw the discs as well")
     options = parser.parse_args()
+    to = Answer(options.json)
     truth = discs()
     along = (np.arange(SIZE) - (SIZE - 1) / 2.0) * SPACING_m
     inside = np.hypot(*np.meshgrid(along, along)) < 0.06
@@ -116,11 +117,7 @@ def main() -> None:
         },
         "wire_peak": {f"{1e3 * offset:g} mm": wire_peak(offset) for offset in (0.0, 0.5e-3)},
     }
-    text = json.dumps(answer, indent=1)
-    if options.json == "-":
-        print(text)
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
     if options.figure is not None:
         figure().savefig(options.figure, dpi=110)
 

@@ -10,8 +10,6 @@ quiet machine.
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench import BenchOptions, open_bench
+from hil.cli.output import Answer
 from hil.experiments import Static
 from hil.loop import PROGRESS_TICKS
 from hil.machine import load_machine
@@ -60,11 +59,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
     arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.seconds, arguments.runs), indent=2)
-    if arguments.json == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    to = Answer(arguments.json)
+    to.write(measure(arguments.seconds, arguments.runs))
 
 
 if __name__ == "__main__":

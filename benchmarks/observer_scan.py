@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from controllers.feedback import Feedback
 from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
+from hil.cli.output import Answer
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune, write_design
@@ -328,6 +327,7 @@ def main() -> None:
     parser.add_argument("--save-design", metavar="FILE", type=Path, help="write the tuned design")
     parser.add_argument("--no-oracle", action="store_true", help="leave the oracle out")
     options = parser.parse_args()
+    to = Answer(options.json)
     machine = load_machine("carm")
     began = time.perf_counter()
     design = read_design(options.design) if options.design else emulated_design(machine)
@@ -342,11 +342,7 @@ def main() -> None:
         "tuned": {"nis_per_measurement": plain.mean_nis, "share_in_band": plain.share_in_band},
         "scans": {name: judged(machine, design, plan, 7 + i, not options.no_oracle) for i, (name, plan) in enumerate(plans.items())},
     }
-    text = json.dumps(answer, indent=2)
-    if options.json == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
 
 
 if __name__ == "__main__":

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
 from observer_scan import shaken_scan
 
 from controllers.models.modal import ModalModel
+from hil.cli.output import Answer
 from hil.experiments import Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe, read_design, tune
@@ -91,6 +90,7 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     parser.add_argument("--design", metavar="FILE", type=Path, required=True, help="design tuned on shaken scans")
     options = parser.parse_args()
+    to = Answer(options.json)
     machine = load_machine("carm")
     design = read_design(options.design)
     answer: dict[str, dict] = {}
@@ -99,11 +99,7 @@ def main() -> None:
         for i, (scan, experiment) in enumerate(scans().items()):
             recording = shaken_scan(machine, experiment.plans(machine)[0], 30 + i, loudness).recording
             answer[name][scan] = tracked(used, recording)
-    text = json.dumps(answer, indent=2)
-    if options.json == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    to.write(answer)
 
 
 if __name__ == "__main__":

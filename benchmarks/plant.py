@@ -11,9 +11,7 @@ Closed loop: 60 s at 1 kHz with Coulomb and Stribeck friction on both axes, all 
 from __future__ import annotations
 
 import argparse
-import json
 import platform
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,6 +21,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from hil.cli.output import Answer
 from hil.machine import Machine, load_machine
 from hil.machine.mjcf import to_mjcf
 from hil.simulation import Inputs, Simulator
@@ -124,9 +123,7 @@ def largest_step(make: Callable[[int], Any], converged: np.ndarray) -> tuple[Any
     return None
 
 
-def errors_by_steps(
-    plant: CompiledPlant, start: np.ndarray, efforts: np.ndarray, effects: tuple[EffectSetting, ...]
-) -> dict[int, float]:
+def errors_by_steps(plant: CompiledPlant, start: np.ndarray, efforts: np.ndarray, effects: tuple[EffectSetting, ...]) -> dict[int, float]:
     """Our plant's error at halving steps."""
     converged = OurPlant(plant, start, efforts, CONVERGED_STEPS, effects)
     converged.run()
@@ -246,6 +243,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", default="-", help="where the answer goes; - for standard output")
     arguments = parser.parse_args()
+    to = Answer(arguments.json)
     mujoco.set_mju_user_warning(lambda _: None)  # a step too large diverges and is reported as such; no log file
     machine = load_machine("carm")
     answer = {
@@ -253,12 +251,7 @@ def main() -> None:
         "closed_loop": closed_loop(machine),
         "computer": {"processor": platform.machine(), "python": platform.python_version(), "mujoco": mujoco.__version__},
     }
-    text = json.dumps(answer, indent=2) + "\n"
-    if arguments.json == "-":
-        sys.stdout.write(text)
-    else:
-        with open(arguments.json, "w", encoding="utf-8") as stream:
-            stream.write(text)
+    to.write(answer)
 
 
 if __name__ == "__main__":

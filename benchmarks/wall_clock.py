@@ -30,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.cli.output import Answer
 from hil.clock import WallClock
 from hil.machine import load_machine
 from hil.realtime import real_time
@@ -163,11 +164,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
     arguments = parser.parse_args()
-    text = json.dumps(measure(arguments.bus, arguments.seconds), indent=2)
-    if arguments.json == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    to = Answer(arguments.json)
+    to.write(measure(arguments.bus, arguments.seconds))
 
 
 if __name__ == "__main__":
