@@ -34,7 +34,7 @@ from hil.cli.output import Answer
 from hil.clock import WallClock
 from hil.machine import load_machine
 from hil.realtime import real_time
-from virtual_bus.emulator import AWAKE_S
+from virtual_bus.emulator import AWAKE_SHARE
 
 ISOCENTER = [sys.executable, "-m", "hil"]
 COMPUTING_S = 300e-6
@@ -71,7 +71,7 @@ def percentiles(measured: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def echoes(seconds: float) -> np.ndarray:
-    """Seconds from each tick until a datagram has come back from a process that looks for it from `AWAKE_S` before the tick on."""
+    """Seconds from each tick until a datagram has come back from a process that looks for it, like the emulator, before the tick is due."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind(("127.0.0.1", 0))
     other = multiprocessing.get_context("spawn").Process(target=_echo, args=(line.getsockname(),), daemon=True)
@@ -115,7 +115,7 @@ def _echo(address: tuple[str, int]) -> None:
             except BlockingIOError:
                 continue
             line.send(b"x")
-            select.select([line], [], [], 1.0 / RATE_Hz - AWAKE_S)  # after a late tick the next datagram comes early, and wakes it
+            select.select([line], [], [], (1.0 - AWAKE_SHARE) / RATE_Hz)  # after a late tick the next datagram comes early, and wakes it
 
 
 def processor_times() -> tuple[int, int]:

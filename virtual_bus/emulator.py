@@ -23,13 +23,17 @@ from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.tcp_line import TcpLine
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
-AWAKE_S = 400e-6
-"""So long before a SYNC is expected the emulator measures what it will be asked for, which takes a fourth of that, and stays awake."""
-SPIN_S = 150e-6
-"""So long after a SYNC was expected it goes to sleep again: a sleeper is woken tens of microseconds late, and a virtual processor that has
-gone idle later still."""
-STAY_S = 400e-6
-"""So long after a SYNC it stays awake for the commands that answer it: waking it would cost their sender as much time."""
+AWAKE_SHARE = 0.65
+"""Of a period, for so long before a SYNC is expected the emulator stays awake. A process that sleeps waits for whatever system call has its
+processor, some milliseconds one time in a thousand where the kernel cannot be preempted; it has then time to be late."""
+PREPARE_S = 400e-6
+"""So long before a SYNC is expected the emulator measures what it will be asked for, which takes a fourth of that."""
+LATE_SHARE = 0.5
+"""Of a period, for so long after a SYNC was expected it goes on waiting awake."""
+STAY_SHARE = 0.1
+"""Of a period, for so long after a SYNC it stays awake for the commands that answer it: waking it would cost their sender as much time."""
+LATE_WEIGHT = 0.125
+"""How far a SYNC that comes late moves when the next one is expected: ticks are absolute, and one that is late says little of the next."""
 POLL_S = 0.001  # how long one look at the bus takes at most, and how often the other wires are looked at
 POLL_AT_LEAST_S = 0.02  # the other wires are looked at so often even when SYNCs leave no time between them
 LOOK_S = 0.02
@@ -147,7 +151,7 @@ def _connect_imu(machine: EmulatedMachine, imu: EmulatedImu, server: TcpLine, pt
 
 @dataclass
 class Tick:
-    """When the next SYNC is expected: a period after the last; and what is done shortly before."""
+    """When the next SYNC is expected, and what is done shortly before."""
 
     sync_cob_id: int
     period_s: float
@@ -159,25 +163,25 @@ class Tick:
     def heard(self, can_id: int, now_s: float) -> None:
         """A frame has come and been answered."""
         if can_id == self.sync_cob_id:
-            self._stay_s = now_s + STAY_S
-            self._due_s = now_s + self.period_s
+            late_s = now_s - self._due_s
+            awaited = 0.0 < late_s < LATE_SHARE * self.period_s
+            self._stay_s = now_s + STAY_SHARE * self.period_s
+            self._due_s = (self._due_s + LATE_WEIGHT * late_s if awaited else now_s) + self.period_s
             self._prepared = False
 
     def is_near(self, now_s: float) -> bool:
         """A SYNC is due, or just answered: nothing else may take time now."""
-        return now_s < self._stay_s or self._due_s - AWAKE_S <= now_s < self._due_s + SPIN_S
+        return now_s < self._stay_s or -AWAKE_SHARE * self.period_s <= now_s - self._due_s < LATE_SHARE * self.period_s
 
     def patience(self, now_s: float) -> float:
         """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning, and shortly after."""
-        if now_s < self._stay_s:
-            return 0.0
-        ahead_s = self._due_s - AWAKE_S - now_s
-        if ahead_s > 0.0:
-            return min(ahead_s, POLL_S)
-        if not self._prepared:
+        if not self._prepared and now_s >= self._due_s - PREPARE_S:
             self._prepared = True
             self.prepare()
-        return 0.0 if self.is_near(now_s) else POLL_S
+        if self.is_near(now_s):
+            return 0.0
+        ahead_s = self._due_s - AWAKE_SHARE * self.period_s - now_s
+        return min(ahead_s, POLL_S) if ahead_s > 0.0 else POLL_S
 
 
 def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], polls: list[Callable[[], None]], tick: Tick | None) -> None:
