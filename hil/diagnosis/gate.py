@@ -1,4 +1,4 @@
-"""Is an effect there at all? Four questions, all of which must be answered with yes.
+"""Is an effect there at all? Five questions, all of which must be answered with yes.
 
 1. On the training repeats: is the fall of the misfit above what the best of all candidates gains where there is nothing, with every order,
    frequency and shape that was searched between its starts and its fit? The noise model sets the scale, what the fit leaves raises it,
@@ -7,6 +7,7 @@
 2. On the held-out recordings, everything frozen: does the misfit fall along the predicted change?
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
 4. Does it explain a share of what there is to explain?
+5. Is it still its own equation (`form.py`)?
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ for certain. The noise of three or four repeats is known no better: without anyt
 
 @dataclass(frozen=True)
 class Gate:
-    """The four answers, with the numbers they rest on."""
+    """The answers, with the numbers they rest on."""
 
     gain: float  # fall of |residual|^2 on the training groups, nominal numbers refitted
     needed: float
@@ -72,6 +73,7 @@ class Gate:
     share: float  # of what there is to explain before the first effect
     share_of_left: float  # of what the effects before it leave above noise for certain
     is_first: bool
+    lost_form: str = ""  # what left its own equation, see form.py
 
     @property
     def certain_gain(self) -> float:
@@ -100,7 +102,7 @@ class Gate:
 
     @property
     def passed(self) -> bool:
-        return self.significant and self.confirmed and self.beats_placebo and self.explains
+        return self.significant and self.confirmed and self.beats_placebo and self.explains and not self.lost_form
 
     def evidence(self) -> tuple[list[str], list[str]]:
         """Sentences for and against."""
@@ -112,6 +114,8 @@ class Gate:
         if self.held_out_deviations is not None:
             follow = f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations"
             lines.insert(1, (self.confirmed, f"{follow}; their misfit falls by {self.held_out_gain:.4g}"))
+        if self.lost_form:
+            lines.append((False, self.lost_form))
         return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]
 
 

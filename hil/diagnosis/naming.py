@@ -57,7 +57,8 @@ CONFIDENT = 0.9
 wrong is in `outside`, which no experiment on the same machine tells: confidences carry it, the verdict `explained` does not wait for it."""
 
 CAP_ASSUMED = 0.9
-"""The same share at most without repeats: the noise, and with it every scale here, is assumed."""
+"""Largest share that a confidence speaks for without repeats: the noise, and with it every scale here, is assumed. Whether a name stands
+alone is decided before."""
 
 CAP_UNCONFIRMED = 0.5
 """Largest confidence of a set that did not pass the gate."""
@@ -77,6 +78,7 @@ class Weighed:
     confidence: float = 0.0
     searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
     passed: bool = True  # the gate
+    share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
 
     @property
     def misfit(self) -> float:
@@ -126,9 +128,9 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
         ranked.append(nothing)
     else:
         named = 1.0 - unnamed_share(evidence.base.train, ranked[0].train, evidence.entries_train)
-        ranked = [replace(h, confidence=named * h.confidence) for h in ranked]
+        ranked = [replace(h, confidence=named * h.confidence, share=named * h.share) for h in ranked]
     ranked = [h if h.passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked]
-    return tuple(sorted(ranked, key=lambda h: -h.confidence))
+    return tuple(sorted(ranked, key=lambda h: (-h.confidence, -h.share)))
 
 
 def weighed(
@@ -153,8 +155,9 @@ def weighed(
     weights : Weights
     """
     *shares, nothing = _shares(hypotheses, base, noise, tried, weights)
-    sets = [replace(h, confidence=confidence_of(min(share, cap), weights)) for h, share in zip(hypotheses, shares, strict=True)]
-    return sorted(sets, key=lambda h: -h.confidence), replace(base, confidence=min(nothing, cap))
+    each = zip(hypotheses, shares, strict=True)
+    sets = [replace(h, confidence=confidence_of(min(share, cap), weights), share=share) for h, share in each]
+    return sorted(sets, key=lambda h: (-h.confidence, -h.share)), replace(base, confidence=min(nothing, cap), share=nothing)
 
 
 def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, weights: Weights) -> list[float]:

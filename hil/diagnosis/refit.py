@@ -122,6 +122,11 @@ class Fitted:
         return len(self.free)
 
 
+def fitted_parameters(effect: EffectAt) -> int:
+    """How many of an effect's parameters are fitted."""
+    return sum(parameter.name not in NOT_FITTED for parameter in effects()[effect.effect].parameters)
+
+
 def refit(
     runs: FreeRuns,
     tuning: Tuning,

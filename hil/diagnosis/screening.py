@@ -98,26 +98,36 @@ def screen(
     return sorted(best.values(), key=lambda screened: -screened.score)
 
 
+def scaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
+    """The effect's parameters at a strength that a filter wants changed by this factor, of either sign; as they are where strength is no
+    factor; None where the effect has no such sign.
+    """
+    if factor < 0.0:
+        return _flipped(effect, values, -factor)
+    changed = _rescaled(effect, values, factor)
+    return values if changed is None else changed
+
+
 def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
     """All strengths that enter in proportion, by this factor; None where there is none."""
     parameters = effects()[effect.effect].parameters
-    scaled = [p.is_strength and p.name not in NONLINEAR_STRENGTH for p in parameters]
-    if not any(scaled):
+    in_proportion = [p.is_strength and p.name not in NONLINEAR_STRENGTH for p in parameters]
+    if not any(in_proportion):
         return None
     factor = float(np.clip(factor, 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
     low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
     factors = np.array([1.0 / factor if p.name in INVERSE else factor for p in parameters])
-    return np.clip(np.where(scaled, values * factors, values), low, high)
+    return np.clip(np.where(in_proportion, values * factors, values), low, high)
 
 
 def _flipped(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
     """The same effect with the opposite sign, where its strengths may have it or a phase gives it."""
     signed = [k for k, p in enumerate(effects()[effect.effect].parameters) if p.is_strength and p.low < 0.0]
-    scaled = _rescaled(effect, values, factor)
-    if scaled is None or not signed:
+    flipped = _rescaled(effect, values, factor)
+    if flipped is None or not signed:
         return None
-    scaled[signed] *= -1.0
-    return scaled
+    flipped[signed] *= -1.0
+    return flipped
 
 
 def _pair(effect: EffectAt) -> tuple[int, int] | None:

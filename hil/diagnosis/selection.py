@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, Scatter, certain_excess, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.naming import price_of_a_parameter, temperature
+from hil.diagnosis.pairs import Start, pairs
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import Fitted, polish, refit
+from hil.diagnosis.refit import Fitted, fitted_parameters, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, screen
@@ -29,9 +30,12 @@ REFITTED_BESIDE = 5
 POLISHED = 3
 """Fits that are continued with sensitivities taken where they are."""
 
-PAIRED = 4
-"""Single effects whose pairs are fitted where one that has as many parameters as two of them, or more, comes first: a flexible law imitates
-two simple ones that act together, and alone neither of them comes near it."""
+PAIRED = 3
+"""Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
+near it."""
+
+PAIR_MARGIN = 5.0
+"""Logarithm of the evidence by which a pair's filter may stay behind the best single effect and still be worth a fit."""
 
 MOST_EFFECTS = 3
 RIVAL_SHARE = 0.5
@@ -70,8 +74,7 @@ class Selection:
     gates : tuple of Gate
         Of each step of the chosen set, and of the step that ended it, last.
     contenders : tuple of Contender
-        Sets as large as the chosen one that compete for the name, the chosen one among them; where nothing was chosen, the single
-        effects that came closest.
+        Sets that compete for the name, the chosen one among them; where nothing was chosen, the effects that came closest.
     screened : tuple of Screened
         The first screening.
     closest : Fitted or None
@@ -120,6 +123,7 @@ def select(
     unseen_at_first = 0.0 if held_out is None else held_out.misfit(held_out.base)
     passed_so_far: tuple[Gate, ...] = ()
     searched = 0.0
+    lowest: dict[EffectAt, float] = {}
     for size in range(MOST_EFFECTS):
         if chosen is not None and len(chosen.effects) >= MOST_EFFECTS:
             break
@@ -145,11 +149,18 @@ def select(
         fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
         fits = in_order(fits, base, noise_energy)
         if size == 0:
-            fits = in_order([*fits, *_pairs(runs, tuning, measured, fits)], base, noise_energy)
+            starts = _pairs_worth_a_fit(tuning, residual, fits, screened, base, noise_energy, found)
+            twos = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
+            twos = [fit for fit in twos if _needs_both(fit, fits, found, len(residual))]
+            twos.sort(key=lambda fit: fit.cost)
+            twos = [polish(runs, tuning, measured, fit) for fit in twos[:1]] + twos[1:]
+            fits = in_order([*fits, *twos], base, noise_energy)
+            lowest = {candidate.effect: candidate.lowest for candidate in found}
         placebo = placebo_gain(runs, present, screened, residual)
         judged = [
-            (fit, _gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, found))
+            (fit, replace(gate, lost_form=lost_form(fit, lowest)))
             for fit in fits
+            for gate in [_gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, found)]
         ]
         closest = min(fits, key=lambda fit: fit.cost)
         passed = [(fit, gate) for fit, gate in judged if gate.passed]
@@ -160,7 +171,7 @@ def select(
         unseen = 0.0 if held_out is None else held_out.misfit(held_out.predictions([(present.offset, settings)])[0])
         least = RIVAL_SHARE * passed[0][1].certain_gain if passed else 0.0
         earlier = passed_so_far
-        contenders = tuple(
+        rivals = tuple(
             Contender(
                 fit,
                 base - before + gate.certain_gain,
@@ -170,8 +181,9 @@ def select(
                 searched + _searched(fit.effects[len(earlier) :], found),
             )
             for fit, gate in judged
-            if gate.passed or gate.certain_gain > least
+            if gate.passed or (gate.certain_gain > least and not gate.lost_form)
         )
+        contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
         searched += _searched(passed[0][0].effects[len(earlier) :], found)
@@ -181,16 +193,54 @@ def select(
     return Selection(chosen, tuple(gates), contenders, tuple(first), closest)
 
 
-def _pairs(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, singles: Sequence[Fitted]) -> list[Fitted]:
-    """The best pair of single effects that together have no more parameters than the first one."""
-    simple = [fit for fit in singles[1:] if fit.freedom < singles[0].freedom][:PAIRED]
-    starts = [
-        ((*one.effects, *other.effects), (*one.values, *other.values))
-        for one, other in combinations(simple, 2)
-        if one.freedom + other.freedom <= singles[0].freedom
+def _pairs_worth_a_fit(
+    tuning: Tuning,
+    residual: np.ndarray,
+    singles: Sequence[Fitted],
+    screened: Sequence[Screened],
+    base: float,
+    noise_energy: float,
+    tried: Sequence[Candidate],
+) -> list[Start]:
+    """Starts of the pairs whose filter says that they may be likelier than the best single effect, and more than chance."""
+    found = pairs(tuning, residual, singles, screened, fitted_parameters)
+    if not found:
+        return []
+    best = singles[0]
+    temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - noise_energy)
+    price = price_of_a_parameter(base - best.cost, temper)
+    least = 0.5 * (base - best.cost) / temper - best.freedom * price - PAIR_MARGIN
+    worth = [
+        pair
+        for pair in found
+        if 0.5 * pair.gain / temper - pair.freedom * price > least
+        and best.effects[0] not in pair.start[0]  # what is to be added to it is looked for beside it
+        and pair.added > needed_gain(len(tried), 1, base - pair.gain, len(residual))
     ]
-    fits = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-    return [polish(runs, tuning, measured, min(fits, key=lambda fit: fit.cost))] if fits else []
+    worth.sort(key=lambda pair: pair.freedom * price - 0.5 * pair.gain / temper)
+    return [pair.start for pair in worth[:PAIRED]]
+
+
+def _needs_both(pair: Fitted, singles: Sequence[Fitted], tried: Sequence[Candidate], entries: int) -> bool:
+    """Whether a pair gains more over each of its own effects alone than chance does."""
+    for single in singles:
+        if single.effects[0] in pair.effects:
+            trials = _trials([effect for effect in pair.effects if effect not in single.effects], tried)
+            if single.cost - pair.cost < needed_gain(trials, pair.freedom - single.freedom, pair.cost, entries):
+                return False
+    return True
+
+
+def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:
+    """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one."""
+    if not larger:
+        return []
+    most = max(rival.gained for rival in larger)
+    return [
+        one
+        for one in earlier
+        if one.gained > RIVAL_SHARE * most and not any(set(one.fitted.effects) < set(other.fitted.effects) for other in larger)
+    ]
 
 
 def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]:
@@ -213,6 +263,11 @@ def _searched(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:
     return sum(math.log(shapes[effect]) for effect in added)
 
 
+def _trials(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:
+    """Sets of so many effects among those that were tried, each in all its shapes."""
+    return len(tried) ** len(added) / math.factorial(len(added)) * math.exp(_searched(added, tried))
+
+
 def _gate(
     scatter: Scatter,
     present: Tuning,
@@ -226,7 +281,6 @@ def _gate(
     tried: Sequence[Candidate],
 ) -> Gate:
     added = after.effects[len(before.effects) if before is not None else 0 :]
-    trials = len(tried) ** len(added) / math.factorial(len(added)) * math.exp(_searched(added, tried))
     gain = float(residual @ residual + present.offset @ present.offset) - after.cost
     projection = Projection.of(present)
     deviations = fall = None
@@ -237,7 +291,7 @@ def _gate(
         fall = held_out.misfit(predicted[0]) - held_out.misfit(predicted[1])
     return Gate(
         gain=gain,
-        needed=needed_gain(trials, after.freedom - (before.freedom if before is not None else 0), after.cost, len(residual)),
+        needed=needed_gain(_trials(added, tried), after.freedom - (before.freedom if before is not None else 0), after.cost, len(residual)),
         scatter=scatter.along(projection.left(after.predicted - present.predicted)[: len(residual)]),
         held_out_deviations=deviations,
         held_out_gain=fall,

@@ -39,6 +39,9 @@ _WAVES = {
     "encoder_eccentricity": ONE_HARMONIC,
 }
 
+_OF_THE_JOINT = "position_dependent_friction"
+"""A wave over the joint's own position; the others turn with the motor."""
+
 PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
 """Of friction over position."""
 
@@ -79,6 +82,17 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     if name == "base_motion":
         return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)
     return float(max(starts, 1))
+
+
+def lowest_seen(name: str, at: str, motion: Motion) -> float:
+    """Order [cycles per turn, as the effect counts it] or frequency [Hz] of which the motion shows half a cycle; 0 for what is no wave."""
+    if name in _WAVES and name != "encoder_eccentricity":  # its first term is one cycle per turn, whatever part of a turn is driven
+        residual = motion.residual(at)
+        per_motor = 1.0 if name == _OF_THE_JOINT else residual.ratio
+        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * per_motor)
+    if name == "base_motion":
+        return 0.5 / max(float(np.ptp(motion.residual(at).time_s)), 1e-6)
+    return 0.0
 
 
 def is_neutral(effect: Effect, values: np.ndarray) -> bool:

@@ -57,7 +57,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         best = standing.hypotheses[0]
         assert best.fitted is not None
         names = " and ".join(str(effect) for effect in best.fitted.effects)
-        if best.confidence >= confidence_of(CONFIDENT):
+        if best.passed and best.share >= CONFIDENT:
             return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)

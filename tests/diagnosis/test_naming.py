@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, WEIGHTS, Weighed, unnamed_share, weighed
+from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, WEIGHTS, Evidence, Weighed, ranking, unnamed_share, weighed
 
 NOISE = 20000.0
 TRIED = 50
@@ -61,3 +61,13 @@ def test_what_is_left_above_noise_is_the_share_without_a_name():
     assert unnamed_share(NOISE + 4000.0, NOISE, NOISE) == 0.0
     left = 0.25 * 4000.0 + certain_excess(NOISE)
     assert unnamed_share(NOISE + 4000.0, NOISE + left, NOISE) == pytest.approx(0.25)
+
+
+def test_without_repeats_a_name_may_stand_alone_with_the_confidence_capped():
+    """What even the best set leaves takes a little of every share: of one capped before, the rest would never reach what stands alone."""
+    left = certain_excess(NOISE) + 0.001 * 4000.0
+    sets = (Weighed(None, NOISE + left, 0.0, 1), Weighed(None, NOISE + 3000.0, 0.0, 1))
+    evidence = Evidence(sets, Weighed(None, NOISE + 4000.0, 0.0, 0), NOISE, 0.0, TRIED, found=True, cap=CAP_ASSUMED)
+    best = ranking(evidence)[0]
+    assert best.confidence <= CAP_ASSUMED * CERTAIN
+    assert best.share >= CONFIDENT

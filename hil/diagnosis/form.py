@@ -1,0 +1,60 @@
+"""Has a fitted effect kept its own equation?
+
+A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
+until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
+motion shows less than a part of a cycle: an offset and a slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.registry import effects
+
+NO_LONGER_SWINGS = (("structural_mode", "zeta"),)
+"""Numbers without a unit whose upper bound is the end of the law; others are exponents and shares, which may be there."""
+
+DECIDE_THE_SHAPE = ("rad/s", "Hz", "s", "cycles/turn", "Nm/rad", "rad")
+"""Units of numbers whose bounds, but zero, are far outside of what the law is made for."""
+
+WAVES = ("cycles/turn", "Hz")
+
+OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl"))
+"""Numbers of a second term, which may be zero and then says nothing of them."""
+
+AT_BOUND = 1e-6
+"""Of a bound's size."""
+
+
+def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
+    """What left its equation, as a sentence; "" where every effect kept it.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    lowest : mapping of EffectAt to float
+        Of effects that are waves, the number of cycles per turn or second below which the recordings show no wave.
+    """
+    for effect, values in zip(fitted.effects, fitted.values, strict=True):
+        for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
+            if parameter.is_strength or (effect.effect, parameter.name) in OF_A_REFINEMENT:
+                continue
+            bound = _bound(effect.effect, parameter, float(value))
+            if bound is not None:
+                return f"{effect} has {parameter.name} at its bound of {bound:g}: it is no longer that law"
+            if parameter.unit in WAVES and value < lowest.get(effect, 0.0):
+                return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
+    return ""
+
+
+def _bound(name: str, parameter: Parameter, value: float) -> float | None:
+    """The bound that a parameter is at, if it ends the law there. Zero ends none: what is without damping has none."""
+    ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE else []
+    if (name, parameter.name) in NO_LONGER_SWINGS:
+        ends = [parameter.high]
+    return next((end for end in ends if end != 0.0 and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)

@@ -1,0 +1,87 @@
+"""Which two effects together a fit is worth, without a free run: a matched filter for two responses at once.
+
+For responses a and b with re-tuning projected out and the residual r, the energy that both together take from it is v' G^-1 v with
+v = (a'r, b'r) and G their Gram matrix (Kay 1998, ch. 4): two effects of which neither alone comes near the recordings show in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened, scaled
+
+PARTNERS = 30
+"""Candidates, the best of the screening, that may stand beside one that was fitted."""
+
+ALIKE = 0.98
+"""Squared cosine of two responses above which they are one."""
+
+Start = tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two effects with the parameters a fit may start from."""
+
+    start: Start
+    gain: float  # energy that their responses together take from the residual
+    added: float  # of it, what the lesser of the two adds to the other
+    freedom: int
+
+
+@dataclass(frozen=True, eq=False)
+class _One:
+    effect: EffectAt
+    values: np.ndarray
+    response: np.ndarray
+    freedom: int
+
+
+def pairs(
+    tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], screened: Sequence[Screened], freedom_of: Callable[[EffectAt], int]
+) -> list[Pair]:
+    """Every pair of a fitted single effect with another or with one of the best screened, the largest gain first.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Without effects.
+    residual : (M,) array
+        At the tuning.
+    singles : sequence of Fitted
+    screened : sequence of Screened
+        In their order.
+    freedom_of : callable
+        Fitted parameters of an effect.
+    """
+    projection = Projection.of(tuning)
+    left = projection.left_of_residual(residual)
+    bank = [_One(fit.effects[0], fit.values[0], projection.left(fit.predicted - tuning.predicted), fit.freedom) for fit in singles]
+    known = {one.effect for one in bank}
+    others = [s for s in screened if s.effect not in known][:PARTNERS]
+    bank += [_One(s.effect, s.values, s.response.astype(float), freedom_of(s.effect)) for s in others]
+    bank = [one for one in bank if one.response @ one.response > 0.0]
+    responses = np.stack([one.response for one in bank]) if bank else np.zeros((0, len(left)))
+    gram, along = responses @ responses.T, responses @ left
+    found = []
+    for i in range(min(len(singles), len(bank))):
+        for j in range(i + 1, len(bank)):
+            two = np.ix_((i, j), (i, j))
+            if gram[i, j] ** 2 > ALIKE * gram[i, i] * gram[j, j]:
+                continue
+            strengths = np.linalg.solve(gram[two], along[[i, j]])
+            starts = [scaled(one.effect, one.values, float(strength)) for one, strength in zip((bank[i], bank[j]), strengths, strict=True)]
+            if starts[0] is None or starts[1] is None:
+                continue
+            start = (bank[i].effect, bank[j].effect), (starts[0], starts[1])
+            gain = float(along[[i, j]] @ strengths)
+            added = gain - max(float(along[k] ** 2 / gram[k, k]) for k in (i, j))
+            found.append(Pair(start, gain, added, bank[i].freedom + bank[j].freedom))
+    return sorted(found, key=lambda pair: -pair.gain)

@@ -1,0 +1,73 @@
+"""Two effects at once, and fits that left their own equation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.form import lost_form
+from hil.diagnosis.pairs import pairs
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened
+
+ENTRIES = 400
+
+
+def fitted(name: str, values: list[float], response: np.ndarray | None = None) -> Fitted:
+    predicted = np.zeros(0) if response is None else response
+    return Fitted((EffectAt(name, "carriage"),), (np.array(values),), np.zeros(1), predicted, 0.0, ((0, 0),), np.zeros((0, 1)), 1)
+
+
+def screened(name: str, value: float, response: np.ndarray, tuning: Tuning) -> Screened:
+    assert tuning.jacobian.shape[1] == 1
+    return Screened(EffectAt(name, "carriage"), np.array([value]), np.append(response, 0.0).astype(np.float32), 0.0)
+
+
+@pytest.fixture
+def bench():
+    """A tuning that nothing imitates, and three responses: the third is nearly the sum of the two others."""
+    random = np.random.default_rng(4)
+    one, other, further = np.linalg.qr(random.standard_normal((ENTRIES, 3)))[0].T
+    nothing = np.zeros(ENTRIES)
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(1), np.zeros(1), np.zeros(0), nothing, np.zeros((ENTRIES, 1)), np.eye(1))
+    return tuning, one, other, one + other + 0.3 * further
+
+
+def test_a_pair_of_which_neither_comes_first_alone_is_seen_without_a_run(bench):
+    tuning, one, other, both = bench
+    residual = 20.0 * one + 20.0 * other
+    singles = [fitted("cogging", [0.0], 19.0 * both), fitted("coulomb_friction", [2.0], 2.0 * one)]
+    best, *_ = pairs(tuning, residual, singles, [screened("viscous_friction", 5.0, 4.0 * other, tuning)], lambda _effect: 1)
+    names = {str(effect) for effect in best.start[0]}
+    assert names == {"coulomb_friction at carriage", "viscous_friction at carriage"}
+    assert best.gain == pytest.approx(800.0, rel=1e-4)
+    assert best.added == pytest.approx(400.0, rel=1e-4)
+    strengths = {effect.effect: values[0] for effect, values in zip(*best.start, strict=True)}
+    assert strengths == pytest.approx({"coulomb_friction": 20.0, "viscous_friction": 25.0}, rel=1e-4)
+
+
+def test_a_pair_that_would_need_friction_to_push_is_none(bench):
+    tuning, one, other, _ = bench
+    singles = [fitted("coulomb_friction", [2.0], 2.0 * one)]
+    beside = [screened("viscous_friction", 5.0, 4.0 * other, tuning), screened("constant_load", 5.0, 4.0 * other, tuning)]
+    found = pairs(tuning, 20.0 * one - 8.0 * other, singles, beside, lambda _effect: 1)
+    assert [{effect.effect for effect in pair.start[0]} for pair in found] == [{"coulomb_friction", "constant_load"}]
+    assert found[0].start[1][1][0] == pytest.approx(-10.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "lost"),
+    [
+        ("structural_mode", [1.0, 16.0, 1.0], True),  # J, f, zeta: it no longer swings
+        ("structural_mode", [1.0, 16.0, 0.0], False),
+        ("stribeck_friction", [5.0, 1.0, 1.4], True),  # Fs - Fc, vs, delta
+        ("stribeck_friction", [5.0, 0.1, 2.0], False),
+        ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
+        ("cogging", [1.1, 1.0, 0.0, 0.0, 0.0], False),
+        ("viscous_friction", [0.0], False),
+    ],
+)
+def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
+    assert bool(lost_form(fitted(name, values), {EffectAt("cogging", "carriage"): 1.0})) == lost
