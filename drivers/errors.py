@@ -13,6 +13,7 @@
     |   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
     |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
     |-- imaging.SpoolError             a panel's folder does not hold frames
+    |-- imaging.PanelError             a panel on the network hung up, or sends no frames
     |-- imaging.ClocksDisagree         a panel's stamps and the loop's pulses tell different times
     `-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
 """

@@ -110,6 +110,7 @@ class TickingMachine:
             self.notes = tuple(notes)
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
+            self._cyclic.syncs = 0
             self.supervision.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
@@ -148,6 +149,11 @@ class TickingMachine:
             raise
         sample.arrived_s = time.perf_counter()
         return sample
+
+    @property
+    def syncs(self) -> int:
+        """SYNCs sent since the nodes were started: what a device that counts them from its NMT start on says, too."""
+        return self._cyclic.syncs
 
     def rehearse(self) -> None:
         """Go through the motions of a tick shortly before it; nothing is sent and nothing changes."""

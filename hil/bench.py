@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -54,6 +54,16 @@ BRIDGED_SHARE = 0.05
 
 
 Beside = contextlib.AbstractContextManager[None]
+
+
+class Rows(Protocol):
+    """Who wants to know which SYNCs a recording's rows are: counts since the nodes were started."""
+
+    def begin(self, syncs: int) -> None:
+        """Row 0 is the next, after so many."""
+
+    def end(self, syncs: int) -> None:
+        """The last row was the last of so many."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +139,7 @@ class Bench:
         path: Path,
         progress: Callable[[int], None] | None = None,
         beside: Callable[[RecorderProcess], Beside] | None = None,
+        rows: Rows | None = None,
     ) -> LoopTiming:
         """Go to the plan's start pose, settle, run it and record every row into `path`.
 
@@ -140,6 +151,8 @@ class Bench:
             Told the row now and then, in the loop's own process.
         beside : callable, optional
             On the wall clock, what is done in another process from before the session to its end; it is given the recorder.
+        rows : Rows, optional
+            Told when the plan begins and when it has ended.
 
         The way is planned from where the machine stood before the session; the first-move check pushes each axis a little, and a second's
         smooth bridge leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
@@ -162,7 +175,11 @@ class Bench:
                 residual, notes = self._settle(stay)
                 tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": residual}
                 self.wiring.start_truth()
+                if rows is not None:
+                    rows.begin(self.wiring.link.syncs)
                 timing = self.loop.run(plan, sink, progress)
+                if rows is not None:
+                    rows.end(self.wiring.link.syncs)
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
                 self.wiring.link.close_brakes(self._holding())

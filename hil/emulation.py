@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import can
 import numpy as np
@@ -31,6 +33,9 @@ from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
 
+if TYPE_CHECKING:
+    from hil.imaging.pose_board import PoseBoard
+
 OWN_LOOP_BANDWIDTH_Hz = 0.5
 """The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
 
@@ -43,9 +48,15 @@ PTY_BAUD = 115_200  # a pseudo terminal keeps any; this one is what the bench is
 
 
 def build_emulated(
-    machine: Machine, pose: np.ndarray | None = None, *, seed: int = 0, noise: bool = True, truth: TruthLog | None = None
+    machine: Machine,
+    pose: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    truth: TruthLog | None = None,
+    board: PoseBoard | None = None,
 ) -> EmulatedMachine:
-    """The whole machine behind its wires, placed at `pose` (n_axes,), not yet powered on.
+    """The whole machine behind its wires, placed at `pose` (n_axes,), not yet powered on; the panel's process looks at the `board`.
 
     Raises
     ------
@@ -70,13 +81,22 @@ def build_emulated(
         io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes)
         io.set_hold_to_run(True)
         io.set_door(True)
+    geometry = machine.geometry
+
+    def witness(time_s: float) -> None:
+        true = physics.truth()
+        if truth is not None:
+            truth.add(time_s, true)
+        if board is not None and geometry is not None:
+            board.put(emulated.syncs, time_s, true[f"pose_{geometry.source_body}"], true[f"pose_{geometry.detector_body}"])
+
     emulated = EmulatedMachine(
         physics,
         emulated_bus(machine, physics),
         machine.plant.sample_period_s,
         imu=EmulatedImu() if machine.bus.imu is not None else None,
         io=io,
-        witness=None if truth is None else lambda time_s: truth.add(time_s, physics.truth()),
+        witness=None if truth is None and board is None else witness,
     )
     emulated.place(np.zeros(len(machine.axes)) if pose is None else pose)
     return emulated
@@ -151,6 +171,7 @@ def emulate_machine(
     truth: Path | None = None,
     punctual: bool = True,
     io_rtu: str = "",
+    panel: str = "",
     on_ready: Callable[[dict[str, object]], None],
 ) -> None:
     """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
@@ -159,6 +180,8 @@ def emulate_machine(
     ----------
     io_rtu : str
         Serve the I/O over Modbus RTU too: on a pseudo terminal ("pty") or a serial port ("DEVICE@BAUD").
+    panel : str
+        Serve an X-ray panel too, with this scene or marker plate in the beam.
     on_ready : callable
         Told once what is emulated and where the ports of IMU and I/O are, when everything listens.
 
@@ -174,15 +197,23 @@ def emulate_machine(
         log = stack.enter_context(closing(TruthLog(truth, machine.plant.tree.joints))) if truth is not None else None
         line, baud = _io_line(io_rtu, machine, stack) if io_rtu else (None, 0)
         start = np.array([pose.get(axis, 0.0) for axis in machine.axes])
-        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log)
+        board, panel_url = None, ""
+        if panel:
+            from hil.imaging.network_panel import panel_beside
+            from hil.imaging.pose_board import PoseBoard
+
+            board = PoseBoard(multiprocessing.get_context("spawn"))
+            panel_url = stack.enter_context(panel_beside(machine, board, panel))
+        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board)
 
         def ready(ports: Ports) -> None:
             # The bench takes the TCP port: the kernel passes what comes over a pseudo terminal on in a worker of ordinary priority, for
             # which a bench of real-time priority would wait.
-            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url)))
+            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url, panel_url)))
             imu = ports.imu_device or ports.imu_url
             ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "imu_tcp": ports.imu_url, "io": ports.io_url}
-            on_ready(ready_now | ({"io_rtu": f"rtu:{ports.io_line}@{baud}"} if ports.io_line else {}))
+            more = {"io_rtu": f"rtu:{ports.io_line}@{baud}" if ports.io_line else "", "panel": panel_url}
+            on_ready(ready_now | {name: url for name, url in more.items() if url})
 
         with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
             run_emulator(bus, emulated, ready, io_line=line, punctual=punctual)

@@ -1,4 +1,4 @@
-"""Where an emulator on this host says which ports of IMU and I/O belong to its CAN bus, so that `run --bus URL` finds all three.
+"""Where an emulator on this host says which ports of IMU, I/O and panel belong to its CAN bus, so that `run --bus URL` finds all.
 
 A real machine needs none of this: its serial device and I/O address stand in the machine file or on the command line.
 """
@@ -25,6 +25,7 @@ class EmulatorCard:
     pid: int
     imu_device: str  # tcp:HOST:PORT; "" when the machine has no IMU
     io_url: str  # "" when it has no I/O
+    panel_url: str = ""  # "" when it has no panel
 
 
 def _folder() -> Path:
@@ -55,7 +56,7 @@ def card_from_text(text: str) -> EmulatorCard | None:
         entries = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    kinds = {"bus": str, "pid": int, "imu_device": str, "io_url": str}
+    kinds = {"bus": str, "pid": int, "imu_device": str, "io_url": str, "panel_url": str}
     if (
         not isinstance(entries, dict)
         or {name: type(value) for name, value in entries.items()} != kinds

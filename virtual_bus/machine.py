@@ -13,6 +13,7 @@ import numpy as np
 
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.encoder import Cia406Encoder
+from virtual_bus.canopen.nmt import NmtCommand
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.idle_time import IdleTime
@@ -23,6 +24,7 @@ from virtual_bus.settings import EmulatedBus
 if TYPE_CHECKING:
     from virtual_bus.physics import Latched, Physics
 
+NMT = 0x000
 TEMPERATURE_EVERY = 16  # samples between updates of the temperature registers: windings are slow
 
 _BRAKE_OUTPUT_ON = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}
@@ -44,6 +46,11 @@ class EmulatedMachine:
         its own axis's brake.
     witness : callable, optional
         Called with the machine's time [s] when the sensors have been latched at a SYNC: for a truth recording.
+
+    Attributes
+    ----------
+    syncs : int
+        Heard since the last NMT start of any node.
     """
 
     def __init__(
@@ -75,6 +82,7 @@ class EmulatedMachine:
         self._effort = np.zeros(len(physics.axes))
         self._brakes_closed = [True] * len(physics.axes)
         self._samples = 0
+        self.syncs = 0
         self._idle = IdleTime(period_s, bus.silence_s)
         for node in self._nodes:
             node.on_routes = self._collect_routes
@@ -116,6 +124,8 @@ class EmulatedMachine:
             self._sync(data)
             return
         self._idle.frame()
+        if can_id == NMT and data and data[0] == NmtCommand.START:
+            self.syncs = 0
         for handler in self._routes.get(can_id, ()):
             handler(data)
 
@@ -150,6 +160,7 @@ class EmulatedMachine:
         frames on the bus depends on no race.
         """
         self._idle.sync()
+        self.syncs += 1
         self._tick_nodes()
         counter = None
         for node in self._sync_nodes:

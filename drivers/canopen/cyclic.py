@@ -203,6 +203,7 @@ class CyclicExchange:
         self._missed = 0
         self._fault = ""
         self.late_frames = 0  # process data that came after its tick had been closed
+        self.syncs = 0  # sent since whoever owns this set it to 0
 
     def run(self, efforts: Sequence[float], sample: Sample, before_sync: Callable[[], object] | None = None) -> float:
         """One tick: send, wait for the tick, SYNC, receive.
@@ -245,6 +246,7 @@ class CyclicExchange:
             before_sync()
         self._clear(sample)
         send_frame(bus, self._sync)
+        self.syncs += 1
         overdue_s = self._clock.now() + self._answer_timeout_s
         self._outstanding = outstanding = self._receive(sample, overdue_s)
         self._grow_ages(sample, outstanding)

@@ -41,6 +41,8 @@ class PanelClock:
         Starts by the panel's clock; ticks of the loop at which they were first seen.
     period_s : float
         Of the loop.
+    exposure_id : (N,) array of int, optional
+        What exposures are called in errors; counted from 0 without.
 
     Attributes
     ----------
@@ -59,7 +61,7 @@ class PanelClock:
         Too few pulses, or they do not lie on a line of this rate.
     """
 
-    def __init__(self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float) -> None:
+    def __init__(self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float, exposure_id: np.ndarray | None = None) -> None:
         panel, middles = np.asarray(panel_s, float), np.asarray(pulse_s, float) - 0.5 * period_s
         if len(panel) < FEWEST:
             raise ClocksDisagree(f"{len(panel)} exposures; the panel's clock needs {FEWEST} pulses at least to be known in the loop's time")
@@ -86,8 +88,9 @@ class PanelClock:
         self.residual_s = float(np.sqrt(np.mean(error**2)))
         worst = int(np.argmax(np.abs(error)))
         if abs(error[worst]) > (0.5 + SLACK) * period_s:
+            called = worst if exposure_id is None else int(exposure_id[worst])
             raise ClocksDisagree(
-                f"exposure {worst} began {1e3 * error[worst]:+.1f} ms off the panel's clock, a tick is {1e3 * period_s:.1f} ms;"
+                f"exposure {called} began {1e3 * error[worst]:+.1f} ms off the panel's clock, a tick is {1e3 * period_s:.1f} ms;"
                 " the panel's clock was set meanwhile, or frames and pulses are not of the same exposures"
             )
 

@@ -40,7 +40,8 @@ class Frame:
     panel_s, width_s : float
         Start and length by the panel's clock.
     pulse_s : float
-        The tick of the loop at which the exposure's pulse was first seen, in the loop's time.
+        The tick of the loop at which the exposure's pulse was first seen, in the loop's time; of a panel that counts SYNCs, in periods
+        of SYNC since row 0.
     image : (rows, columns) uint16 array
     """
 

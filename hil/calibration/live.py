@@ -39,7 +39,7 @@ class Inbox(Protocol):
     """Where images' measurements come from, and what who makes them is told."""
 
     def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
-        """Where the axes are."""
+        """Where the axes are, NaN if nobody knows; every row is told."""
 
     def collect(self, row: int) -> list[Sighting]:
         """What arrives in this row."""
@@ -151,6 +151,7 @@ class LiveCalibration:
     def step(self, tick: int, estimate: np.ndarray) -> None:
         """One row: the tick of the plan and the observer's estimate (channels,) of it."""
         positions = estimate[self._link]
+        self._inbox.tell(tick, tick * self._period_s, positions)
         if not np.isfinite(positions).all():
             self.values[:] = np.nan
             return
@@ -163,7 +164,6 @@ class LiveCalibration:
         fast = rest - self._low
         self._last = tick
         self.positions[tick], self.fast[tick] = positions, fast
-        self._inbox.tell(tick, now, positions)
         arrived = self._inbox.collect(tick)
         for sighting in arrived:
             fate = self._take(sighting)

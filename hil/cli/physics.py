@@ -10,7 +10,7 @@ import typer
 from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption, load, parse_pose
 from hil.cli.output import Answer, JsonOption
 
-PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu"}
+PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu", "panel": "panel"}
 """What a person calls the entries of the ready line."""
 
 
@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
         help="The emulated machine on a bus, wall clock; or one bare CANopen device of any EDS."
         "\n\nExample:  isocenter emulate carm --bus socketcan:vcan0"
         "\n\nExample:  isocenter emulate carm --bus udp: --io-rtu pty --json -"
+        "\n\nExample:  isocenter emulate carm --bus udp: --panel dodecahedron"
         "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0",
     )(emulate)
 
@@ -58,6 +59,9 @@ def emulate(
         str,
         typer.Option("--io-rtu", metavar="PORT", help="Serve the I/O over Modbus RTU too: pty for a new pseudo terminal, or DEVICE@BAUD."),
     ] = "",
+    panel: Annotated[
+        str, typer.Option("--panel", metavar="SCENE", help="Serve an X-ray panel too, with this scene or marker plate in the beam.")
+    ] = "",
     real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
@@ -79,4 +83,5 @@ def emulate(
     assert machine_name is not None
     machine = load(machine_name, effects_file)
     start = parse_pose(pose, machine)
-    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, io_rtu=io_rtu, on_ready=ready)
+    wires = {"io_rtu": io_rtu, "panel": panel}
+    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, **wires, on_ready=ready)

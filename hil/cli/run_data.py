@@ -118,12 +118,14 @@ def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]
     place = 1e3 * found["place_sigma_m"]
     left = ", ".join(f"{found[fate]} {said}" for fate, said in _LEFT.items() if found[fate])
     answer.say(f"{len(live.arrivals)} images seen live, {live.used} taken in{f'; {left}' if left else ''}; place known to {place:.3f} mm")
+    if beside.inbox.lost:
+        answer.say(f"{beside.inbox.lost} more were seen and lost: the loop takes images in while it knows where the axes are, and did not")
     if live.withdrawn_after is not None:
         answer.say(f"images of the phantom were withdrawn after {live.withdrawn_after}")
     if found["change"]:
         answer.say("the machine stands elsewhere than it did; the mount was found anew")
     answer.say(f"{images / GEOMETRY}: geometry of {int(np.isfinite(live.live[:, 0]).sum())} samples")
-    return {**found, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
+    return {**found, "lost": beside.inbox.lost, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
 
 
 _LEFT = {"refused": "contradicted", "late": "came too late", "withdrawn": "not needed any more"}

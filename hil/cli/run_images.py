@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,17 +13,27 @@ import numpy as np
 import typer
 
 from hil.errors import UnusableInput
+from hil.rendezvous import find
 
 if TYPE_CHECKING:
     from hil.cli.output import Answer
     from hil.cli.run_data import DataBeside
+    from hil.imaging.panel_frames import RowSpan
     from hil.machine import Machine
 
 ImagesOption = Annotated[Path | None, typer.Option("--images", metavar="DIR", help="Receive the panel's frames too, as a scan folder.")]
 SceneOption = Annotated[
-    str, typer.Option("--scene", help="With --images on lockstep: what stands in the beam, or a marker plate, experimental or clinical.")
+    str, typer.Option("--scene", help="With --images: what stands in the beam, or a marker plate, experimental or clinical.")
 ]
-ImageRateOption = Annotated[float, typer.Option("--image-rate", metavar="HZ", help="With --images on lockstep: exposures a second.")]
+ImageRateOption = Annotated[
+    float, typer.Option("--image-rate", metavar="HZ", help="With --images on lockstep or from --panel: exposures a second.")
+]
+PanelOption = Annotated[
+    str,
+    typer.Option(
+        "--panel", metavar="URL", help="With --images on a bus: the panel, tcp:HOST:PORT, where no emulator on this host says so."
+    ),
+]
 SpoolOption = Annotated[
     Path | None, typer.Option("--spool", metavar="DIR", help="With --images on a bus: the folder where the panel's software leaves frames.")
 ]
@@ -30,9 +41,6 @@ SpoolOption = Annotated[
 BinningOption = Annotated[
     int, typer.Option("--image-binning", metavar="N", min=1, help="With --images: pixels of the panel read as one, in each direction.")
 ]
-
-DISTANCE_MM = 250.0
-"""Of a marker plate from the focal spot."""
 
 MANY = 8
 """Lost frames that are named."""
@@ -46,13 +54,15 @@ def images_beside(
     rate_Hz: float,
     binning: int,
     spool: Path | None,
+    panel_url: str,
+    bus: str,
     recordings: list[Path],
     truth: Path | None,
     answer: Answer,
     lockstep: bool,
     beside: DataBeside | None = None,
-) -> Iterator[Path | None]:
-    """Receive frames while the block runs; yields the truth file the emulator has to write, where one is needed.
+) -> Iterator[tuple[Path | None, RowSpan | None]]:
+    """Receive frames while the block runs; yields the truth file the emulator has to write and who is told of rows, where needed.
 
     Raises
     ------
@@ -60,45 +70,47 @@ def images_beside(
         Options that do not belong together, or frames that make no scan.
     """
     if images is None:
-        yield truth
+        yield truth, None
         return
-    from hil.imaging.emulated import SPOT, Exposures
+    from hil.imaging.beam import beam_of
+    from hil.imaging.emulated import Exposures
     from hil.imaging.emulated_panel import PanelOrder
     from hil.imaging.frames_beside import finished_scan, frames_beside
     from hil.imaging.mailbox import LockstepEnd
-    from hil.imaging.marker_view import watched_marker
-    from hil.imaging.markers.emulated import TubeMarker
-    from hil.imaging.nominal import nominal_detector, panel_in_tube
+    from hil.imaging.marker_view import PLATE_M, watched_marker
+    from hil.imaging.nominal import nominal_detector
+    from hil.imaging.panel_frames import RemotePanel, RowSpan
     from hil.imaging.receiver import ReceiverOrder
-    from hil.imaging.scenes import scene
     from hil.imaging.watch import Live
     from hil.recording import read_recording
-    from virtual_bus.xray.imaging import Optics
 
     if len(recordings) != 1:
         raise UnusableInput(f"--images: belongs to one recording; this experiment makes {len(recordings)}")
-    if lockstep == (spool is not None):
-        raise UnusableInput("--spool: on lockstep: the emulated panel has its own; on a bus give the folder of the panel's frames")
     if not 0.0 < rate_Hz < np.inf:
         raise UnusableInput(f"--image-rate {rate_Hz:g}: must be a positive number")
     detector = nominal_detector(machine, binning)
-    plate, nominal = watched_marker(machine, scene_name, 1e-3 * DISTANCE_MM)
+    plate, nominal = watched_marker(machine, scene_name)
+    url = _panel_url(spool, panel_url, bus, lockstep)
     with tempfile.TemporaryDirectory() as scratch:
-        live = None if beside is None else Live(machine, beside.mailbox)
-        order = ReceiverOrder(spool or Path(scratch) / "spool", images, detector, None if plate is None else plate.name, nominal, live)
+        live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url))
+        source: Path | RemotePanel = spool or Path(scratch) / "spool"
+        rows = None
+        if url:
+            rows = RowSpan(multiprocessing.get_context("spawn"))
+            source = RemotePanel(url, rate_Hz, binning, 1.0 / machine.sample_rate_Hz, rows)
+        order = ReceiverOrder(source, images, detector, None if plate is None else plate.name, nominal, live)
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
-            on_tube = None if plate is None else TubeMarker(plate, 1e-3 * DISTANCE_MM, panel_in_tube(machine))
-            items = scene(scene_name) if plate is None else []
-            panel = PanelOrder(machine, truth, order.spool, Exposures(rate_Hz), items, detector, Optics(), SPOT, on_tube, 0)
+            assert isinstance(source, Path)
+            panel = PanelOrder(machine, truth, source, Exposures(rate_Hz), beam_of(machine, scene_name), detector, 0)
         with frames_beside(order, panel) as check:
             if beside is not None and isinstance(beside.inbox, LockstepEnd):
                 beside.inbox.check = check
-            yield truth
-            if lockstep:
-                answer.say("the run is over; waiting for the emulated panel's last images")
-        shown: dict[str, object] = {"scene": scene_name} if plate is None else {"marker": scene_name, "marker_distance_mm": DISTANCE_MM}
+            yield truth, rows
+            if lockstep or url:
+                answer.say("the run is over; waiting for the panel's last images")
+        shown: dict[str, object] = {"scene": scene_name} if plate is None else {"marker": scene_name, "marker_distance_mm": 1e3 * PLATE_M}
         got = finished_scan(machine, order, read_recording(recordings[0], machine), {**shown, "recording": recordings[0].name})
     if got.lost:
         shown_numbers = ", ".join(map(str, got.lost[:MANY])) + (", …" if len(got.lost) > MANY else "")
@@ -107,3 +119,30 @@ def images_beside(
         f"{images}: {got.exposures} images, {len(got.lost)} lost; the panel's clock runs {got.clock_ppm:+.0f} ppm against the loop's,"
         f" known to {got.doubt_ppm:.0f}, pulses {1e3 * got.residual_s:.2f} ms rms about it"
     )
+
+
+def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool) -> str:
+    """Where the panel is; "" where its frames come through a folder.
+
+    Raises
+    ------
+    UnusableInput
+        Nobody says where they come from, or two do.
+    """
+    if lockstep:
+        if spool is not None or panel_url:
+            which = "--spool" if spool is not None else "--panel"
+            raise UnusableInput(f"{which}: on lockstep: the emulated panel has its own; leave it out")
+        return ""
+    if spool is not None and panel_url:
+        raise UnusableInput("--spool and --panel: frames come from one of them; leave the other out")
+    if spool is not None:
+        return ""
+    card = find(bus)
+    url = panel_url or (card.panel_url if card is not None else "")
+    if not url:
+        raise UnusableInput(
+            f"--images: nobody says where the panel of {bus} is; start `isocenter emulate --panel SCENE` on this bus, give --panel URL,"
+            " or --spool DIR with the folder of the panel's frames"
+        )
+    return url

@@ -25,7 +25,7 @@ from hil.cli.options import (
 )
 from hil.cli.output import Answer, JsonOption, follower, progress
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
-from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, SceneOption, SpoolOption, images_beside
+from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ class RunOptions:
     image_rate: ImageRateOption = 7.0
     image_binning: BinningOption = 4
     spool: SpoolOption = None
+    panel: PanelOption = ""
     data: DataOption = None
     until: UntilOption = 0.0
     json_to: JsonOption = None
@@ -100,12 +101,24 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
     watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)
     frames = images_beside(
-        machine, run.images, run.scene, run.image_rate, run.image_binning, run.spool, paths, run.truth, answer, lockstep, data
+        machine,
+        run.images,
+        run.scene,
+        run.image_rate,
+        run.image_binning,
+        run.spool,
+        run.panel,
+        run.bus,
+        paths,
+        run.truth,
+        answer,
+        lockstep,
+        data,
     )
     with contextlib.ExitStack() as stack:
         if data is not None and run.images is not None:
             stack.callback(keep_sightings, data, run.images)
-        truth = stack.enter_context(frames)
+        truth, rows = stack.enter_context(frames)
         options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
         with progress(answer.console, live=lockstep) as bars:
@@ -116,7 +129,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                     answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
                 task = bars.add_task(path.name, total=plan.rows)
                 beside = None if not answer.console.is_terminal else functools.partial(drawn_beside, rows=plan.rows, name=path.name)
-                timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside)
+                timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside, rows)
                 bars.update(task, completed=plan.rows)
                 for note in timing.notes:
                     answer.say(f"{path}: {note}")

@@ -53,8 +53,16 @@ class Exposures:
 
     def starts(self, last_s: float) -> np.ndarray:
         """Starts of all exposures that end before `last_s`, in loop time."""
-        period = 1.0 / (self.rate_Hz * (1.0 + 1e-6 * self.clock_ppm))
+        period = self._period_s
         return self.first_s + period * np.arange(max(0, int(np.floor((last_s - self.width_s - self.first_s) / period)) + 1))
+
+    def start(self, exposure_id: int) -> float:
+        """Start of one of them."""
+        return self.first_s + self._period_s * exposure_id
+
+    @property
+    def _period_s(self) -> float:
+        return 1.0 / (self.rate_Hz * (1.0 + 1e-6 * self.clock_ppm))
 
 
 @dataclass(frozen=True)

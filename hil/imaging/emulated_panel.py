@@ -14,14 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.imaging import Frame, write_frame
+from hil.imaging.beam import Beam
 from hil.imaging.detector import Detector
-from hil.imaging.emulated import VIEWS, Exposures, xray_side
-from hil.imaging.markers.emulated import TubeMarker
+from hil.imaging.emulated import Exposures, xray_side
 from hil.machine import Machine
-from virtual_bus.xray.imaging import Optics, expected, exposed
-from virtual_bus.xray.motion import FocalSpot
-from virtual_bus.xray.objects import Item
-from virtual_bus.xray.render import Panel
 
 PANEL_EPOCH_S = 5000.0
 """What the panel's clock says when the loop's says 0."""
@@ -41,11 +37,8 @@ class PanelOrder:
         That is emulated.
     truth, spool : Path
     exposures : Exposures
-    items : list of Item
+    beam : Beam
     detector : Detector
-    optics : Optics
-    spot : FocalSpot
-    marker : TubeMarker, optional
     seed : int
     """
 
@@ -53,18 +46,14 @@ class PanelOrder:
     truth: Path
     spool: Path
     exposures: Exposures
-    items: list[Item]
+    beam: Beam
     detector: Detector
-    optics: Optics
-    spot: FocalSpot
-    marker: TubeMarker | None
     seed: int
 
 
 def serve(order: PanelOrder, is_over: Event) -> None:
     """Expose until the run is over and all of its motion has been looked at."""
     machine = order.machine
-    panel = Panel(order.detector.columns, order.detector.rows, order.detector.pitch_m, order.detector.aspect, order.detector.skew)
     rng, made, seen = np.random.default_rng(order.seed), 0, 0
     period = 1.0 / machine.sample_rate_Hz
     rate = 1.0 + 1e-6 * order.exposures.clock_ppm
@@ -77,17 +66,14 @@ def serve(order: PanelOrder, is_over: Event) -> None:
         if lines > 10 and (lines > seen or over):
             seen = lines
             whole.write_text(known, encoding="utf-8")
-            side = xray_side(machine, whole, order.spot, order.exposures.first_s)
+            side = xray_side(machine, whole, order.beam.spot, order.exposures.first_s)
             ahead = 0.0 if over else BEYOND_S
             for start in order.exposures.starts(side.panel.last_s - ahead)[made:]:
                 width = order.exposures.width_s
-                if order.marker is None:
-                    mean = expected(side.views(float(start), width, VIEWS), panel, order.items, order.optics)
-                else:
-                    mean = order.marker.expected(side, float(start), width, VIEWS, panel, order.items, order.optics)
+                image = order.beam.image(side, float(start), width, order.detector, rng)
                 pulse = period * np.ceil(start / period)
                 stamp = PANEL_EPOCH_S + start * rate
-                write_frame(order.spool, Frame(made, stamp, width * rate, float(pulse), exposed(mean, order.optics, rng)))
+                write_frame(order.spool, Frame(made, stamp, width * rate, float(pulse), image))
                 made += 1
         elif not over:
             time.sleep(LOOKS_EVERY_S)

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.synchronize import Event
+from pathlib import Path
 
 import numpy as np
 
+from drivers.imaging import PanelLink
 from hil.errors import UnusableInput
 from hil.imaging import emulated_panel, receiver
 from hil.imaging.emulated import positions_at
 from hil.imaging.emulated_panel import PanelOrder
 from hil.imaging.extra import imaging_package
+from hil.imaging.panel_frames import RemotePanel
+from hil.imaging.processes import politely
 from hil.imaging.receiver import STAMPS, TROUBLE, ReceiverOrder, received
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
 from hil.recording import Recording
-
-POLITE = 10
-"""Niceness of both processes: the loop comes first."""
 
 
 @dataclass(frozen=True)
@@ -52,27 +49,26 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
     ------
     UnusableInput
         No package for images, the folders cannot be made, one of them holds an earlier run's frames, or a process died.
+    BusUnavailable
+        No such panel.
     """
     imaging_package("tifffile", "images")
     try:
-        for folder in (order.folder, *([panel.spool] if panel is not None else [])):
-            folder.mkdir(parents=True, exist_ok=True)
+        for each in (order.folder, *([panel.spool] if panel is not None else [])):
+            each.mkdir(parents=True, exist_ok=True)
         (order.folder / TROUBLE).unlink(missing_ok=True)
     except OSError as error:
         raise UnusableInput(f"{error.filename}: {error.strerror}") from None
     if (order.folder / FRAMES).exists():
         raise UnusableInput(f"{order.folder}: holds a scan's {FRAMES} already; receive into another folder")
-    if not order.spool.is_dir():
-        raise UnusableInput(f"{order.spool}: no folder; the panel's software must write its frames there")
-    if any(order.spool.iterdir()):
-        raise UnusableInput(f"{order.spool}: is not empty; the panel's folder must be when the run begins")
+    _must_be_there(order.panel)
     if panel is not None:
         panel.truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
     context = multiprocessing.get_context("spawn")
     is_over, is_exposed = context.Event(), context.Event()
-    started = [context.Process(target=_politely, args=(receiver.serve, order, is_exposed), daemon=True)]
+    started = [context.Process(target=politely, args=(receiver.serve, order, is_exposed), daemon=True)]
     if panel is not None:
-        started.append(context.Process(target=_politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
+        started.append(context.Process(target=politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
     for process in started:
         process.start()
 
@@ -97,25 +93,19 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
                 process.terminate()
 
 
+def _must_be_there(panel: Path | RemotePanel) -> None:
+    """Before anything moves."""
+    if not isinstance(panel, Path):
+        PanelLink(panel.url, panel.period_s).close()
+    elif not panel.is_dir():
+        raise UnusableInput(f"{panel}: no folder; the panel's software must write its frames there")
+    elif any(panel.iterdir()):
+        raise UnusableInput(f"{panel}: is not empty; the panel's folder must be when the run begins")
+
+
 def _trouble(order: ReceiverOrder) -> str:
     path = order.folder / TROUBLE
     return path.read_text(encoding="utf-8") if path.exists() else ""
-
-
-def _politely(serve: Callable[..., None], order: object, is_over: Event) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what stops the run at the keyboard: the bench ends this process
-    threading.Thread(target=_end_with_the_bench, daemon=True).start()
-    if hasattr(os, "nice"):
-        os.nice(POLITE)
-    serve(order, is_over)
-
-
-def _end_with_the_bench() -> None:
-    """A bench that was killed says nothing more, and nobody else ends this process."""
-    bench = multiprocessing.parent_process()
-    if bench is not None:
-        bench.join()
-        os._exit(1)
 
 
 def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, notes: dict[str, object]) -> ReceivedScan:
@@ -127,7 +117,10 @@ def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, 
         No frames, or frames from outside of the recording.
     ClocksDisagree
     """
-    numbers, start_s, width_s, clock = received(order.folder, 1.0 / machine.sample_rate_Hz)
+    period_s = 1.0 / machine.sample_rate_Hz
+    numbers, start_s, width_s, clock = received(order.folder, period_s)
+    if not isinstance(order.panel, Path):  # one SYNC a row: later than by their count by the ticks that were lost
+        start_s = np.interp(start_s, period_s * np.arange(recording.rows), recording.time)
     write_description(order.folder, order.detector, machine.axes, {"machine": machine.name, "machine_hash": machine.hash, **notes})
     positions = positions_at(machine, recording, start_s + 0.5 * width_s)
     write_exposures(order.folder, numbers, start_s, width_s, {axis.axis: axis.position for axis in machine.units}, positions)

@@ -27,7 +27,7 @@ WAITS_S = 1e-3
 
 KINDS = ("phantom", "marker")
 
-_HANDLED, _SENT = range(2)
+_HANDLED, _SENT, _TAKEN, _LOST = range(4)
 
 
 @dataclass(frozen=True)
@@ -70,20 +70,27 @@ class Mailbox:
     def __init__(self, context: Any, axes: int) -> None:
         self.axes = axes
         self._width = 5 + axes + LARGEST + LARGEST**2
-        self._counters = context.RawArray("q", 2)
+        self._counters = context.RawArray("q", 4)
         self._poses = context.RawArray("d", POSES * (2 + axes))
+        self._ticks = context.RawArray("q", POSES * 2)
         self._letters = context.RawArray("d", LETTERS * self._width)
         self.poses[:, 0] = -1.0
+        self.ticks[:, 0] = -1
 
     @property
     def counters(self) -> np.ndarray:
-        """(2,) images looked at, letters sent."""
+        """(4,) images looked at, letters sent, taken, and lost because the box was full."""
         return np.frombuffer(self._counters, dtype=np.int64)
 
     @property
     def poses(self) -> np.ndarray:
         """(POSES, 2 + axes): row, time, positions."""
         return np.frombuffer(self._poses, dtype=float).reshape(POSES, 2 + self.axes)
+
+    @property
+    def ticks(self) -> np.ndarray:
+        """(POSES, 2): which of the rows that were told, counted from 0, and its tick of the plan."""
+        return np.frombuffer(self._ticks, dtype=np.int64).reshape(POSES, 2)
 
     @property
     def letters(self) -> np.ndarray:
@@ -96,14 +103,25 @@ class Mailbox:
         """Axis positions (axes,) at a time, linear between two rows; None where one of them is not there (yet, or any more)."""
         row = int(np.floor(time_s / period_s))
         found = self.poses[[row % POSES, (row + 1) % POSES]]
-        if row < 0 or found[0, 0] != row or found[1, 0] != row + 1:
+        if row < 0 or found[0, 0] != row or found[1, 0] != row + 1 or not np.isfinite(found).all():
             return None
         share = (time_s - found[0, 1]) / (found[1, 1] - found[0, 1])
         return (1.0 - share) * found[0, 2:] + share * found[1, 2:]
 
+    def loop_time(self, synced_s: float, period_s: float) -> float:
+        """The loop's time of a time in periods of SYNC since row 0: later by the ticks that were lost. NaN where it is not known."""
+        sync = int(np.floor(synced_s / period_s))
+        (first, tick), (second, after) = self.ticks[[sync % POSES, (sync + 1) % POSES]]
+        if first != sync or second != sync + 1:
+            return np.nan
+        return float((tick + (synced_s / period_s - sync) * (after - tick)) * period_s)
+
     def send(self, sighting: Sighting) -> None:
-        """Put a letter in."""
+        """Put a letter in; one that the loop has left no place for is lost, and counted."""
         counters = self.counters
+        if counters[_SENT] - counters[_TAKEN] >= LETTERS:
+            counters[_LOST] += 1
+            return
         letter, size, axes = self.letters[counters[_SENT] % LETTERS], len(sighting.values), self.axes
         letter[:5] = sighting.exposure_id, sighting.handled, sighting.time_s, KINDS.index(sighting.kind), size
         letter[5 : 5 + axes] = sighting.positions
@@ -126,11 +144,16 @@ class LoopEnd:
 
     def __init__(self, mailbox: Mailbox) -> None:
         self.mailbox = mailbox
-        self._counters, self._poses, self._letters = mailbox.counters, mailbox.poses, mailbox.letters
-        self._taken = 0
+        self._counters, self._poses, self._letters, self._ticks = mailbox.counters, mailbox.poses, mailbox.letters, mailbox.ticks
+        self._taken = self._told = 0
 
     def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
-        """Where the axes are in a row of the recording."""
+        """Where the axes are in a row of the recording, NaN if nobody knows; every row is told."""
+        known = self._ticks[self._told % POSES]
+        known[0] = -1
+        known[1] = row
+        known[0] = self._told
+        self._told += 1
         place = self._poses[row % POSES]
         place[0] = -1.0
         place[1] = time_s
@@ -156,12 +179,18 @@ class LoopEnd:
             kind = KINDS[int(letter[3])]
             found.append(Sighting(int(letter[0]), int(letter[1]), float(letter[2]), kind, letter[5 : 5 + axes], values, covariance))
             self._taken += 1
+        self._counters[_TAKEN] = self._taken
         return found
 
     @property
     def looked_at(self) -> int:
         """Images looked at so far."""
         return int(self._counters[_HANDLED])
+
+    @property
+    def lost(self) -> int:
+        """What images showed and the mailbox had no place for."""
+        return int(self._counters[_LOST])
 
 
 class LockstepEnd(LoopEnd):

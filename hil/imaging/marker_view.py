@@ -8,10 +8,13 @@ from hil.imaging.markers import PLATES, MarkerPlate, MarkerProjection
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
 
+PLATE_M = 0.25
+"""Of a marker plate from the focal spot."""
 
-def watched_marker(machine: Machine, name: str, distance_m: float) -> tuple[MarkerPlate | None, MarkerProjection | None]:
+
+def watched_marker(machine: Machine, name: str) -> tuple[MarkerPlate | None, MarkerProjection | None]:
     """The plate of this name and its nominal view; nothing where the name is no plate's."""
     if name not in PLATES:
         return None, None
     u, v, w = nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0]
-    return PLATES[name](), MarkerProjection(np.array([u, v, -w, 0.0, 0.0, 0.0, 0.0, 0.0, distance_m]))
+    return PLATES[name](), MarkerProjection(np.array([u, v, -w, 0.0, 0.0, 0.0, 0.0, 0.0, PLATE_M]))

@@ -1,9 +1,8 @@
-"""Frames of a run, received by a process beside the loop's: taken from the spool, looked at for a marker plate, written as a scan."""
+"""Frames of a run, received by a process beside the loop's: taken from the panel, looked at for a marker plate, written as a scan."""
 
 from __future__ import annotations
 
 import csv
-import time
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -11,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import DriverError
-from drivers.imaging import FrameSpool, PanelClock
+from drivers.imaging import PanelClock
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.markers import MarkerProjection
+from hil.imaging.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
 from hil.imaging.scan_folder import FRAMES
 from hil.imaging.sight import marker_in
 from hil.imaging.watch import Live, Watch
@@ -31,8 +31,10 @@ class ReceiverOrder:
 
     Attributes
     ----------
-    spool, folder : Path
-        Where frames come from, and the scan's folder.
+    panel : Path or RemotePanel
+        Where frames come from: a folder, or a line.
+    folder : Path
+        The scan's.
     detector : Detector
     plate : str, optional
         Marker plate to look for in every frame.
@@ -42,7 +44,7 @@ class ReceiverOrder:
         A live calibration that waits for what frames show: the plate, or without one the phantom.
     """
 
-    spool: Path
+    panel: Path | RemotePanel
     folder: Path
     detector: Detector
     plate: str | None
@@ -60,7 +62,8 @@ def serve(order: ReceiverOrder, is_over: Event) -> None:
 
 def _serve(order: ReceiverOrder, is_over: Event) -> None:
     tifffile = imaging_package("tifffile", "images")
-    spool, folder = FrameSpool(order.spool), order.folder
+    folder = order.folder
+    source: FrameSource = SpooledFrames(order.panel) if isinstance(order.panel, Path) else PanelFrames(order.panel)
     watch = None if order.live is None else Watch(order.live, order.detector, order.nominal)
     shape = order.detector.rows, order.detector.columns
     with (
@@ -72,10 +75,11 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
         marker_rows.writerow(["exposure_id", *WATCHED, "points"])
         while True:
             over = is_over.is_set()
-            for frame in spool.poll():
+            for frame in source.poll():
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
-                    raise UnusableInput(f"{order.spool}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
+                    whose = order.panel if isinstance(order.panel, Path) else f"panel {order.panel.url}"
+                    raise UnusableInput(f"{whose}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
                 images.write(frame.image, contiguous=True)
                 stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
                 seen = None
@@ -87,13 +91,13 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
                 stamps.flush()
                 if watch is not None:
                     watch.take(frame, seen)
-            if over:
+            if over and source.is_over:
                 return
-            time.sleep(LOOKS_EVERY_S)
+            source.wait(LOOKS_EVERY_S)
 
 
 def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, PanelClock]:
-    """Numbers, starts and widths (N,) in the loop's time of what was received.
+    """Numbers, starts and widths (N,) of what was received, in the time that the pulses are told in.
 
     Raises
     ------
@@ -109,5 +113,5 @@ def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.
         table = np.array([[float(cell) for cell in row] for row in csv.reader(file)])
     if not len(table):
         raise UnusableInput(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
-    clock = PanelClock(table[:, 1], table[:, 3], period_s)
+    clock = PanelClock(table[:, 1], table[:, 3], period_s, table[:, 0])
     return table[:, 0].astype(int), clock.to_loop(table[:, 1]), table[:, 2] * clock.rate, clock

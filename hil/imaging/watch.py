@@ -18,10 +18,14 @@ from hil.machine import Machine
 
 @dataclass(frozen=True)
 class Live:
-    """What a receiver needs to serve a live calibration: the machine, and where what it sees goes."""
+    """What a receiver needs to serve a live calibration: the machine, and where what it sees goes.
+
+    `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time.
+    """
 
     machine: Machine
     mailbox: Mailbox
+    counts_syncs: bool = False
 
 
 class Watch:
@@ -40,9 +44,11 @@ class Watch:
 
     def __init__(self, live: Live, detector: Detector, nominal: MarkerProjection | None) -> None:
         self._machine, self._mailbox, self._detector, self._nominal = live.machine, live.mailbox, detector, nominal
+        self._counts_syncs = live.counts_syncs
         self._period_s = 1.0 / live.machine.sample_rate_Hz
         self._panel_s: list[float] = []
         self._pulse_s: list[float] = []
+        self._ids: list[int] = []
         self._waiting: list[tuple[Frame, tuple[np.ndarray, np.ndarray, int] | None]] = []
         self._handled = 0
 
@@ -55,9 +61,10 @@ class Watch:
         """
         self._panel_s.append(frame.panel_s)
         self._pulse_s.append(frame.pulse_s)
+        self._ids.append(frame.exposure_id)
         self._waiting.append((frame, plate))
         if len(self._panel_s) >= FEWEST:
-            clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s)
+            clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s, np.array(self._ids))
             for each, seen in self._waiting:
                 self._send(each, seen, clock)
             self._waiting.clear()
@@ -66,6 +73,10 @@ class Watch:
 
     def _send(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None, clock: PanelClock) -> None:
         time_s = float(clock.to_loop(np.array(frame.panel_s))) + 0.5 * frame.width_s * clock.rate
+        if self._counts_syncs:
+            time_s = self._mailbox.loop_time(time_s, self._period_s)
+        if not np.isfinite(time_s):
+            return
         here = self._mailbox.pose_at(time_s, self._period_s)
         soon = self._mailbox.pose_at(time_s + self._period_s, self._period_s)
         if here is None or soon is None:

@@ -172,6 +172,21 @@ def test_commissioning_says_what_was_checked_axis_by_axis():
     assert all(abs(float(match[3])) < np.radians(0.1) for match in homed)
 
 
+def test_both_ends_of_the_bus_count_the_same_syncs_and_a_recording_has_one_a_row(folder, two_plans):
+    """What a panel stamps its exposures with, over two sessions."""
+    with open_bench(CARM, BenchOptions("lockstep:"), two_plans[0].start_pose) as bench:
+        emulated, told = bench.wiring.link.network.can_bus.machine, []
+
+        class Counted:
+            begin = end = staticmethod(lambda syncs: told.append((syncs, emulated.syncs)))
+
+        for plan in two_plans:
+            bench.run(plan, folder / "counted.mf4", rows=Counted)
+    assert len(told) == 4 and all(ours == theirs > 0 for ours, theirs in told)
+    rows = [len(plan.reference) for plan in two_plans]
+    assert [after[0] - before[0] for before, after in (told[:2], told[2:])] == rows
+
+
 def test_a_machine_without_bus_cannot_be_run_and_is_told_so():
     with pytest.raises(UnusableInput, match=r"emps: its file has no \[bus\]"), open_bench(load_machine("emps"), BenchOptions("lockstep:")):
         pass

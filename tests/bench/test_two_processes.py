@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM, read_truth
 
+from hil.imaging.scan_folder import read_scan
 from hil.recording import read_recording
 
 BUS = "udp:239.74.163.61"
@@ -38,11 +39,14 @@ def patient_carm(tmp_path) -> Path:
     return path
 
 
-def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says(patient_carm, tmp_path):
+def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(patient_carm, tmp_path):
     command = [sys.executable, "-m", "hil"]
-    truth, recorded = tmp_path / "truth.csv", tmp_path / "run.csv"
+    truth, recorded, images = tmp_path / "truth.csv", tmp_path / "run.csv", tmp_path / "images"
     emulator = subprocess.Popen(
-        [*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--truth", str(truth), "--no-real-time", "--json", "-"],
+        [
+            *[*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--panel", "dodecahedron"],
+            *["--truth", str(truth), "--no-real-time", "--json", "-"],
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -53,7 +57,9 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
         assert line, emulator.stderr.read()
         ready = json.loads(line)
         assert ready["ready"] == "carm" and ready["bus"] == BUS and ready["imu"] and ready["io"].startswith("tcp:127.0.0.1:")
+        assert ready["panel"].startswith("tcp:127.0.0.1:")
         run = [*command, "run", "static", "-m", str(patient_carm), "-b", BUS, "--pose", "roll=30", "--seconds", "1", "--no-real-time"]
+        run += ["--images", str(images), "--image-binning", "20"]
         done = subprocess.run([*run, "-o", str(recorded), "--json", "-"], capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         assert done.returncode == 0, done.stderr
         (answer,) = json.loads(done.stdout)["recordings"]
@@ -73,3 +79,8 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
     nearest = np.array([np.argmin(np.abs(known["time"] - time_s)) for time_s in recording["imu_time"][rows]])
     assert np.abs(known["time"][nearest] - recording["imu_time"][rows]).max() < 2e-4
     assert recording["position_roll"][rows] == pytest.approx(known["joint_position_roll"][nearest], abs=1e-4)
+    # the panel found by its emulator's card, each exposure in the loop's time by the SYNCs that both ends have counted
+    scan = read_scan(images)
+    assert list(scan.exposure_id) == list(range(len(scan))) and 4 <= len(scan) <= 7 and scan.frame(3).max() > 1000
+    assert scan.start_s[0] > 0.09 and scan.start_s[-1] <= recording.time[-1]
+    assert scan.positions[:, 1] == pytest.approx(np.radians(30.0), abs=1e-3)

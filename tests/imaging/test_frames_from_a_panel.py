@@ -98,7 +98,7 @@ def test_frames_that_never_came_are_named_and_the_rest_is_a_scan(tmp_path):
     order = ReceiverOrder(tmp_path / "spool", tmp_path / "scan", Detector(6, 4, 1e-3), None, None)
     with frames_beside(order, None):
         for number in (3, 4, 7, 9):
-            write_frame(order.spool, frame(number))
+            write_frame(order.panel, frame(number))
     time = np.arange(300) * PERIOD
     channels = {f"position_{axis}": Channel("rad", np.zeros(300)) for axis in machine.axes}
     got = finished_scan(machine, order, Recording({"time": Channel("s", time), **channels}, {}), {})
@@ -134,7 +134,7 @@ def test_a_run_receives_its_frames_and_looks_for_the_marker_beside_the_loop(tmp_
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--spool", "."], "--spool: on lockstep: the emulated panel has its own"),
+        (["--spool", "."], "--spool: on lockstep: the emulated panel has its own; leave it out"),
         (["--image-rate", "-1"], "--image-rate -1: must be a positive number"),
         (["--scene", "nothing"], "scene nothing: there are dodecahedron"),
         (["--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
