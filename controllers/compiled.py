@@ -27,8 +27,11 @@ exactly_called = njit(fastmath=False, error_model="numpy")
 exactly_inlined = njit(fastmath=False, error_model="numpy", forceinline=True)
 
 
-def kept_on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options, the machine code kept between processes."""
+def kept_on_disk(signature: Any = None, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator: `numba.njit` with these options, the machine code kept between processes.
+
+    With a signature it is compiled for that one when its module is imported, and never while somebody waits for an answer.
+    """
 
     def compile_and_keep(function: Any) -> Any:
         # numba hashes what a function closes over into the key; this cell is there for nothing else
@@ -37,7 +40,7 @@ def kept_on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         named = code.replace(co_freevars=(*code.co_freevars, "sources_digest"))
         keyed = FunctionType(named, function.__globals__, function.__name__, function.__defaults__, cells)
         functools.update_wrapper(keyed, function)
-        return njit(cache=True, **options)(keyed)
+        return njit(signature, cache=True, **options)(keyed)
 
     return compile_and_keep
 

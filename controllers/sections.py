@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.signal
+from numba import float64, int64, types
 
 from controllers.compiled import kept_on_disk
 from controllers.errors import DesignError
@@ -46,7 +47,15 @@ def sections_step(sections: np.ndarray, state: np.ndarray, x: float) -> float:
     return x
 
 
-@exactly_compiled
+_READ = types.Array(float64, 1, "C", readonly=True)  # a plan's rows are; what may be written to is taken too
+
+# One machine code for whatever arrays come: a bench that compiled another in the middle of a motion would be silent for seconds.
+FEEDBACK_STEP = int64(
+    *(float64[:, ::1], float64[:, ::1], int64[:, ::1], float64[::1], float64[:, ::1], _READ, _READ, _READ, _READ, float64[::1])
+)
+
+
+@kept_on_disk(FEEDBACK_STEP, fastmath=False)
 def feedback_step(
     sections: np.ndarray,
     state: np.ndarray,
