@@ -9,6 +9,7 @@ by hand. Cases up to LAST_FITTED are fitted, those after it only checked.
 from __future__ import annotations
 
 import json
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import astuple
@@ -20,9 +21,10 @@ import scipy.special
 
 from concealed.judging import matches
 from concealed.making import Places, make, seal
-from concealed.running import commit
+from concealed.running import JSON_KEPT, commit
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking
+from hil.diagnosis.verdict import UNKNOWN_LEFT
 from hil.machine import load_machine
 from hil.recording import read_recording
 
@@ -40,15 +42,25 @@ LEAST = 1e-3
 
 
 def evidence_of(places: Places, number: int) -> dict[str, Any]:
-    """One case's raw numbers."""
+    """One case's raw numbers and, under "answer", what `run` keeps of an answer, files simulated anew aside: one diagnosis gives both."""
     warnings.simplefilter("ignore")
     make(places, number)
     folder = places.case(number)
     machine = load_machine(folder / "machine.toml")
     runs = {path.stem: read_recording(path, machine) for path in sorted(folder.glob("run_*.csv"))}
     held_out = {"held_out": read_recording(folder / "held_out.csv", machine)}
-    sealed = seal(places.truth(number))
+    sealed, began = seal(places.truth(number)), time.monotonic()
     outcome = diagnose(machine, runs, held_out)
+    document = outcome.diagnosis.document()
+    answer = {
+        "number": number,
+        "truth_sha256": sealed,
+        "commit": commit(),
+        "exit_status": 0,
+        "error": "",
+        "wall_s": round(time.monotonic() - began, 1),
+        "diagnosis": {key: document[key] for key in JSON_KEPT if key in document},
+    }
     truth = json.loads(places.truth(number).read_text(encoding="utf-8"))
     found = outcome.evidence
     lost = [{"effect": f.effect.effect, "at": f.effect.at} for f in (d.finding(channel) for channel, d in outcome.train.lost.items())]
@@ -66,6 +78,7 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
         "truth": [f"{e['kind']}@{e['at']}" for e in truth["effects"]],
         "detectability": truth.get("detectability"),
         "verdict": outcome.diagnosis.verdict,
+        "unexplained_share": round(outcome.diagnosis.unexplained_share, 4),
         "findings": [f"{f.effect.effect}@{f.effect.at}" for f in outcome.diagnosis.findings],
         "confidence": outcome.diagnosis.findings[0].confidence if outcome.diagnosis.findings else None,
         "gate": None
@@ -85,6 +98,7 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
         "tried": found.tried,
         "found": found.found,
         "cap": found.cap,
+        "answer": answer,
     }
 
 
@@ -158,9 +172,14 @@ def reliability(rows: Sequence[dict[str, Any]], weights: Weights) -> list[tuple[
     return [(float(np.mean([said[k][0] for k in b])), float(np.mean([said[k][1] for k in b])), len(b)) for b in bins]
 
 
+def _left_unnamed(row: dict[str, Any]) -> bool:
+    """Whether what is left alone makes a case `unknown_physics`, whatever the constants: no name is said there."""
+    return bool(row["verdict"] == "unknown_physics" and row["unexplained_share"] > UNKNOWN_LEFT)
+
+
 def calibrate(rows: Sequence[dict[str, Any]], present: Weights) -> str:
     """Fit, cross-validate, and say how reliable the confidences are before and after."""
-    named = [row for row in rows if row["found"] and row["sets"]]
+    named = [row for row in rows if row["found"] and row["sets"] and not _left_unnamed(row)]
     fitted_rows = [row for row in named if row["number"] <= LAST_FITTED]
     checked = [row for row in named if row["number"] > LAST_FITTED]
     nulls = [row for row in rows if row["stratum"] == "null"]

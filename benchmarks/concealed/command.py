@@ -49,7 +49,8 @@ def main(arguments: list[str]) -> int:
         if options.seeds != "development":
             parser.error("calibrate reads truths and sets the tool's constants: only development cases may be used")
         path = options.results / f"evidence_{options.seeds}.jsonl"
-        _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs)
+        answers = options.results / f"answers_{options.seeds}.jsonl"
+        _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs, answers)
         print(calibrating.calibrate([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()], WEIGHTS))
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results, numbers, partial=options.partial))
@@ -82,12 +83,15 @@ def _strata(text: str) -> set[str]:
     return names
 
 
-def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int) -> None:
-    """Do a task for the numbers that have no line yet, and add a line of JSON each."""
+def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int, answers: Path | None = None) -> None:
+    """Do a task for the numbers that have no line yet, and add a line of JSON each; what a row has under "answer" goes to its own file."""
     done = {json.loads(line)["number"] for line in path.read_text().splitlines()} if path.exists() else set()
     with path.open("a", encoding="utf-8") as stream:
 
         def keep(_number: int, row: dict[str, Any]) -> None:
+            if answers is not None:
+                with answers.open("a", encoding="utf-8") as other:
+                    other.write(json.dumps(row.pop("answer")) + "\n")
             stream.write(json.dumps(row) + "\n")
             stream.flush()
 

@@ -2,7 +2,8 @@
 
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
-motion shows less than a part of a cycle: an offset and a slope.
+motion shows less than a part of a cycle: an offset and a slope. A strength at the bound that no real machine exceeds is not that machine's
+either.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ NO_LONGER_SWINGS = (("structural_mode", "zeta"),)
 
 DECIDE_THE_SHAPE = ("rad/s", "Hz", "s", "cycles/turn", "Nm/rad", "rad")
 """Units of numbers whose bounds, but zero, are far outside of what the law is made for."""
+
+SHARES = ("share", "sign", "p")
+"""Strengths that may be all there is of them."""
 
 WAVES = ("cycles/turn", "Hz")
 
@@ -42,11 +46,11 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
     """
     for effect, values in zip(fitted.effects, fitted.values, strict=True):
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
-            if parameter.is_strength or (effect.effect, parameter.name) in OF_A_REFINEMENT:
+            if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
             bound = _bound(effect.effect, parameter, float(value))
             if bound is not None:
-                return f"{effect} has {parameter.name} at its bound of {bound:g}: it is no longer that law"
+                return f"{effect} has {parameter.name} at its bound of {bound:g}: what fits is no longer that effect"
             if parameter.unit in WAVES and value < lowest.get(effect, 0.0):
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
@@ -54,7 +58,9 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
 
 def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     """The bound that a parameter is at, if it ends the law there. Zero ends none: what is without damping has none."""
-    ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE else []
+    ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE or parameter.is_strength else []
+    if parameter.name in SHARES:
+        ends = []
     if (name, parameter.name) in NO_LONGER_SWINGS:
         ends = [parameter.high]
-    return next((end for end in ends if end != 0.0 and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)
+    return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)

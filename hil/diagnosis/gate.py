@@ -77,8 +77,10 @@ class Gate:
 
     @property
     def certain_gain(self) -> float:
-        """The gain less what chance gains more where the strength scatters more than the noise model says."""
-        return self.gain - (self.scatter - 1.0) * self.needed
+        """The gain less what chance gains more where the strength scatters more than the noise model says; it is never worth less than in
+        units of that scatter.
+        """
+        return max(self.gain - (self.scatter - 1.0) * self.needed, self.gain / self.scatter)
 
     @property
     def significant(self) -> bool:

@@ -17,7 +17,7 @@ def row(number: int, right: bool) -> dict[str, object]:
     base = {"train": NOISE + 500.0, "held_out": 0.0, "freedom": 0, "searched": 0.0, "passed": True}
     best = {"train": NOISE, "held_out": 0.0, "freedom": 1 + number % 3, "searched": 0.0, "passed": True, "right": right}
     rival = {"train": NOISE + 300.0, "held_out": 0.0, "freedom": 1, "searched": 0.0, "passed": True, "right": False}
-    said = {"number": number, "stratum": "single", "verdict": "explained", "found": True}
+    said = {"number": number, "stratum": "single", "verdict": "explained", "unexplained_share": 0.0, "found": True}
     return said | {"sets": [best, rival], "base": base, "entries": [NOISE, 0.0], "tried": 50, "cap": 0.999}
 
 
@@ -42,3 +42,8 @@ def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows):
     said = calibrate([*rows[:6], null, row(95, True)], CERTAIN)
     assert "1 nulls, false alarms 1 [100]" in said
     assert "6 cases to fit and 1 to check" in said
+
+
+def test_a_case_said_to_be_without_a_name_teaches_nothing_about_names(rows):
+    unknown = row(30, False) | {"verdict": "unknown_physics", "unexplained_share": 0.7}
+    assert "6 cases to fit and 1 to check" in calibrate([*rows[:6], unknown, row(95, True)], CERTAIN)

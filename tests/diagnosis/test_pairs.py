@@ -67,6 +67,8 @@ def test_a_pair_that_would_need_friction_to_push_is_none(bench):
         ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
         ("cogging", [1.1, 1.0, 0.0, 0.0, 0.0], False),
         ("viscous_friction", [0.0], False),
+        ("gear_ratio", [0.1], True),  # no machine's ratio is off by a tenth
+        ("rectified_sensor", [1.0, 1.0], False),
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
