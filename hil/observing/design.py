@@ -20,6 +20,7 @@ from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model
+from hil.observing.sag import with_sag
 from hil.observing.standing import standing_mean, with_gravity
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
@@ -113,9 +114,12 @@ def design_observer(
     notes = list(model.notes)
     biases: tuple[np.ndarray, np.ndarray] | None = None
     if standing:
-        model, *found = with_gravity(model, [standing_mean(recording, model) for recording in standing])
+        at_rest = [standing_mean(recording, model) for recording in standing]
+        model, *found = with_gravity(model, at_rest)
         biases = found[0], found[1]
         notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases[0])}")
+        model, mount = with_sag(model, [fit.pose for fit in fits], [each.motor for each in at_rest], effort_gain(machine))
+        notes.append(mount.note if mount else "the mount's sag is left out: the first axis is not a horizontal one that turns")
     if sweeps:
         model = with_turning(model, found[0], sweeps, effort_gain(machine))
         notes.append(f"what turning pushes from {len(sweeps)} sweeps")
