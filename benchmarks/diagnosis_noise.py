@@ -77,9 +77,9 @@ def along(folder: Path, number: int) -> dict[str, object]:
     fresh = []
     for repeat in FRESH:
         readings = shop.recorded(nothing, shop.training, repeat)[1]
-        fresh.append(train.noise.whiten(np.column_stack([readings[name] for name in train.channels])[: len(clean)] - clean))
+        fresh.append(train.noise.whiten(np.column_stack([readings[name] for name in train.channels])[: len(clean)] - clean, group.imu))
     free = np.sqrt(group.repeats / (group.repeats - 1.0))
-    own = [free * train.noise.whiten(rows - group.mean) for rows in group.complete]
+    own = [free * train.noise.whiten(rows - group.mean, group.imu) for rows in group.complete]
     runs = FreeRuns({TRAIN: train}, train.noise)
     tuning = retune(runs)
     projection = Projection.of(tuning)

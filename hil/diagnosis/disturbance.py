@@ -145,8 +145,7 @@ def loop_response(
 def _noise_weight(found: Mismatch, frequencies_Hz: np.ndarray, repeats: int) -> np.ndarray:
     """(L, C) inverse of the noise rms of the repeats' mean per line of unit-scaled values."""
     noise = found.noise
-    own = np.linalg.norm(np.linalg.inv(noise.roots), axis=2)
-    filtered = np.column_stack([np.interp(frequencies_Hz, noise.grid_Hz, column) for column in own.T])
+    filtered = np.column_stack([np.interp(frequencies_Hz, noise.grid_Hz, column) for column in noise.own.T])
     z = np.exp(-2j * np.pi * np.outer(frequencies_Hz / noise.rate_Hz, np.arange(noise.filters.shape[1])))
     return np.abs(z @ noise.filters.T) / filtered * np.sqrt(repeats)
 

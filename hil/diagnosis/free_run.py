@@ -107,8 +107,8 @@ class _Runner:
 
     def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) rows of all groups in units of the noise of the repeats' mean."""
-        weights = [np.sqrt(group.repeats) for group in self._sets[name].groups]
-        return np.concatenate([weight * self._noise.whiten(values) for weight, values in zip(weights, rows, strict=True)])
+        pairs = zip(self._sets[name].groups, rows, strict=True)
+        return np.concatenate([np.sqrt(group.repeats) * self._noise.whiten(values, group.imu) for group, values in pairs])
 
 
 _runner: _Runner | None = None  # of a worker process
@@ -173,7 +173,7 @@ class FreeRuns:
 
     def repeats(self, name: str = TRAIN) -> list[list[np.ndarray]]:
         """Whitened repeats per group, each in units of one repeat's noise."""
-        return [[self.noise.whiten(rows) for rows in group.complete] for group in self.sets[name].groups]
+        return [[self.noise.whiten(rows, group.imu) for rows in group.complete] for group in self.sets[name].groups]
 
     def run(self, trials: Sequence[Trial], name: str = TRAIN) -> list[np.ndarray | None]:
         """(M,) simulated channels of every trial; None where it cannot be simulated."""

@@ -172,20 +172,19 @@ def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], r
     left = projection.left_of_residual(residual)
     count = len(residual)
     best = 0.0
-    signs = backwards_signs(runs)
     for candidate in screened:
         response = candidate.response[:count].astype(float)
-        placebo = projection.left(signs * response)
+        reverse = backwards(runs, response)
+        placebo = projection.left(reverse)
         energy = float(placebo @ placebo)
-        if energy < 1e-6 or abs(float(response @ (signs * response))) > SAME_BACKWARDS * float(response @ response):
+        if energy < 1e-6 or abs(float(response @ reverse)) > SAME_BACKWARDS * float(response @ response):
             continue
         best = max(best, float(placebo @ left) ** 2 / energy)
     return best
 
 
-def backwards_signs(runs: FreeRuns) -> np.ndarray:
-    """(M,) +-1 that turn a whitened record into one of the same spectrum run backwards: conjugate lines."""
-    parts = []
-    for group in runs.sets[TRAIN].groups:
-        parts.append(runs.noise.backwards(len(group.time_s), len(runs.sets[TRAIN].channels)))
-    return np.concatenate(parts)
+def backwards(runs: FreeRuns, whitened: np.ndarray) -> np.ndarray:
+    """(M,) whitened training records, each run backwards: of the same spectrum."""
+    groups = runs.sets[TRAIN].groups
+    ends = np.cumsum([runs.noise.size(len(group.time_s)) for group in groups])[:-1]
+    return np.concatenate([runs.noise.backwards(part) for part in np.split(whitened, ends)])

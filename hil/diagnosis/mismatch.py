@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy.signal
 
+from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.noise import NoiseModel, noise_model
 from hil.errors import MachineFileError, RecordingError
@@ -55,6 +56,8 @@ class RepeatGroup:
     position, speed, effort, reference : (N, n_axes) arrays
         For binning: mean over the repeats of what was measured (effort in the drive's unit); the reference is the position's own where a
         machine has no controller.
+    imu : CarriedImu, optional
+        What the encoders say of the IMU along this motion; none where one of both is not recorded.
     """
 
     labels: tuple[str, ...]
@@ -68,6 +71,7 @@ class RepeatGroup:
     speed: np.ndarray
     effort: np.ndarray
     reference: np.ndarray
+    imu: CarriedImu | None = None
 
     @property
     def repeats(self) -> int:
@@ -96,8 +100,9 @@ class RepeatGroup:
 class Mismatch:
     """Every group of repeats beside its simulation, in the same channels.
 
-    `noise` whitens residuals: `noise.whiten(residual)` takes (N, C) and gives numbers of unit variance for one repeat's noise. `noise.std`
-    (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is without these.
+    `noise` whitens residuals: `noise.whiten(residual, group.imu)` takes (N, C) and gives numbers of unit variance for one repeat's noise.
+    `noise.std` (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is
+    without these.
     """
 
     machine: Machine
@@ -346,6 +351,7 @@ def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], chan
         speed=speed,
         effort=_bins(members, windows, efforts, simulated),
         reference=positions if inputs.reference is None else inputs.reference[windows[0]],
+        imu=carried_imu(machine, channels, positions),
     )
 
 

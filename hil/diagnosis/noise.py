@@ -1,9 +1,12 @@
 """Noise of a machine, per channel and frequency and between channels, from what repeats do not have in common.
 
-In closed loop a disturbance moves current, encoder and IMU together, and it is coloured. The deviations of repeats from their mean are made
-nearly white per channel (an autoregressive filter, so that what does not repeat at the record's ends leaks little), their cross-spectral
+In closed loop a disturbance moves current, encoder and IMU together, and it is coloured. The deviations of repeats from their mean, IMU
+channels less what encoders say of them (`carried.py`), are made nearly white per channel (an autoregressive filter), their cross-spectral
 matrix S(f) between channels is averaged over neighbouring frequencies, and residuals are whitened with S(f)^(-1/2).
-Pintelon and Schoukens 2012, ch. 2.5 and 4.3 (sample covariances of repeats); Kay 1988, ch. 7 (autoregressive spectra).
+A filter that is a function of frequency goes around a record: what comes next after its last row would be its first. So the record fades in
+and out, and the whitened rows of these ends are left out.
+Pintelon and Schoukens 2012, ch. 2.5 and 4.3 (sample covariances of repeats); Kay 1988, ch. 7 (autoregressive spectra); Percival and Walden
+1993, ch. 6 (tapers, prewhitening).
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import numpy as np
 import scipy.linalg
 import scipy.signal
 
+from hil.diagnosis.carried import CarriedImu
 from hil.diagnosis.result import NoiseKind
 from hil.machine import Machine
 
@@ -46,6 +50,12 @@ LEFT_OUT_GRID = 100
 LEAST_POWER = 0.5
 """Whitening is not made finer than this on the word of the left-out repeats."""
 
+END_s = 0.5
+"""At either end of a record, in which it fades and whitened rows are left out: as long as S(f)^(-1/2) with lines 2 Hz wide remembers."""
+
+LARGEST_END = 0.05
+"""As a share of the record."""
+
 GRID_LINES = 400
 """Frequencies on which S(f)^(-1/2) is kept, equally spaced on a scale that is linear below 1 Hz and logarithmic above."""
 
@@ -65,8 +75,12 @@ class NoiseModel:
     grid_Hz : (G,) array
     roots : (G, C, C) complex array
         S^(-1/2) of the filtered channels at the grid's frequencies.
+    own : (G, C) array
+        Rms of the filtered channels' lines, each by itself, with all that moves it.
     freedom : float
         Least complex degrees of freedom any S was averaged over.
+    end_s : float
+        At either end of a record, in which it fades and whitened rows are left out.
     """
 
     kind: NoiseKind
@@ -75,15 +89,19 @@ class NoiseModel:
     filters: np.ndarray
     grid_Hz: np.ndarray
     roots: np.ndarray
+    own: np.ndarray
     freedom: float
+    end_s: float
 
-    def spectrum(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened lines.
+    def spectrum(self, values: np.ndarray, imu: CarriedImu | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened lines of a record that fades in and out.
 
         Parameters
         ----------
         values : (N, C) array
             In the channels' units, complete.
+        imu : CarriedImu, optional
+            What the encoders say of the IMU along this record's motion.
 
         Returns
         -------
@@ -91,28 +109,30 @@ class NoiseModel:
         lines : (K, C) complex array
             Of mean square 1 for one repeat's noise; entry c stands mostly for channel c.
         """
-        filtered = filter_channels(self.filters, values)
-        lines = np.fft.rfft(filtered, axis=0) / np.sqrt(len(filtered))
-        frequencies = np.fft.rfftfreq(len(filtered), 1.0 / self.rate_Hz)
+        if imu is not None and self.kind != "assumed":
+            values = imu.without(values)
+        frequencies, lines = _lines(self.filters, values, self.rate_Hz, self.end_s)
         return frequencies, (_roots_of(self, len(values)) @ lines[:, :, None])[:, :, 0]
 
-    def whiten(self, values: np.ndarray) -> np.ndarray:
-        """(M,) real numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`."""
-        _, lines = self.spectrum(values)
-        last = len(lines) - 1 if (len(values) - FILTER_ORDER) % 2 == 0 else len(lines)
-        inner = np.sqrt(2.0) * lines[1:last]
-        parts = [lines[0].real, inner.real.ravel(), inner.imag.ravel()]
-        if last < len(lines):
-            parts.append(lines[last].real)
-        return np.concatenate(parts)
+    def whiten(self, values: np.ndarray, imu: CarriedImu | None = None) -> np.ndarray:
+        """(M,) numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`.
 
-    def backwards(self, rows: int, channels: int) -> np.ndarray:
-        """(M,) +-1 by which `whiten`'s numbers of (rows, channels) become those of the conjugate lines: the record run backwards."""
-        filtered = rows - FILTER_ORDER
-        last = filtered // 2 if filtered % 2 == 0 else filtered // 2 + 1
-        inner = channels * (last - 1)
-        ends = channels if filtered % 2 == 0 else 0
-        return np.concatenate([np.ones(channels + inner), -np.ones(inner), np.ones(ends)])
+        They are rows of C, in time, without those in which the record fades.
+        """
+        _, lines = self.spectrum(values, imu)
+        count = len(values) - FILTER_ORDER
+        fade, end = _fade(count, self.end_s * self.rate_Hz)
+        rows = np.fft.irfft(lines, count, axis=0) * (np.sqrt(count) / fade.max())
+        return rows[end : count - end].ravel()
+
+    def size(self, rows: int) -> int:
+        """How many numbers `whiten` makes of this many rows."""
+        count = rows - FILTER_ORDER
+        return (count - 2 * _fade(count, self.end_s * self.rate_Hz)[1]) * len(self.std)
+
+    def backwards(self, whitened: np.ndarray) -> np.ndarray:
+        """`whiten`'s numbers (M,) with the record run backwards."""
+        return np.ascontiguousarray(whitened.reshape(-1, len(self.std))[::-1]).ravel()
 
 
 @lru_cache(maxsize=16)
@@ -123,6 +143,24 @@ def _roots_of(noise: NoiseModel, rows: int) -> np.ndarray:
     low = place.astype(int)
     share = (place - low)[:, None, None]
     return (1.0 - share) * noise.roots[low] + share * noise.roots[low + 1]
+
+
+@lru_cache(maxsize=16)
+def _fade(count: int, longest: float) -> tuple[np.ndarray, int]:
+    """Weights (count,) of mean square 1 that rise and fall along a quarter of a sine, and how many rows that takes."""
+    end = min(round(longest), int(LARGEST_END * count))
+    weights = np.ones(count)
+    weights[:end] = np.sin(0.5 * np.pi * (np.arange(end) + 0.5) / max(end, 1))
+    weights[count - end :] = weights[:end][::-1]
+    return weights / np.sqrt(np.mean(weights**2)), end
+
+
+def _lines(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance."""
+    filtered = filter_channels(filters, values)
+    count = len(filtered)
+    lines = np.fft.rfft(filtered * _fade(count, end_s * rate_Hz)[0][:, None], axis=0) / np.sqrt(count)
+    return np.fft.rfftfreq(count, 1.0 / rate_Hz), lines
 
 
 def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -145,14 +183,15 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     if not repeated:
         return assumed_noise([group.mean - group.simulated for group in groups], channels, machine)
     kind: NoiseKind = "repeats" if any(len(group.windows) == 1 for group in repeated) else "periods"
-    deviations = [_deviations(group.complete) for group in repeated]
+    recorded = [_deviations(group.complete) for group in repeated]
+    deviations = [rows if group.imu is None else group.imu.without(rows) for group, rows in zip(repeated, recorded, strict=True)]
     floor = sensor_floor(channels, machine)
+    std = _rms([row for group in recorded for row in group], floor)
     rows = [row for group in deviations for row in group]
-    std = np.sqrt(sum((row**2).sum(axis=0) for row in rows) / sum(len(row) for row in rows) + floor**2)
-    filters = np.stack([_prediction_error_filter([row[:, c] for row in rows], std[c]) for c in range(len(channels))])
+    left = _rms(rows, floor)
+    filters = np.stack([_prediction_error_filter([row[:, c] for row in rows], left[c]) for c in range(len(channels))])
     rate_Hz = machine.sample_rate_Hz
-    lines = [np.fft.rfft(filter_channels(filters, row), axis=0) / np.sqrt(len(row) - FILTER_ORDER) for row in rows]
-    frequencies = [np.fft.rfftfreq(len(row) - FILTER_ORDER, 1.0 / rate_Hz) for row in rows]
+    frequencies, lines = _lines_of_all(filters, rows, rate_Hz)
     # the mean was taken from the same repeats: R - 1 of R deviations are free, and their scale says so already
     free = sum(group.repeats - 1 for group in repeated) / sum(group.repeats for group in repeated)
     grid = _grid(rate_Hz, max(len(row) for row in rows))
@@ -162,7 +201,23 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     power = _power_of_left_out(deviations, filters, floors, rate_Hz, grid)
     if power is None:
         power = np.maximum(_power(roots, grid, lines, frequencies), 1.0)
-    return NoiseModel(kind, std, rate_Hz, filters, grid, roots / np.sqrt(power)[:, :, None], float(freedom.min()))
+    _, with_carried = _lines_of_all(filters, [row for group in recorded for row in group], rate_Hz)
+    whole, _ = _smoothed(with_carried, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
+    own = np.sqrt(np.diagonal(whole, axis1=1, axis2=2).real + floors)
+    return NoiseModel(kind, std, rate_Hz, filters, grid, roots / np.sqrt(power)[:, :, None], own, float(freedom.min()), END_s)
+
+
+def _rms(rows: Sequence[np.ndarray], floor: np.ndarray) -> np.ndarray:
+    """(C,) of records of any length, with the least noise that channels have."""
+    return np.sqrt(sum((row**2).sum(axis=0) for row in rows) / sum(len(row) for row in rows) + floor**2)
+
+
+def _lines_of_all(
+    filters: np.ndarray, rows: Sequence[np.ndarray], rate_Hz: float, end_s: float = END_s
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Frequencies and lines of every record."""
+    pairs = [_lines(filters, row, rate_Hz, end_s) for row in rows]
+    return [place for place, _ in pairs], [line for _, line in pairs]
 
 
 def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], machine: Machine) -> NoiseModel:
@@ -175,15 +230,11 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     floor = sensor_floor(channels, machine)
     rate_Hz = machine.sample_rate_Hz
     count = len(channels)
-    std = np.sqrt(sum((row**2).sum(axis=0) for row in residuals) / sum(len(row) for row in residuals) + floor**2)
+    std = _rms(residuals, floor)
     filters = np.stack([_prediction_error_filter([row[:, c] for row in residuals], std[c]) for c in range(count)])
     grid = _grid(rate_Hz, max(len(row) for row in residuals))
-    powers, places = [], []
-    for row in residuals:
-        filtered = filter_channels(filters, row)
-        powers.append(np.abs(np.fft.rfft(filtered, axis=0)) ** 2 / len(filtered))
-        places.append(np.fft.rfftfreq(len(filtered), 1.0 / rate_Hz))
-    power, place = np.concatenate(powers), np.concatenate(places)
+    places, lines = _lines_of_all(filters, residuals, rate_Hz, 0.0)
+    power, place = np.abs(np.concatenate(lines)) ** 2, np.concatenate(places)
     spacing = rate_Hz / max(len(row) for row in residuals)
     floors = floor**2 * (filters**2).sum(axis=1)
     levels = np.zeros((len(grid), count))
@@ -194,8 +245,9 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     gains = np.abs(z @ filters.T) ** 2
     white = np.minimum(np.median(levels / gains, axis=0), std**2)
     roots = np.zeros((len(grid), count, count), dtype=complex)
-    roots[:, np.arange(count), np.arange(count)] = 1.0 / np.sqrt(white * gains)
-    return NoiseModel("assumed", np.sqrt(white), rate_Hz, filters, grid, roots, np.inf)
+    own = np.sqrt(white * gains)
+    roots[:, np.arange(count), np.arange(count)] = 1.0 / own
+    return NoiseModel("assumed", np.sqrt(white), rate_Hz, filters, grid, roots, own, np.inf, 0.0)
 
 
 def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:
@@ -282,8 +334,8 @@ def _power_of_left_out(
         repeats = len(rows)
         if repeats < 3:
             continue
-        lines = np.stack([np.fft.rfft(filter_channels(filters, row), axis=0) for row in rows]) / np.sqrt(rows.shape[1] - FILTER_ORDER)
-        place = np.fft.rfftfreq(rows.shape[1] - FILTER_ORDER, 1.0 / rate_Hz)
+        (place, *_), found = _lines_of_all(filters, list(rows), rate_Hz)
+        lines = np.stack(found)
         for left_out in range(repeats):
             others = np.delete(lines, left_out, axis=0) + lines[left_out] / (repeats - 1.0)  # about their own mean
             others *= np.sqrt((repeats - 1.0) / repeats * (repeats - 1.0) / (repeats - 2.0))

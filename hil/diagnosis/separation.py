@@ -24,6 +24,7 @@ import numpy as np
 
 from controllers.errors import ControlError
 from hil.diagnosis.candidates import setting_of
+from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.free_run import smooth
 from hil.diagnosis.mismatch import simulated_matrix
 from hil.diagnosis.noise import NoiseModel
@@ -146,6 +147,7 @@ class _Runner:
         self._noise = noise
         self._channels = channels
         self._simulator = Simulator(smooth(machine))
+        self._along: tuple[bytes, CarriedImu | None] = b"", None
 
     def answer(self, task: _Task) -> np.ndarray | None:
         """(M,); None where it cannot be simulated."""
@@ -157,7 +159,15 @@ class _Runner:
         except (BenchError, EmulatorError, ControlError):
             return None
         rows = simulated_matrix(self._machine, outputs, self._channels)
-        return self._noise.whiten(rows[_kept(plan) :])
+        return self.whitened(plan, rows)
+
+    def whitened(self, plan: Plan, rows: np.ndarray) -> np.ndarray:
+        """(M,) of a plan's channels (N, C)."""
+        reference = plan.reference[_kept(plan) :]
+        key = reference.tobytes()
+        if self._along[0] != key:  # a plan's runs come one after the other
+            self._along = key, carried_imu(self._machine, self._channels, reference)
+        return self._noise.whiten(rows[_kept(plan) :], self._along[1])
 
 
 _runner: _Runner | None = None  # of a worker process
@@ -196,7 +206,6 @@ class Separation:
         self.machine = machine
         self.count = 0
         self._models = models
-        self._noise = noise
         self._runner = _Runner(machine, noise, channels)
         self._pool: ProcessPoolExecutor | None = None
         if jobs > 1:
@@ -253,7 +262,7 @@ class Separation:
         tuned = self._tuned(plan)
         if tuned is None:
             raise BadAnswer("a hypothesis cannot be simulated along this plan; its separation is not known")
-        recorded = self._noise.whiten(measured[_kept(plan) :])
+        recorded = self._runner.whitened(plan, measured)
         squares = np.array([self._distance(model, plan, tuned, recorded) ** 2 for model in self._models])
         excess = squares[1:] - squares[0]
         return np.sign(excess) * np.sqrt(np.abs(excess))

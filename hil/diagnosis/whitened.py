@@ -52,7 +52,6 @@ def in_noise_units(noise: NoiseModel, signal: np.ndarray) -> InNoiseUnits:
 
 @lru_cache(maxsize=16)
 def _rms_of_lines(noise: NoiseModel, count: int) -> np.ndarray:
-    """(K, C) noise rms of the filtered channels' lines: the roots are S^(-1/2), so S_cc is the squared norm of a row of their inverse."""
-    own = np.linalg.norm(np.linalg.inv(noise.roots), axis=2)
+    """(K, C) noise rms of the filtered channels' lines."""
     frequencies = np.fft.rfftfreq(count, 1.0 / noise.rate_Hz)
-    return np.column_stack([np.interp(frequencies, noise.grid_Hz, column) for column in own.T])
+    return np.column_stack([np.interp(frequencies, noise.grid_Hz, column) for column in noise.own.T])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.signal
 from carriage import MACHINE, RATE_Hz
@@ -65,3 +67,33 @@ def test_whitening_is_linear_and_of_unit_variance():
     one, other = coloured(2, 5)
     np.testing.assert_allclose(model.whiten(one + 2.0 * other), model.whiten(one) + 2.0 * model.whiten(other), rtol=1e-8, atol=1e-9)
     assert 0.85 < np.mean(model.whiten(one) ** 2) < 1.15
+
+
+def ringing(count, seed):
+    """(R, N, 2): a disturbance that wanders slowly and rings at 7 Hz in both channels, and white noise in each; rows at 200 Hz."""
+    random = np.random.default_rng(seed)
+    slow = scipy.signal.lfilter([0.05], [1.0, -0.997], random.standard_normal((count, 5000)), axis=1)
+    b, a = scipy.signal.butter(1, [6.7, 7.3], btype="bandpass", fs=200.0)
+    both = (slow + 3.0 * scipy.signal.lfilter(b, a, random.standard_normal((count, 5000)), axis=1))[:, 3000:]
+    white = random.standard_normal((2, count, 2000))
+    return np.stack([both + 0.02 * white[0], 1e-6 * (2.0 * both + 0.1 * white[1])], axis=-1)
+
+
+def bumps():
+    """(B, N, 2) signals of 0.2 and 0.6 s in both channels along the record, its ends among them."""
+    rows = np.arange(2000)
+    times = [np.exp(-0.5 * ((rows - centre) / width) ** 2) for centre in np.linspace(0, 1999, 15) for width in (20.0, 60.0)]
+    return np.stack([np.outer(bump, (1.0, 2e-6)) for bump in times])
+
+
+def test_noise_is_no_larger_along_signals_at_the_ends_of_a_record_than_elsewhere():
+    machine = replace(MACHINE, sample_rate_Hz=200.0)
+    ratios = []
+    for seed in range(4):
+        model = noise_model([group_of(ringing(4, seed))], CHANNELS, machine)
+        fresh = np.stack([model.whiten(rows) for rows in ringing(30, 100 + seed)])
+        signals = [model.whiten(signal) for signal in bumps()]
+        ratios.append([np.mean((fresh @ signal) ** 2) / (signal @ signal) for signal in signals])
+    variance = np.mean(ratios, axis=0)
+    assert variance.min() > 0.7
+    assert variance.max() < 2.5

@@ -1,0 +1,113 @@
+"""IMU readings less what the encoders say that the body under the IMU did.
+
+What a joint's motion does to an IMU depends on pose and speed: an accelerometer turns in gravity, a moving arm's speed error is felt as
+centripetal acceleration, an axis that carries another one is seen along other directions. So the repeats' deviations of the IMU depend on
+where the machine is, and no spectrum holds along the record. Their part that the encoders show is linear in the encoders' deviations, with
+gradients that the machine file knows; what is left depends on the pose no more than the sensors do. Subtracting one channel's share from
+another's takes no information away. Featherstone 2008, ch. 2 (spatial motion of a body).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from hil.machine import Machine
+from virtual_bus.effects.places import imu_channel_names
+from virtual_bus.plant.compiled import CompiledPlant, compile_plant
+from virtual_bus.plant.statics import equilibrium
+
+WINDOW_s = 0.05
+"""Length of the local cubic that speeds and accelerations are taken from: longer than an encoder's steps, shorter than a reversal."""
+
+LEAST_WINDOW = 5  # rows: a cubic's second derivative is determined
+
+POSE_EVERY_s = 0.02
+"""Gradients are computed this often and taken linearly between: joints hardly turn meanwhile."""
+
+DIFFERENCE = 1e-6  # rad or m, and per s and s^2 of it
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedImu:
+    """What the encoders of one motion say of its IMU.
+
+    Attributes
+    ----------
+    gradients : (3, N, I, A) array
+        Of I IMU channels with the positions, speeds and accelerations of A axes, in every row.
+    imu, encoders : (I,), (A,) int arrays
+        Columns.
+    rate_Hz : float
+    """
+
+    gradients: np.ndarray
+    imu: np.ndarray
+    encoders: np.ndarray
+    rate_Hz: float
+
+    def without(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (..., N, C) with the IMU channels less what the encoder channels say of them. Linear."""
+        left = np.array(rows, dtype=float)
+        for order, moved in enumerate(_derivatives(left[..., self.encoders], self.rate_Hz)):
+            left[..., self.imu] -= np.einsum("tia,...ta->...ti", self.gradients[order], moved)
+        return left
+
+
+def carried_imu(machine: Machine, channels: Sequence[str], positions: np.ndarray) -> CarriedImu | None:
+    """None where no IMU channel or no encoder is among the channels.
+
+    Parameters
+    ----------
+    machine : Machine
+    channels : sequence of str
+    positions : (N, n_axes) array
+        The mean motion.
+    """
+    channels = list(channels)
+    plant = compile_plant(machine.plant)
+    joints = plant.joint_of_axis()
+    read = {axis: next((n for n in (f"link_position_{axis}", f"position_{axis}") if n in channels), None) for axis in joints}
+    axes = [axis for axis, name in read.items() if name is not None]
+    names = imu_channel_names(machine.plant)
+    imu = [k for k, name in enumerate(names) if name in channels]
+    if not imu or not axes:
+        return None
+    every = max(1, round(POSE_EVERY_s * machine.sample_rate_Hz))
+    rows = np.unique(np.append(np.arange(0, len(positions), every), len(positions) - 1))
+    motion = np.stack([part[rows] for part in _derivatives(positions, machine.sample_rate_Hz)], axis=1)
+    coarse = _gradients(plant, [joints[axis] for axis in axes], [joints[axis] for axis in machine.axes], motion)[:, :, imu]
+    place = np.interp(np.arange(len(positions)), rows, np.arange(len(rows)))
+    low = np.minimum(place.astype(int), max(len(rows) - 2, 0))
+    share = (place - low)[:, None, None]
+    gradients = (1.0 - share) * coarse[:, low] + share * coarse[:, np.minimum(low + 1, len(rows) - 1)]
+    columns = np.array([channels.index(str(read[axis])) for axis in axes])
+    return CarriedImu(gradients, np.array([channels.index(names[k]) for k in imu]), columns, machine.sample_rate_Hz)
+
+
+def _gradients(plant: CompiledPlant, moved: Sequence[int], actuated: Sequence[int], motion: np.ndarray) -> np.ndarray:
+    """(3, rows, 6 imus, moved) gradients of the IMUs' unfiltered channels along a motion (rows, 3, axes) of the actuated joints."""
+    model = plant.model()
+    gradients = np.zeros((3, len(motion), 6 * len(plant.settings.imus), len(moved)))
+    state = np.zeros((3, plant.joints))
+    state[0] = equilibrium(plant, model, motion[:, 0].mean(axis=0))
+    for row, values in enumerate(motion):
+        state[:, actuated] = values
+        for order in range(3):
+            for column, joint in enumerate(moved):
+                shift = np.zeros_like(state)
+                shift[order, joint] = DIFFERENCE
+                change = plant.imu_motion(model, *(state + shift)) - plant.imu_motion(model, *(state - shift))
+                gradients[order, row, :, column] = change / (2.0 * DIFFERENCE)
+    return gradients
+
+
+def _derivatives(values: np.ndarray, rate_Hz: float) -> list[np.ndarray]:
+    """Values (..., N, k), their speeds and their accelerations; zeros in a record too short for them."""
+    window = max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
+    if values.shape[-2] < window:
+        return [values, np.zeros_like(values), np.zeros_like(values)]
+    return [scipy.signal.savgol_filter(values, window, 3, deriv=order, delta=1.0 / rate_Hz, axis=-2) for order in range(3)]
