@@ -33,7 +33,7 @@ from observed_models import small_model, small_noise
 
 from controllers.damping import DampingSettings, ModalDamping
 from controllers.design import cascade, gain, lag, lead, notch
-from controllers.observers.modal_observer import ModalObserver, filter_step
+from controllers.observers.modal_observer import ModalObserver, filter_rows
 from controllers.shapers.filter import ReferenceShaper
 from hil.bench import BenchOptions, open_bench
 from hil.experiments import Scan
@@ -69,7 +69,8 @@ def compiled(kind: str, adapted: tuple[int, ...] = ()) -> tuple[dict[str, float]
     z, u = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0]), np.zeros(2)
     observer.step_measured(z, u)
     inside = observer.constants, observer._scheduled, observer.memory
-    alone = timed(lambda: filter_step(*inside, observer._kind, False, u, z, observer._summary))
+    acted, measured = u[None], z[None]
+    alone = timed(lambda: filter_rows(*inside, observer._kind, False, acted, measured, observer._summary))
     return alone, timed(lambda: observer.step_measured(z, u))
 
 

@@ -3,9 +3,9 @@
     python benchmarks/observer_scan.py --json -
 
 The observer's model is identified from multisines on the undisturbed emulated C-arm, its disturbances are tuned on shaken scans and it is
-judged on others. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the emulated
-machine's own equations with the true noise, the true spectrum of the shaking and the true places where it acts. A second oracle is not told
-the places: it takes every joint for shaken, in the true spectrum.
+judged on others, three of each. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the
+emulated machine's own equations with the true noise, the true spectrum of the shaking and the true places where it acts. A second oracle is
+not told the places: it takes every joint for shaken, in the true spectrum.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ UNTOLD_Nm = 15.0
 BAND_Hz = (1.0, 12.0)
 SETTLE_S = 2.0
 SKIPPED_S = 1.0  # of every scan, in which the filters find their biases
+JUDGED_SEEDS = (7, 1007, 2007)
+TRAINING_SEED = 100
 
 
 @dataclass(frozen=True)
@@ -311,13 +313,35 @@ def judged(machine: Machine, design: ObserverDesign, plan: Plan, seed: int, with
         for name, places in (("oracle", SHAKEN_Nm), ("oracle not told the places", everywhere)):
             oracle = Oracle(machine, design.noise, places)
             table[name] = errors(scan, *oracle.run(scan, start_of(machine, plan.start_pose, oracle)), first)
-    for quantity in ("shift_um", "turn_urad"):
-        table[f"factor_{quantity}"] = {
+    return table | factors(table)
+
+
+def factors(table: dict) -> dict:
+    """How many times larger errors are than others."""
+    return {
+        f"factor_{quantity}": {
             "motor encoders over ukf": table["motor encoders"][quantity] / table["ukf"][quantity],
             "link encoders over ukf": table["link encoders"][quantity] / table["ukf"][quantity],
             **{f"ukf over {name}": table["ukf"][quantity] / table[name][quantity] for name in table if name.startswith("oracle")},
         }
-    return table
+        for quantity in ("shift_um", "turn_urad")
+    }
+
+
+def together(tables: dict[int, dict]) -> dict:
+    """Several seeds of one scan: rms of errors, means of all else, and the factors of the rms; beside them the factors of every seed."""
+    first = next(iter(tables.values()))
+    table: dict = {}
+    for name in (name for name in first if not name.startswith("factor")):
+        each = {key: np.array([one[name][key] for one in tables.values()]) for key in first[name]}
+        table[name] = {
+            key: float(np.sqrt(np.mean(found**2)) if key.endswith(("_um", "_urad")) else found.mean()) for key, found in each.items()
+        }
+    seeds = {
+        str(seed): {"ukf": {key: one["ukf"][key] for key in ("shift_um", "turn_urad")}} | {key: one[key] for key in factors(one)}
+        for seed, one in tables.items()
+    }
+    return table | factors(table) | {"by_seed": seeds}
 
 
 def main() -> None:
@@ -332,7 +356,9 @@ def main() -> None:
     began = time.perf_counter()
     design = read_design(options.design) if options.design else emulated_design(machine)
     plans = scans(machine)
-    training = [shaken_scan(machine, plans[name], 100 + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))]
+    training = [
+        shaken_scan(machine, plans[name], TRAINING_SEED + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))
+    ]
     plain = tune(design.model, design.noise, training)
     design = dataclasses.replace(design, noise=plain.noise)
     if options.save_design:
@@ -340,7 +366,10 @@ def main() -> None:
     answer = {
         "seconds_to_design": time.perf_counter() - began,
         "tuned": {"nis_per_measurement": plain.mean_nis, "share_in_band": plain.share_in_band},
-        "scans": {name: judged(machine, design, plan, 7 + i, not options.no_oracle) for i, (name, plan) in enumerate(plans.items())},
+        "scans": {
+            name: together({seed + i: judged(machine, design, plan, seed + i, not options.no_oracle) for seed in JUDGED_SEEDS})
+            for i, (name, plan) in enumerate(plans.items())
+        },
     }
     to.write(answer)
 

@@ -266,20 +266,8 @@ def correct(constants, scheduled, memory, kind, z):
     return update(array, measured, states, whitened, memory.x, factor), measured, log_volume
 
 
-@exactly_called
-def one_step(constants, scheduled, memory, kind, is_first, u, z, summary):
-    """One sample. `u` (axes,) acted since the last one; `summary` (3,) gets what `correct` returns."""
-    for i in range(constants.sizes[0]):
-        scheduled.command[i] = u[i]
-    if is_first:
-        prepare(constants, memory.x, scheduled)
-    else:
-        predict(constants, scheduled, memory, kind)
-    summary[0], summary[1], summary[2] = correct(constants, scheduled, memory, kind, z)
-
-
-@exactly_called
-def gradients(constants, scheduled, x, F, H):
+@exactly_compiled
+def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
     """Transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     biases = first_bias(constants)
@@ -304,18 +292,19 @@ def gradients(constants, scheduled, x, F, H):
 
 
 @exactly_compiled
-def filter_step(constants, scheduled, memory, kind, is_first, u, z, summary):  # type: ignore[no-untyped-def]
-    """See `one_step`."""
-    one_step(constants, scheduled, memory, kind, is_first, u, z, summary)
+def filter_rows(constants, scheduled, memory, kind, is_first, acted, measured, summaries):  # type: ignore[no-untyped-def]
+    """N samples, one after the other: one in the loop, all of a recording for tuning. One function, for compiling takes long.
 
-
-@exactly_compiled
-def filter_rows(constants, scheduled, memory, kind, commands, measured, summaries):  # type: ignore[no-untyped-def]
-    """N rows at once, for tuning."""
-    nothing = np.zeros(commands.shape[1])  # what acts in row 0 is not known
+    `acted` (N, axes) until each; `summaries` (N, 3) get what `correct` returns. `is_first`: nothing came before the first of them.
+    """
     for k in range(len(measured)):
-        u = commands[max(k - 2, 0)]  # command k-2 acts from k-1 to k; what acted before row 0 is taken for command 0
-        one_step(constants, scheduled, memory, kind, k == 0, u if k else nothing, measured[k], summaries[k])
+        for i in range(constants.sizes[0]):
+            scheduled.command[i] = acted[k, i]
+        if is_first and k == 0:
+            prepare(constants, memory.x, scheduled)
+        else:
+            predict(constants, scheduled, memory, kind)
+        summaries[k, 0], summaries[k, 1], summaries[k, 2] = correct(constants, scheduled, memory, kind, measured[k])
 
 
 @exactly_compiled
@@ -328,9 +317,3 @@ def next_and_read(constants, scheduled, x, command, after, read):  # type: ignor
     transition(constants, scheduled, x, command, after)
     signals(constants, scheduled, x, command, seen)
     readings(constants, scheduled, seen, read)
-
-
-@exactly_compiled
-def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
-    """See `gradients`."""
-    gradients(constants, scheduled, x, F, H)

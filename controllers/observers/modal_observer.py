@@ -12,7 +12,7 @@ from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, filter_step, linearised
+from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, linearised
 from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
@@ -73,7 +73,7 @@ class ModalObserver:
         self.estimate = np.full(len(self.channels), np.nan)
         self._values = 2 * n + 12 + GEOMETRY
         self._measured = np.full(self.constants.sizes[5], np.nan)
-        self._summary = np.zeros(3)
+        self._summary = np.zeros((1, 3))
         self._held = np.zeros(n)  # the command that acts until the next sample
         self._start = self._initial_factor()
         self.restart()
@@ -158,15 +158,15 @@ class ModalObserver:
                 self._held[:] = command
                 self._has_command = True
             acting = self._held
-        filter_step(self.constants, self._scheduled, memory, self._kind, self._is_first, acting, z, self._summary)
+        filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, acting[None], z[None], self._summary)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
         publish(self.constants, self._scheduled.values, memory, self._isocenter, self.estimate)
-        mean, is_alarm = self._monitor.step(self._summary[0], self._summary[1])
+        mean, is_alarm = self._monitor.step(self._summary[0, 0], self._summary[0, 1])
         tail = 2 * self._values
-        self.estimate[tail] = self._summary[0]
-        self.estimate[tail + 1] = self._summary[1]
+        self.estimate[tail] = self._summary[0, 0]
+        self.estimate[tail + 1] = self._summary[0, 1]
         self.estimate[tail + 2] = mean
         self.estimate[tail + 3] = is_alarm
 
@@ -198,7 +198,9 @@ class ModalObserver:
         self.restart()
         self._stand_at(measured[0])
         summaries = np.zeros((len(measured), 3))
-        filter_rows(self.constants, self._scheduled, self.memory, self._kind, commands, measured, summaries)
+        acted = np.zeros(commands.shape)  # until row 0: not known
+        acted[1:] = commands[np.maximum(np.arange(1, len(commands)) - 2, 0)]  # command k-2 from row k-1 to k; before row 0 what it commands
+        filter_rows(self.constants, self._scheduled, self.memory, self._kind, True, acted, measured, summaries)
         self.restart()
         return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
 
