@@ -106,7 +106,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
     return {
         "train": round(h.train, 3),
         "held_out": round(h.held_out, 3),
-        "freedom": h.freedom,
+        "information": [float(f"{value:.4g}") for value in h.information],
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
     }
@@ -114,8 +114,9 @@ def _numbers(h: Weighed) -> dict[str, Any]:
 
 def _evidence(row: dict[str, Any]) -> Evidence:
     def one(numbers: dict[str, Any]) -> Weighed:
+        information = tuple(numbers["information"])
         return Weighed(
-            None, numbers["train"], numbers["held_out"], numbers["freedom"], searched=numbers["searched"], passed=numbers["passed"]
+            None, numbers["train"], numbers["held_out"], information, searched=numbers["searched"], passed=numbers["passed"]
         )
 
     return Evidence(tuple(map(one, row["sets"])), one(row["base"]), *row["entries"], row["tried"], row["found"], row["cap"])
@@ -126,11 +127,11 @@ def weighed(row: dict[str, Any], weights: Weights) -> tuple[float, bool, float]:
 
     Where nothing is the likeliest, 0, False, and 1: no name is said.
     """
-    sets = {(s["train"], s["held_out"], s["freedom"], s["searched"]): s["right"] for s in row["sets"]}
+    sets = {(s["train"], s["held_out"], tuple(s["information"]), s["searched"]): s["right"] for s in row["sets"]}
     ranked = ranking(_evidence(row), weights)
-    if ranked[0].freedom == 0:
+    if not ranked[0].information:
         return 0.0, False, 1.0
-    right = [sets.get((h.train, h.held_out, h.freedom, h.searched), False) for h in ranked]
+    right = [sets.get((h.train, h.held_out, h.information, h.searched), False) for h in ranked]
     confidences = [h.confidence for h in ranked]
     so = sum(c for c, is_right in zip(confidences, right, strict=True) if is_right) if any(right) else 1.0 - sum(confidences)
     return confidences[0], right[0], so

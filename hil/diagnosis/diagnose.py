@@ -193,10 +193,17 @@ def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection:
     held_out = min((c.left_held_out for c in rivals), default=0.0) + max((c.gained_held_out for c in rivals), default=0.0)
     return Evidence(
         sets=tuple(
-            Weighed(c.fitted, train - c.gained, held_out - c.gained_held_out, c.fitted.decided, searched=c.searched, passed=c.passed)
+            Weighed(
+                c.fitted,
+                train - c.gained,
+                held_out - c.gained_held_out,
+                tuple(c.fitted.information.tolist()),
+                searched=c.searched,
+                passed=c.passed,
+            )
             for c in rivals
         ),
-        base=Weighed(None, train, held_out, 0),
+        base=Weighed(None, train, held_out),
         entries_train=float(len(tuning.predicted)),
         entries_held_out=0.0 if judged is None else float(len(judged.measured)),
         tried=len(selection.screened),

@@ -1,14 +1,16 @@
 """How sure a name is: the evidence of every set of effects that was fitted, against each other, against nothing and against the unknown.
 
-log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 k log(1 + g), k fitted parameters, g the energy the best set removes
-over T: a parameter that is known to one part in sqrt(g) of itself costs the logarithm of that (MacKay 2003, ch. 28). A real effect never
+log evidence = -1/2 (|residual|^2 on training and held-out) / T - 1/2 sum over parameters of log(1 + information / T): a parameter that
+the recordings narrow to one part in m of itself costs log m, one that they do not see nothing (MacKay 2003, ch. 28). A real effect never
 has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes, so that two
 names are told apart only where they differ by more than an equation's form usually errs. The unknown is charged with `unknown_freedom`
-parameters and leaves nothing above noise. An order or frequency that was searched costs the logarithm of how many were (`searched`).
+parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. An order or
+frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
-stands alone only where both agree. What even the best set leaves above noise for certain, as a share of what there was to explain, is the
-weight of something without a name.
+stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
+level that it leaves in each, where that is above the noise model's (a disturbance is not the same in another motion). What even the best
+set leaves above noise for certain, as a share of what there was to explain, is the weight of something without a name.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ class Weighed:
     fitted: Fitted | None
     train: float  # |residual|^2 + |offset|^2
     held_out: float  # |residual|^2; 0 without held-out recordings
-    freedom: int
+    information: tuple[float, ...] = ()  # of its parameters, see refit.py
     confidence: float = 0.0
     searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
     passed: bool = True  # the gate
@@ -83,6 +85,10 @@ class Weighed:
     @property
     def misfit(self) -> float:
         return self.train + self.held_out
+
+    def price(self, temper: float) -> float:
+        """What its parameters and its search cost in log evidence."""
+        return self.searched + 0.5 * float(np.sum(np.log1p(np.array(self.information) / temper)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +127,8 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
     """
     if not evidence.sets:
         return ()
-    noise = evidence.entries_train + evidence.entries_held_out
-    noise += certain_excess(noise)  # what is left within this is nothing that needs a name
-    ranked, nothing = weighed(evidence.sets, evidence.base, noise, evidence.tried, evidence.cap, weights)
+    entries = evidence.entries_train, evidence.entries_held_out
+    ranked, nothing = weighed(evidence.sets, evidence.base, entries, evidence.tried, evidence.cap, weights)
     if not evidence.found or nothing.confidence > LIKELIER:
         ranked.append(nothing)
     else:
@@ -134,7 +139,7 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
 
 
 def weighed(
-    hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, cap: float = 1.0, weights: Weights = WEIGHTS
+    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, cap: float = 1.0, weights: Weights = WEIGHTS
 ) -> tuple[list[Weighed], Weighed]:
     """Sets with their confidence, the likeliest first, and nothing with its own.
 
@@ -146,30 +151,43 @@ def weighed(
     hypotheses : sequence of Weighed
     base : Weighed
         Without effects.
-    noise : float
-        Expected |residual|^2 of a perfect simulation.
+    entries : pair of float
+        Expected |residual|^2 of a perfect simulation, training and held-out.
     tried : int
         Candidates.
     cap : float
         Largest share of what has a name.
     weights : Weights
     """
-    *shares, nothing = _shares(hypotheses, base, noise, tried, weights)
+    *shares, nothing = _shares(hypotheses, base, entries, tried, weights)
     each = zip(hypotheses, shares, strict=True)
     sets = [replace(h, confidence=confidence_of(min(share, cap), weights), share=share) for h, share in each]
     return sorted(sets, key=lambda h: (-h.confidence, -h.share)), replace(base, confidence=min(nothing, cap), share=nothing)
 
 
-def _shares(hypotheses: Sequence[Weighed], base: Weighed, noise: float, tried: int, weights: Weights) -> list[float]:
+def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, weights: Weights) -> list[float]:
     """Of every set and, last, of nothing."""
+    noise = sum(entries)
+    noise += certain_excess(noise)  # what is left within this is nothing that needs a name
     best = min(h.misfit for h in hypotheses)
     removed = base.misfit - best
     temper = temperature(removed, best - noise, weights)
-    price = price_of_a_parameter(removed, temper)
-    unknown = -0.5 * min(noise, best) / temper - price * weights.unknown_freedom
-    tempered = _normalised([*_evidence(hypotheses, base, temper, price, tried), unknown])[:-1]
-    exact = _normalised(_evidence(hypotheses, base, 1.0, price_of_a_parameter(removed, 1.0), tried))
-    return [float(share) for share in (1.0 - weights.exact) * tempered + weights.exact * exact]
+    unknown = -0.5 * min(noise, best) / temper - price_of_a_parameter(removed, temper) * weights.unknown_freedom
+    tempered = _normalised([*_evidence(hypotheses, base, temper, tried), unknown])[:-1]
+    *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
+    return [float(s) for s in (1.0 - weights.exact) * tempered + weights.exact * _normalised(_evidence(exact, nothing, 1.0, tried))]
+
+
+def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, float]) -> list[Weighed]:
+    """Sets whose misfits count in units of the noise's level in training and in held-out recordings: what the best set leaves there, where
+    that is more than the noise model says.
+    """
+    best = min(sets, key=lambda h: h.misfit)
+    train, held_out = (max(1.0, left / n) if n > 0.0 else 1.0 for left, n in zip((best.train, best.held_out), entries, strict=True))
+    return [
+        replace(h, train=h.train / train, held_out=h.held_out / held_out, information=tuple(i / train for i in h.information))
+        for h in sets
+    ]
 
 
 def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:
@@ -177,9 +195,9 @@ def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:
     return share * (1.0 - weights.outside)
 
 
-def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, price: float, tried: int) -> list[float]:
+def _evidence(hypotheses: Sequence[Weighed], base: Weighed, temper: float, tried: int) -> list[float]:
     nothing = -0.5 * base.misfit / temper + float(np.log(max(tried, 1)))
-    return [*(-0.5 * h.misfit / temper - price * h.freedom - h.searched for h in hypotheses), nothing]
+    return [*(-0.5 * h.misfit / temper - h.price(temper) for h in hypotheses), nothing]
 
 
 def _normalised(evidence: Sequence[float]) -> np.ndarray:
@@ -193,7 +211,7 @@ def unnamed_share(before: float, after: float, noise: float) -> float:
 
 
 def price_of_a_parameter(removed: float, temper: float) -> float:
-    """What a fitted parameter costs in log evidence."""
+    """What a parameter costs in log evidence that is known as well as this energy lets it be."""
     return 0.5 * float(np.log1p(max(removed, 0.0) / temper))
 
 

@@ -71,10 +71,10 @@ HOPELESS_AFTER = 4
 WORTH_LINEARISING = 4.0
 """Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
 
-RIDGE = 1e-9
+HELD = 0.99
+"""Of the largest step, from which a parameter's step was held by the region; it is at least the parameter's own size there."""
 
-DECIDED = 2.0
-"""Standard deviations from which a strength is not zero."""
+RIDGE = 1e-9
 
 Answers = list[np.ndarray | None]
 
@@ -98,9 +98,10 @@ class Fitted:
         Of the columns of `jacobian`.
     jacobian : (M, F) array
         Of the prediction with the free effect parameters, in their units.
-    decided : int
-        Free parameters but those strengths that may as well be zero: a law with many strengths of which the recordings need one is no
-        worse a name than a law with one.
+    information : (F,) array
+        Energies, in units of noise, that the recordings lose by changes of the free parameters as large as these are themselves (of phases
+        by 1 rad), along the directions in which they do so independently and with the tuned numbers free: what a parameter that the
+        recordings do not see, or a strength that may as well be zero, has none of.
     """
 
     effects: tuple[EffectAt, ...]
@@ -110,7 +111,7 @@ class Fitted:
     cost: float
     free: tuple[tuple[int, int], ...]
     jacobian: np.ndarray
-    decided: int
+    information: np.ndarray
 
     @property
     def settings(self) -> tuple[EffectSetting, ...]:
@@ -230,7 +231,8 @@ def _fit(
         shrunk = 0
         while shrunk < SHRUNK_AT_MOST:
             hessian, gradient = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
-            step = _bounded_step(hessian, gradient, *fitting.reach(at, radius))
+            reach = fitting.reach(at, radius)
+            step = _bounded_step(hessian, gradient, *reach)
             expected = float(2.0 * step @ gradient - step @ hessian @ step)
             to = fitting.moved(at, step)
             (answer,) = yield [fitting.trial(to)]
@@ -249,11 +251,11 @@ def _fit(
                 break
             radius *= SHRINK
             shrunk += 1
-        if gained is None or gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5):
+        if gained is None or (gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5) and not fitting.was_held(step, reach)):
             break
     hessian, _ = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
-    decided = fitting.decided(at, hessian)
-    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), decided)
+    information = _information(hessian, len(at.offset))
+    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,6 +312,13 @@ class _Fitting:
                 high.append(min((parameter.high - value) / size, up * radius))
         return np.array(low), np.array(high)
 
+    def was_held(self, step: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Whether a step of the effects' parameters was as large as it may be in the region: much weaker than it should be, an effect gains
+        nothing at first.
+        """
+        own = step[-len(self.free) :]
+        return bool(np.any((own >= HELD * reach[1][-len(own) :]) & (own >= HELD)))
+
     def moved(self, at: _Point, step: np.ndarray) -> _Point:
         """The point a step leads to."""
         offset, values = at.offset + step[: len(at.offset)], at.values
@@ -326,19 +335,6 @@ class _Fitting:
             value = at.values[e][k]
             found.append(-1.0 / value if _is_inverse(self._parameters[e][k], value) else 1.0 / size)
         return np.array(found)
-
-    def decided(self, at: _Point, hessian: np.ndarray) -> int:
-        """Free parameters without the strengths that are not DECIDED standard deviations away from doing nothing; at least one."""
-        ridged = hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)
-        spreads = np.sqrt(np.diag(np.linalg.inv(ridged)))[len(at.offset) :]
-        count = 0
-        for (e, k), size, spread in zip(self.free, self._sizes(at), spreads, strict=True):
-            parameter, value = self._parameters[e][k], at.values[e][k]
-            if not parameter.is_strength or _is_inverse(parameter, value):
-                count += 1
-            else:
-                count += bool(abs(value - parameter.neutral) > DECIDED * spread * size)
-        return max(count, 1)
 
     def _sizes(self, at: _Point) -> list[float]:
         found = []
@@ -378,6 +374,13 @@ def _normal_equations(
     across = jacobian.T @ added
     hessian = np.block([[tuned + np.eye(len(tuned)), across], [across.T, added.T @ added]])
     return hessian, np.concatenate([jacobian.T @ residual - offset, added.T @ residual])
+
+
+def _information(hessian: np.ndarray, tuned: int) -> np.ndarray:
+    """Eigenvalues of the effects' part of a Hessian whose first `tuned` rows are free: its Schur complement."""
+    across = hessian[:tuned, tuned:]
+    own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
+    return np.maximum(np.linalg.eigvalsh(own), 0.0)
 
 
 def _way(runs: FreeRuns) -> float:

@@ -2,7 +2,7 @@
 
 Each candidate's free run at its start values less the re-tuned one is its response; what re-tuning could imitate is projected out, and the
 residual's energy along the rest is its score (a matched filter; Kay 1998, ch. 4). A strength that the filter finds far from the start's is
-tried again there, because few effects are linear in it.
+tried again there, because few effects are linear in it; a fit starts from the strength that the filter wants.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ RESCALED_BEYOND = 1.5
 
 LARGEST_RESCALE = 30.0
 
+ROUNDS = 3
+"""Times a strength is tried: what first shows a thousandth of the noise is found by two factors of LARGEST_RESCALE."""
+
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share", "K", "D")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
 
@@ -36,7 +39,7 @@ AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """The best start of one candidate.
+    """The best start of one candidate, at the strength that the filter wants.
 
     `response` (M + F,) is what it adds to the simulation and re-tuning cannot imitate; `score` the share of the residual's energy along it,
     in units of noise: chi-squared with one degree of freedom where there is nothing.
@@ -69,7 +72,7 @@ def screen(
         (candidate, values) for candidate in found for start in candidate.starts for values in _with_quadrature(candidate.effect, start)
     ]
     best: dict[EffectAt, Screened] = {}
-    for _ in range(2):
+    for _ in range(ROUNDS):
         earlier: tuple[np.ndarray, np.ndarray] | None = None  # values and response of the try before
         answers = runs.run([Trial(tuning.values, (*present, candidate.setting(values))) for candidate, values in tries])
         again = []
@@ -84,7 +87,7 @@ def screen(
             score = max(amplitude, 0.0) ** 2 * energy
             known = best.get(candidate.effect)
             if known is None or score > known.score:
-                best[candidate.effect] = Screened(candidate.effect, values, response.astype(np.float32), score)
+                best[candidate.effect] = _wanted(candidate.effect, values, response, amplitude, score)
             if earlier is not None and _are_in_quadrature(candidate.effect, earlier[0], values):
                 again.append((candidate, _turned(candidate.effect, earlier[0], earlier[1], response, left)))
             earlier = values, response
@@ -96,6 +99,15 @@ def screen(
                 again.append((candidate, flipped))
         tries = [(candidate, values) for candidate, values in again if values is not None]
     return sorted(best.values(), key=lambda screened: -screened.score)
+
+
+def _wanted(effect: EffectAt, values: np.ndarray, response: np.ndarray, amplitude: float, score: float) -> Screened:
+    """A try at the strength that the filter wants of it."""
+    changed = _rescaled(effect, values, amplitude) if amplitude > 0.0 else None
+    if changed is None:
+        return Screened(effect, values, response.astype(np.float32), score)
+    factor = float(np.clip(amplitude, 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
+    return Screened(effect, changed, (factor * response).astype(np.float32), score)
 
 
 def scaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:

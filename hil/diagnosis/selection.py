@@ -13,7 +13,7 @@ from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, Scatter, certain_excess, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.naming import price_of_a_parameter, temperature
+from hil.diagnosis.naming import Weighed, price_of_a_parameter, temperature
 from hil.diagnosis.pairs import Start, pairs
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, fitted_parameters, polish, refit
@@ -209,7 +209,7 @@ def _pairs_worth_a_fit(
     best = singles[0]
     temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - noise_energy)
     price = price_of_a_parameter(base - best.cost, temper)
-    least = 0.5 * (base - best.cost) / temper - best.freedom * price - PAIR_MARGIN
+    least = 0.5 * (base - best.cost) / temper - _price(best, temper) - PAIR_MARGIN
     worth = [
         pair
         for pair in found
@@ -253,8 +253,11 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[F
     """Fitted sets by their evidence on the training recordings, see naming.py."""
     best = min(fit.cost for fit in fits)
     temper = temperature(base - best, best - noise_energy)
-    price = price_of_a_parameter(base - best, temper)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + fit.decided * price)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper))
+
+
+def _price(fitted: Fitted, temper: float) -> float:
+    return Weighed(fitted, 0.0, 0.0, tuple(fitted.information.tolist())).price(temper)
 
 
 def _searched(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:

@@ -28,7 +28,7 @@ from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.free_run import smooth
 from hil.diagnosis.mismatch import simulated_matrix
 from hil.diagnosis.noise import NoiseModel
-from hil.diagnosis.refit import DECIDED, Fitted
+from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
 from hil.errors import BadAnswer, BenchError
 from hil.experiments import Plan
@@ -47,6 +47,9 @@ EFFECT_STEP = 0.02
 
 ROUNDS = 3
 """Gauss-Newton steps of a refit at most. One alone leaves some per cent of the distance that it goes."""
+
+DECIDED = 2.0
+"""Standard deviations from which a strength is not zero."""
 
 SETTLED = 0.01
 """Of d^2: a step that brings less is not taken."""

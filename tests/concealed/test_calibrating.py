@@ -14,9 +14,9 @@ NOISE = 4000.0
 
 def row(number: int, right: bool) -> dict[str, object]:
     """A case in which one set explains everything and its only rival nothing."""
-    base = {"train": NOISE + 500.0, "held_out": 0.0, "freedom": 0, "searched": 0.0, "passed": True}
-    best = {"train": NOISE, "held_out": 0.0, "freedom": 1 + number % 3, "searched": 0.0, "passed": True, "right": right}
-    rival = {"train": NOISE + 300.0, "held_out": 0.0, "freedom": 1, "searched": 0.0, "passed": True, "right": False}
+    base = {"train": NOISE + 500.0, "held_out": 0.0, "information": [], "searched": 0.0, "passed": True}
+    best = {"train": NOISE, "held_out": 0.0, "information": [500.0] * (1 + number % 3), "searched": 0.0, "passed": True, "right": right}
+    rival = {"train": NOISE + 300.0, "held_out": 0.0, "information": [200.0], "searched": 0.0, "passed": True, "right": False}
     said = {"number": number, "stratum": "single", "verdict": "explained", "unexplained_share": 0.0, "found": True}
     return said | {"sets": [best, rival], "base": base, "entries": [NOISE, 0.0], "tried": 50, "cap": 0.999}
 

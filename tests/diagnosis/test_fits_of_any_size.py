@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.bounded_noise import candidates_for
+from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
+from hil.diagnosis.screening import screen
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
@@ -50,6 +52,16 @@ def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
         (fit,) = refit(runs, retune(runs), runs.measured(), [((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0]),))])
     assert fit.values[0][0] == pytest.approx(4.0, rel=0.02)
+
+
+def test_a_fit_starts_from_the_strength_that_the_recordings_want():
+    command = 0.1 * np.random.default_rng(1).standard_normal(3000)
+    recording = recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0}))
+    weak = Candidate(EffectAt("nonlinear_stiffness", "oscillator"), (np.array([0.004]),))
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
+        tuning = retune(runs)
+        (start,) = screen(runs, tuning, [weak], runs.measured() - tuning.predicted)
+    assert start.values[0] == pytest.approx(4.0, rel=0.6)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, WEIGHTS, Evidence, Weighed, ranking, unnamed_share, weighed
 
 NOISE = 20000.0
+ENTRIES = 19000.0
 TRIED = 50
 ALONE = CONFIDENT * (1.0 - WEIGHTS.outside)
 CERTAIN = 1.0 - WEIGHTS.outside
@@ -16,9 +17,9 @@ CERTAIN = 1.0 - WEIGHTS.outside
 def confidences(base, *misfits, freedom=None, cap=1.0):
     """Of sets with these misfits above noise, in the order given."""
     freedom = freedom or [1] * len(misfits)
-    sets = [Weighed(None, NOISE + misfit, 0.0, k) for misfit, k in zip(misfits, freedom, strict=True)]
-    ranked, _ = weighed(sets, Weighed(None, NOISE + base, 0.0, 0), NOISE, TRIED, cap)
-    return [next(r.confidence for r in ranked if r.misfit == h.misfit and r.freedom == h.freedom) for h in sets]
+    sets = [Weighed(None, ENTRIES + misfit, 0.0, (base,) * k) for misfit, k in zip(misfits, freedom, strict=True)]
+    ranked, _ = weighed(sets, Weighed(None, ENTRIES + base, 0.0), (ENTRIES, 0.0), TRIED, cap)
+    return [next(r.confidence for r in ranked if r.misfit == h.misfit and r.information == h.information) for h in sets]
 
 
 def test_a_set_that_alone_removes_what_is_there_is_certain():
@@ -43,7 +44,7 @@ def test_more_parameters_must_gain_more():
 
 
 def test_what_leaves_most_of_it_is_no_name():
-    assert max(confidences(2000.0, 1500.0, 1800.0)) < 0.5
+    assert max(confidences(6000.0, 4500.0, 5400.0)) < 0.5
 
 
 def test_confidence_is_capped_where_the_noise_is_assumed():
@@ -66,8 +67,28 @@ def test_what_is_left_above_noise_is_the_share_without_a_name():
 def test_without_repeats_a_name_may_stand_alone_with_the_confidence_capped():
     """What even the best set leaves takes a little of every share: of one capped before, the rest would never reach what stands alone."""
     left = certain_excess(NOISE) + 0.001 * 4000.0
-    sets = (Weighed(None, NOISE + left, 0.0, 1), Weighed(None, NOISE + 3000.0, 0.0, 1))
-    evidence = Evidence(sets, Weighed(None, NOISE + 4000.0, 0.0, 0), NOISE, 0.0, TRIED, found=True, cap=CAP_ASSUMED)
+    sets = (Weighed(None, NOISE + left, 0.0, (4000.0,)), Weighed(None, NOISE + 3000.0, 0.0, (1000.0,)))
+    evidence = Evidence(sets, Weighed(None, NOISE + 4000.0, 0.0), NOISE, 0.0, TRIED, found=True, cap=CAP_ASSUMED)
     best = ranking(evidence)[0]
     assert best.confidence <= CAP_ASSUMED * CERTAIN
     assert best.share >= CONFIDENT
+
+
+def shares(*sets: tuple[float, float, tuple[float, ...]], base: tuple[float, float], entries=(ENTRIES, ENTRIES)) -> list[float]:
+    """Of sets with these misfits above the entries on training and held-out recordings, and this information."""
+    made = [Weighed(None, entries[0] + train, entries[1] + held_out, information) for train, held_out, information in sets]
+    ranked, _ = weighed(made, Weighed(None, entries[0] + base[0], entries[1] + base[1]), entries, TRIED)
+    return [next(r.share for r in ranked if r.misfit == h.misfit and r.information == h.information) for h in made]
+
+
+def test_a_parameter_that_the_recordings_do_not_see_costs_nothing():
+    simple, blind, seen = shares((0.0, 0.0, (9000.0,)), (0.0, 0.0, (9000.0, 0.0)), (0.0, 0.0, (9000.0, 3000.0)), base=(9000.0, 0.0))
+    assert simple == pytest.approx(blind)
+    assert seen < 0.5 * simple
+
+
+def test_another_motion_s_noise_above_the_model_s_decides_no_name():
+    """The held-out recording is 4.5 times as noisy as the repeats; what one name gains there the other gains in training."""
+    held_out = 3.5 * ENTRIES
+    one, other = shares((30.0, held_out, (9000.0,)), (0.0, held_out + 135.0, (9000.0,)), base=(9000.0, held_out + 700000.0))
+    assert one == pytest.approx(other, abs=0.1)

@@ -17,7 +17,7 @@ ENTRIES = 400
 
 def fitted(name: str, values: list[float], response: np.ndarray | None = None) -> Fitted:
     predicted = np.zeros(0) if response is None else response
-    return Fitted((EffectAt(name, "carriage"),), (np.array(values),), np.zeros(1), predicted, 0.0, ((0, 0),), np.zeros((0, 1)), 1)
+    return Fitted((EffectAt(name, "carriage"),), (np.array(values),), np.zeros(1), predicted, 0.0, ((0, 0),), np.zeros((0, 1)), np.ones(1))
 
 
 def screened(name: str, value: float, response: np.ndarray, tuning: Tuning) -> Screened:

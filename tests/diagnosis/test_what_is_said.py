@@ -24,9 +24,9 @@ def test_removed_share_is_of_what_stands_above_the_floor_and_of_nothing_below_it
 
 
 def nothing_beside(*gains: float, excess: float = 0.0, tried: int = 100) -> float:
-    base = Weighed(None, NOISE + excess, 0.0, 0)
-    sets = [Weighed(None, NOISE + excess - gain, 0.0, 1) for gain in gains]
-    _, nothing = weighed(sets, base, NOISE, tried)
+    base = Weighed(None, NOISE + excess, 0.0)
+    sets = [Weighed(None, NOISE + excess - gain, 0.0, (gain,)) for gain in gains]
+    _, nothing = weighed(sets, base, (NOISE, 0.0), tried)
     return nothing.confidence
 
 
@@ -71,7 +71,7 @@ def test_a_retuned_numbers_interval_is_of_the_fit_beside_the_effects(friction):
 
 def fitted(name: str) -> Fitted:
     nothing = np.zeros(0)
-    return Fitted((EffectAt(name, "carriage"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)), 1)
+    return Fitted((EffectAt(name, "carriage"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)), np.zeros(0))
 
 
 def gate(share: float, *, passes: bool) -> Gate:
@@ -83,7 +83,7 @@ def contender(name: str, share: float, *, passes: bool = True) -> Contender:
 
 
 def first_finding(*sets: tuple[Contender, float], cap: float):
-    hypotheses = [Weighed(one.fitted, 0.0, 0.0, 1, confidence) for one, confidence in sets]
+    hypotheses = [Weighed(one.fitted, 0.0, 0.0, (1.0,), confidence) for one, confidence in sets]
     (found,) = findings_of([one for one, _ in reversed(sets)], hypotheses, [{}], cap)  # in another order than by confidence
     return found
 
