@@ -42,7 +42,9 @@ LEAST = 1e-3
 
 
 def evidence_of(places: Places, number: int) -> dict[str, Any]:
-    """One case's raw numbers and, under "answer", what `run` keeps of an answer, files simulated anew aside: one diagnosis gives both."""
+    """One case's raw numbers and, under "answer", what `run` keeps of an answer: one diagnosis gives both. No file is simulated anew, and
+    no next experiment looked for.
+    """
     warnings.simplefilter("ignore")
     make(places, number)
     folder = places.case(number)
@@ -50,7 +52,7 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
     runs = {path.stem: read_recording(path, machine) for path in sorted(folder.glob("run_*.csv"))}
     held_out = {"held_out": read_recording(folder / "held_out.csv", machine)}
     sealed, began = seal(places.truth(number)), time.monotonic()
-    outcome = diagnose(machine, runs, held_out)
+    outcome = diagnose(machine, runs, held_out, look_further=False)
     document = outcome.diagnosis.document()
     answer = {
         "number": number,

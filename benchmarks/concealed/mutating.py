@@ -38,6 +38,7 @@ def mutate_case(places: Places, number: int) -> dict[str, Any]:
     original = folder / f"times_{STRONG:g}"
     for name, change in (("negated", _negate), ("shuffled", _shuffle), ("swapped", _swap)):
         if name == "swapped" and len(machine.axes) < 2:
+            row[name] = {"verdict": "does not apply to a machine of one axis", "findings": []}
             continue
         mutated = folder / name
         shutil.copytree(original, mutated, dirs_exist_ok=True)

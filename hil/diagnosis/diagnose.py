@@ -89,6 +89,7 @@ def diagnose(
     *,
     jobs: int = 1,
     report: Report = lambda what, share: None,
+    look_further: bool = True,
 ) -> Outcome:
     """Diagnose a machine from its recordings.
 
@@ -102,6 +103,8 @@ def diagnose(
         Processes.
     report : callable
         Told what is being done, and the share of the whole that is done.
+    look_further : bool
+        Whether to look for the experiment that would tell an ambiguous verdict's hypotheses apart.
 
     Raises
     ------
@@ -156,7 +159,7 @@ def diagnose(
         lost = tuple(dropout.finding(channel) for channel, dropout in train.lost.items())
         findings += lost
         proposal = None
-        if verdict == "ambiguous":
+        if verdict == "ambiguous" and look_further:
             proposal = _next_experiment(machine, train, tuning, hypotheses, jobs, report)
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)

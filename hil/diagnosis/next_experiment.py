@@ -31,7 +31,12 @@ REFITTED = 8
 """Of the draws."""
 
 REFINEMENTS = 30
-"""Evaluations of the simplex search from the best of them."""
+"""Evaluations of the simplex search from the best of them, at most."""
+
+LEAST_REFITTED, LEAST_REFINEMENTS = 3, 6
+MOST_RUNS = 900
+"""Free runs of a search, beyond which no more than these few draws are refitted and the simplex takes no more than these few steps: on a
+machine of many numbers every refit takes many runs."""
 
 FIRST_STEP = 0.12
 """Of the simplex, as a share of every quantity's range."""
@@ -142,6 +147,7 @@ class _Search:
         self._machine = machine
         self._separation = separation
         self._shares = shares
+        self._runs_a_refit = 1.0
 
     def best_draw(self, report: Report) -> _Draw | None:
         """Of all families and axes; None where none of them separates anything."""
@@ -155,28 +161,34 @@ class _Search:
             draws += [_Draw(request, point, plan, self._worth(found)) for (point, plan), found in zip(planned, most, strict=True)]
             report(0.5 * (number + 1) / len(asked))
         refitted = []
+        before = self._separation.count
         for number, draw in enumerate(sorted(draws, key=lambda draw: -draw.worth)[:REFITTED]):
+            if number >= LEAST_REFITTED and self._separation.count > MOST_RUNS:
+                break
             refitted.append(replace(draw, worth=self._of(draw.plan)))
             report(0.5 + 0.5 * (number + 1) / min(REFITTED, len(draws)))
+        self._runs_a_refit = max((self._separation.count - before) / max(len(refitted), 1), 1.0)
         best = max(refitted, key=lambda draw: draw.worth, default=None)
         return None if best is None or best.worth <= 0.0 else best
 
     def refined(self, best: _Draw, report: Report) -> np.ndarray:
         """The point that a simplex search from a draw ends at."""
         family, start = FAMILIES[best.request.family], best.point
+        left = (MOST_RUNS - self._separation.count) / self._runs_a_refit
+        most = int(np.clip(left, LEAST_REFINEMENTS, REFINEMENTS))
         done = 0
 
         def worth(point: np.ndarray) -> float:
             nonlocal done
             done += 1
-            report(min(done / REFINEMENTS, 1.0))
+            report(min(done / most, 1.0))
             plan = _plan(self._machine, family, best.request, point)
             return 0.0 if plan is None else self._of(plan)
 
         simplex = np.vstack([start, start + np.where(start < 0.5, FIRST_STEP, -FIRST_STEP) * np.eye(len(start))])
         refined = scipy.optimize.minimize(
             lambda point: -worth(np.clip(point, 0.0, 1.0)), start, method="Nelder-Mead",
-            options={"maxfev": REFINEMENTS, "initial_simplex": simplex},
+            options={"maxfev": most, "initial_simplex": simplex},
         )  # fmt: skip
         return np.clip(refined.x, 0.0, 1.0)
 

@@ -329,7 +329,7 @@ def _needed(tuning: Tuning, fitted: Fitted) -> tuple[np.ndarray, list[np.ndarray
     parameters = [effects()[effect.effect].parameters for effect in fitted.effects]
     offset, own = fitted.offset.copy(), [values.copy() for values in fitted.values]
     columns = np.column_stack([tuning.jacobian, fitted.jacobian])
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-100)
     size[:count] = 1.0  # whose prior has the unit size
     precision = (columns / size).T @ (columns / size)
     precision[:count, :count] += np.eye(count)
