@@ -180,16 +180,6 @@ class ModalObserver:
         for _ in range(samples):
             self.step_measured(nothing, held)
 
-    def go_back(self, x: np.ndarray, factor: np.ndarray, held: np.ndarray | None) -> None:
-        """Stand at an earlier row again: its state (states,), factor (states, states), and the command given in it; None for row 0."""
-        self.memory.x[:] = x
-        self.memory.factor[:] = factor
-        self._is_first = False
-        self._has_command = held is not None
-        if held is not None:
-            self._held[:] = held
-        self._monitor.reset()
-
     def likelihood(self, measured: np.ndarray, commands: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log likelihood of N rows (N, measurements), (N, n_axes) from a restart, and (N, 2) NIS with its degrees of freedom.
 
