@@ -37,6 +37,13 @@ AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"
 """Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
 
 
+SAME_STRENGTH = 1e-6
+"""Share of its energy by which a response must differ from the others to be told from them."""
+
+IN_PROPORTION_TO_EACH = ("imu_scale_bias", "imu_misalignment")
+"""Effects of several strengths that add up: every one runs alone, and then the mixture that the residual wants of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """The best start of one candidate, at the strength that the filter wants.
@@ -68,11 +75,10 @@ def screen(
     """
     projection = Projection.of(tuning)
     left = projection.left_of_residual(residual)
-    tries = [
-        (candidate, values) for candidate in found for start in candidate.starts for values in _with_quadrature(candidate.effect, start)
-    ]
+    tries = [(candidate, values) for candidate in found for start in candidate.starts for values in _first_tries(candidate.effect, start)]
     best: dict[EffectAt, Screened] = {}
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
+        singles: dict[EffectAt, list[tuple[Candidate, np.ndarray, np.ndarray]]] = {}
         earlier: tuple[np.ndarray, np.ndarray] | None = None  # values and response of the try before
         answers = runs.run([Trial(tuning.values, (*present, candidate.setting(values))) for candidate, values in tries])
         again = []
@@ -85,18 +91,25 @@ def screen(
             energy = float(response @ response)
             amplitude = float(response @ left) / energy if energy > 0.0 else 0.0
             score = max(amplitude, 0.0) ** 2 * energy
+            if amplitude < 1.0 / LARGEST_RESCALE and _rescaled(candidate.effect, values, 1.0) is None:
+                score = 0.0  # far too large, and strength is no factor by which it would become smaller
             known = best.get(candidate.effect)
             if known is None or score > known.score:
                 best[candidate.effect] = _wanted(candidate.effect, values, response, amplitude, score)
             if earlier is not None and _are_in_quadrature(candidate.effect, earlier[0], values):
                 again.append((candidate, _turned(candidate.effect, earlier[0], earlier[1], response, left)))
             earlier = values, response
+            if candidate.effect.effect in IN_PROPORTION_TO_EACH:
+                singles.setdefault(candidate.effect, []).append((candidate, values, response))
+                continue
             if _pair(candidate.effect) is not None:
                 continue
             if amplitude > 0.0 and not 1.0 / RESCALED_BEYOND < amplitude < RESCALED_BEYOND:
                 again.append((candidate, _rescaled(candidate.effect, values, amplitude)))
             elif amplitude < 0.0 and (flipped := _flipped(candidate.effect, values, -amplitude)) is not None:
                 again.append((candidate, flipped))
+        if number == 0:
+            again += [(parts[0][0], _mixture(parts, left)) for parts in singles.values()]
         tries = [(candidate, values) for candidate, values in again if values is not None]
     return sorted(best.values(), key=lambda screened: -screened.score)
 
@@ -148,14 +161,33 @@ def _pair(effect: EffectAt) -> tuple[int, int] | None:
     return next(((names.index(a), names.index(p)) for a, p in AMPLITUDE_AND_PHASE if a in names and p in names), None)
 
 
-def _with_quadrature(effect: EffectAt, start: np.ndarray) -> list[np.ndarray]:
-    """A start, and a quarter of a cycle further where the effect has a phase: both together show every phase."""
+def _first_tries(effect: EffectAt, start: np.ndarray) -> list[np.ndarray]:
+    """A start, and a quarter of a cycle further where the effect has a phase: both together show every phase. Of an effect in proportion to
+    each of several strengths, one alone at a time.
+    """
+    if effect.effect in IN_PROPORTION_TO_EACH:
+        return [np.where(np.arange(len(start)) == k, start, 0.0) for k in range(len(start)) if start[k] != 0.0]
     pair = _pair(effect)
     if pair is None:
         return [start]
     further = start.copy()
     further[pair[1]] = _wrapped(further[pair[1]] + 0.5 * np.pi)
     return [start, further]
+
+
+def _mixture(parts: Sequence[tuple[Candidate, np.ndarray, np.ndarray]], left: np.ndarray) -> np.ndarray | None:
+    """The strengths that the residual wants of responses that add up; None where none shows anything."""
+    responses = np.stack([response for _, _, response in parts])
+    gram = responses @ responses.T
+    seen = np.diag(gram) > 0.0
+    if not np.any(seen):
+        return None
+    gram = gram[np.ix_(seen, seen)]
+    gram += np.diag(SAME_STRENGTH * np.diag(gram))
+    weights = np.linalg.solve(gram, responses[seen] @ left)
+    values = weights @ np.stack([values for _, values, _ in parts])[seen]
+    parameters = effects()[parts[0][0].effect.effect].parameters
+    return np.clip(values, [p.low for p in parameters], [p.high for p in parameters])
 
 
 def _are_in_quadrature(effect: EffectAt, one: np.ndarray, other: np.ndarray) -> bool:

@@ -1,0 +1,36 @@
+"""Effects of several strengths that add up, against the least squares that they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import screen
+from virtual_bus.effects.registry import effects
+
+ENTRIES = 300
+MISALIGNED = EffectAt("imu_misalignment", "imu")
+
+
+class Linear:
+    """Free runs of a machine whose whitened answer is in proportion to each of an effect's strengths."""
+
+    def __init__(self, name: str) -> None:
+        self._names = [p.name for p in effects()[name].parameters]
+        self.columns = np.random.default_rng(2).standard_normal((ENTRIES, len(self._names)))
+
+    def run(self, trials):
+        return [sum(self.columns @ [one.parameters[name] for name in self._names] for one in trial.effects) for trial in trials]
+
+
+def test_strengths_that_act_against_each_other_are_found_together():
+    runs = Linear("imu_misalignment")
+    hidden = np.array([0.02, -0.03, 0.01])
+    noise = np.random.default_rng(3).standard_normal(ENTRIES) * 1e-3
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(1), np.zeros(1), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 1)), np.eye(1))
+    guess = Candidate(MISALIGNED, (np.array([0.01, 0.01, 0.0]), np.array([0.01, 0.01, 0.01])))
+    (found,) = screen(runs, tuning, [guess], runs.columns @ hidden + noise)
+    assert found.values == pytest.approx(hidden, abs=5e-4)
