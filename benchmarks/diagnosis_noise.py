@@ -6,8 +6,8 @@ python benchmarks/diagnosis_noise.py WORK/development --along 45,48,15
 
 For every null: |residual|^2 over its expectation at the true machine numbers, on the repeats' mean and on the held-out recording (1 is
 right), and after re-tuning. With --along, for these nulls: the variance, in units of the noise model's, of twelve fresh repeats and of the
-recorded ones (about their mean) along what every candidate changes, re-tuning projected out; 1 is right. Truths are read here, as only a
-development set's may be. Prints JSON.
+recorded ones, each about their mean, along what every candidate changes, re-tuning projected out; 1 is right. Truths are read here, as
+only a development set's may be. Prints JSON.
 """
 
 from __future__ import annotations
@@ -71,15 +71,14 @@ def along(folder: Path, number: int) -> dict[str, object]:
     case = making.case_of(places, number)
     shop = Workshop(case, making.machines(places.models)[case.machine])
     nothing = shop.setup(())
-    columns = [case.channels.index(name) for name in train.channels]
     group = train.groups[0]
-    clean = shop.matrix(nothing, shop.training)[: len(group.mean), columns]
-    fresh = []
-    for repeat in FRESH:
-        readings = shop.recorded(nothing, shop.training, repeat)[1]
-        fresh.append(train.noise.whiten(np.column_stack([readings[name] for name in train.channels])[: len(clean)] - clean, group.imu))
-    free = np.sqrt(group.repeats / (group.repeats - 1.0))
-    own = [free * train.noise.whiten(rows - group.mean, group.imu) for rows in group.complete]
+    drawn = [shop.recorded(nothing, shop.training, repeat)[1] for repeat in FRESH]
+    repeats = {"fresh": np.stack([np.column_stack([one[name] for name in train.channels])[: len(group.mean)] for one in drawn])}
+    repeats["own"] = group.complete
+    deviations = {
+        name: [train.noise.whiten(rows, group.imu) for rows in (some - some.mean(axis=0)) * np.sqrt(len(some) / (len(some) - 1.0))]
+        for name, some in repeats.items()
+    }
     runs = FreeRuns({TRAIN: train}, train.noise)
     tuning = retune(runs)
     projection = Projection.of(tuning)
@@ -89,8 +88,8 @@ def along(folder: Path, number: int) -> dict[str, object]:
         response = screened.response.astype(float)
         size = np.linalg.norm(response)
         if size > 0.0:
-            for name, repeats in (("fresh", fresh), ("own", own)):
-                left = [projection.left(one) @ response / size for one in repeats]
+            for name, whitened in deviations.items():
+                left = [projection.left(one) @ response / size for one in whitened]
                 variances[name].append(float(np.mean(np.square(left))))
     answer: dict[str, object] = {"case": number, "machine": case.machine, "colour": case.colour, "repeats": group.repeats}
     for name, values in variances.items():

@@ -30,13 +30,15 @@ TRAIN_LEVEL = 0.01
 SIMULATOR_ERROR = 1e-3
 """Energy, in units of the noise of the repeats' mean, by which a simulation of the right machine may be off: 3 % of the noise's rms."""
 
-SPECTRUM_WEIGHT = 2.0
-"""What the noise spectra count for against the repeats' scatter of an effect's strength, in repeats."""
+PRIOR_VARIANCE, PRIOR_FREEDOM = 0.74, 4.2
+"""Scale and degrees of freedom of the scaled inverse chi-squared distribution of what the noise's variance along a response is, in units of
+the noise model's (empirical Bayes; Smyth 2004). With IN_SAMPLE the likeliest for 588 responses on ten development nulls of all colours,
+each with the scatter of the recorded repeats and of twelve fresh ones (`benchmarks/diagnosis_noise.py --along`)."""
 
-IN_SAMPLE = 0.56
-"""Power of the repeats' deviations along a response, over that of fresh repeats. The spectra were taken from the same deviations and whiten
-them too well: by 1 - C / n for C channels and n degrees of freedom where the spectrum is flat (0.75; Muirhead 1982, sec. 3.2), by more
-where few lines decide. Measured on development nulls (`benchmarks/diagnosis_noise.py --along`): 0.1 to 1.0, median 0.5."""
+IN_SAMPLE = 0.67
+"""Power of the recorded repeats' deviations along a response, over that of fresh repeats. The spectra were taken from the same deviations
+and whiten them too well: by 1 - C / n for C channels and n degrees of freedom where the spectrum is flat (0.75; Muirhead 1982, sec. 3.2),
+by more where few lines decide."""
 
 HELD_OUT_DEVIATIONS = 2.5
 """Of the held-out response along the predicted one, in units of its noise."""
@@ -145,10 +147,10 @@ class Scatter:
         self._deviations = [repeats - repeats.mean(axis=0) for repeats in whitened]
 
     def along(self, response: np.ndarray) -> float:
-        """Variance along a response (M,), in units of the noise model's; at least 1.
+        """Variance along a response (M,), in units of the noise model's; at least 1, and 1 without repeats.
 
-        Each repeat's deviation from the mean along it has variance IN_SAMPLE where the model holds; SPECTRUM_WEIGHT repeats' worth of that
-        is taken for granted.
+        Its expectation after the repeats' deviations along it have been seen, with what other machines' responses have beforehand: two or
+        three deviations alone know it to a factor of two.
         """
         length = float(np.sqrt(response @ response))
         if length == 0.0:
@@ -163,7 +165,9 @@ class Scatter:
             along = deviations @ own / size
             total += float(along @ along) / IN_SAMPLE
             free += len(deviations) - 1.0
-        return max(1.0, (SPECTRUM_WEIGHT + total) / (SPECTRUM_WEIGHT + free))
+        if free == 0.0:
+            return 1.0
+        return max(1.0, (PRIOR_FREEDOM * PRIOR_VARIANCE + total) / (PRIOR_FREEDOM + free - 2.0))
 
 
 def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> float:

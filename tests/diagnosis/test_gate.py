@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import scipy.integrate
+import scipy.stats
 
-from hil.diagnosis.gate import SIMULATOR_ERROR, TRAIN_LEVEL, needed_gain
+from hil.diagnosis.gate import IN_SAMPLE, PRIOR_FREEDOM, PRIOR_VARIANCE, SIMULATOR_ERROR, TRAIN_LEVEL, Scatter, needed_gain
 from hil.diagnosis.starts import ONE_HARMONIC, TWO_HARMONICS
 
 ROWS, PADDED = 128, 2048
@@ -46,3 +50,23 @@ def test_noise_above_the_model_asks_for_more_and_noise_below_it_for_no_less():
 
 def test_no_gain_below_the_simulator_s_own_error_counts():
     assert needed_gain(1, 1, 0.0, 10**6) == SIMULATOR_ERROR * 10**6
+
+
+@pytest.mark.parametrize("size", [0.2, 2.0, 6.0])
+def test_the_scatter_along_a_response_is_the_variance_expected_after_the_repeats_were_seen(size):
+    response = np.array([0.0, 3.0, 4.0])
+    along = size * np.array([1.0, -0.5, -0.5])
+    runs = SimpleNamespace(repeats=lambda name: [[np.array([9.0, 0.0, 0.0]) + a * response / 5.0 for a in along]])
+    seen = float(along @ along) / IN_SAMPLE
+
+    def weight(variance):
+        prior = scipy.stats.chi2.pdf(PRIOR_FREEDOM * PRIOR_VARIANCE / variance, PRIOR_FREEDOM) / variance**2
+        return prior * scipy.stats.chi2.pdf(seen / variance, len(along) - 1) / variance
+
+    mean, whole = (scipy.integrate.quad(lambda v, k=k: v**k * weight(v), 0.0, np.inf)[0] for k in (1, 0))
+    assert Scatter(runs).along(response) == pytest.approx(max(1.0, mean / whole), rel=1e-3)
+
+
+def test_without_repeats_the_noise_model_stands_alone():
+    runs = SimpleNamespace(repeats=lambda name: [[np.array([1.0, 2.0])]])
+    assert Scatter(runs).along(np.array([1.0, 0.0])) == 1.0
