@@ -196,9 +196,9 @@ def calibrate(rows: Sequence[dict[str, Any]], present: Weights) -> str:
         others = [row for number, row in enumerate(fitted_rows) if number % FOLDS != k]
         crossed += log_likelihood(fitted_rows[k::FOLDS], fit(others))
     before, after = log_likelihood(checked, present), log_likelihood(checked, weights)
-    lines.append(f"log likelihood, fitted half: present {log_likelihood(fitted_rows, present):.2f}, cross-validated {crossed:.2f}")
-    lines.append(f"log likelihood, other half: present {before:.2f}, fitted {after:.2f}")
-    for name, some in (("fitted half", fitted_rows), ("other half", checked)):
+    lines.append(f"log likelihood, cases to fit: present {log_likelihood(fitted_rows, present):.2f}, cross-validated {crossed:.2f}")
+    lines.append(f"log likelihood, cases to check: present {before:.2f}, fitted {after:.2f}")
+    for name, some in (("to fit", fitted_rows), ("to check", checked)):
         for label, these in (("present", present), ("fitted", weights)):
             bins = ", ".join(f"{said:.2f}: {right:.2f} of {count}" for said, right, count in reliability(some, these))
             lines.append(f"{name}, {label}, said: right  {bins}")

@@ -11,7 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from controllers.compiled import exactly_inlined
+from controllers.errors import DesignError
 from controllers.models.vectors import cross, minus, plus, row, scaled, turned_back
+
+UNIT = 1e-6
+"""How far an axis may be from a unit vector."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,27 @@ class Chain:
     points: np.ndarray
     revolute: np.ndarray
     gravity_m_s2: np.ndarray
+
+    def __post_init__(self) -> None:
+        n = len(self.axes)
+        for name, shape in (("axes", (n, 3)), ("points", (n, 3)), ("revolute", (n,)), ("gravity_m_s2", (3,))):
+            fits("chain", name, getattr(self, name), shape)
+        if np.abs(np.linalg.norm(self.axes, axis=1) - 1.0).max(initial=0.0) > UNIT:
+            raise DesignError("chain: an axis is not a unit vector")
+
+
+def fits(whose: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Whether an array is one of finite numbers of this shape.
+
+    Raises
+    ------
+    DesignError
+        It is not.
+    """
+    if np.shape(values) != shape:
+        raise DesignError(f"{whose}: {name} has shape {np.shape(values)}, {shape} fits")
+    if not np.isfinite(values).all():
+        raise DesignError(f"{whose}: a number of {name} is not finite")
 
 
 @exactly_inlined

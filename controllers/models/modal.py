@@ -26,7 +26,7 @@ import numpy as np
 
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
-from controllers.models.chain import Chain, chain_motion
+from controllers.models.chain import Chain, chain_motion, fits
 
 SMALLEST_s2 = 1e-9
 """Of 1/ω²: a polynomial that falls to nothing between poses makes a mode of 5 kHz, not one that runs off."""
@@ -58,6 +58,10 @@ class InertialSensor:
     rotation: np.ndarray
     lag_s: float
     channels: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name, shape in (("body_end_m", (3,)), ("sensor_end_m", (3,)), ("rotation", (3, 3)), ("lag_s", ())):
+            fits("inertial sensor", name, getattr(self, name), shape)
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,16 @@ class ModalModel:
     turning: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        axes = (len(self.axes),)
+        fits("modal model", "source_end_m", self.source_end_m, (3,))
+        fits("modal model", "effort_limit", self.effort_limit, axes)
+        for name, count in (
+            ("chain's axes", len(self.chain.axes)),
+            ("position_unit", len(self.position_unit)),
+            ("harmonics", len(self.harmonics)),
+        ):
+            if count != axes[0]:
+                raise DesignError(f"modal model: {count} {name}, {axes[0]} fit")
         expected = (self.modes * self.mode_stride + self._rest_rows + self.modes, basis_size(self.harmonics))
         if self.modes < 0 or self.coefficients.shape != expected:
             raise DesignError(f"modal model: coefficients have shape {self.coefficients.shape}, {expected} fits")

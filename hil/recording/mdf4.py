@@ -51,6 +51,8 @@ _HISTORY = """<FHcomment>
 </FHcomment>"""
 _SEAL = struct.Struct("<8sII")
 _SEAL_MARK = b"isocrc32"
+_IN_MEMORY = re.compile(r"""['"]?<_io\.BytesIO[^>]*>['"]?""")
+"""What asammdf calls a file that was read already."""
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
 
 
@@ -94,7 +96,7 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
         except RecordingError:
             raise
         except Exception as problem:
-            reason = str(problem).strip().partition("\n")[0] or type(problem).__name__
+            reason = _IN_MEMORY.sub("it", str(problem).strip().partition("\n")[0]) or type(problem).__name__
         if reason:
             gc.collect()  # asammdf's half-built objects complain on their way out: let them do it now
     if reason:

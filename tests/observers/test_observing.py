@@ -183,6 +183,13 @@ def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design
         "sample_rate_Hz",
         "coefficients",
         "directions",
+        "chain_axes",
+        "chain_points",
+        "chain_revolute",
+        "chain_gravity_m_s2",
+        "sensor_body_end_m",
+        "sensor_rotation",
+        "source_end_m",
         "effort_limit",
         "noise_command",
         "noise_measurement",
@@ -191,6 +198,17 @@ def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design
         with pytest.raises(UnusableInput, match=r"changed\.npz: .+") as refused:
             read_design(tmp_path / "changed.npz")
         assert len(str(refused.value).splitlines()) == 1, name
+    bent = {
+        "chain_points": (arrays["chain_points"][:1], r"chain: points has shape \(1, 3\), \(2, 3\) fits"),
+        "chain_axes": (2.0 * arrays["chain_axes"], "chain: an axis is not a unit vector"),
+        "chain_gravity_m_s2": (np.full(3, np.nan), "chain: a number of gravity_m_s2 is not finite"),
+        "source_end_m": (np.zeros(2), "modal model: source_end_m has shape"),
+        "sensor_rotation": (arrays["sensor_rotation"][:, :2], "inertial sensor: rotation has shape"),
+    }
+    for name, (values, line) in bent.items():
+        np.savez(tmp_path / "changed.npz", **{**arrays, name: values})
+        with pytest.raises(UnusableInput, match=rf"changed\.npz: {line}"):
+            read_design(tmp_path / "changed.npz")
     np.savez(tmp_path / "part.npz", **{name: values for name, values in arrays.items() if name != "notes"})
     with pytest.raises(UnusableInput, match="the array 'notes' is missing"):
         read_design(tmp_path / "part.npz")

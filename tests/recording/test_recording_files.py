@@ -214,12 +214,18 @@ def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path, place
     read_or_refused(tmp_path / "flipped.mf4", bytes(content))
 
 
+def test_a_file_that_is_no_mf4_is_refused_by_what_it_is_not(tmp_path):
+    (tmp_path / "run.mf4").write_bytes(b"something else altogether")
+    with pytest.raises(RecordingError, match=r"run\.mf4: no MDF 4 file, or damaged: it is not a valid"):
+        read_recording(tmp_path / "run.mf4")
+
+
 def read_or_refused(path: Path, content: bytes):
     path.write_bytes(content)
     try:
         found = read_recording(path)
     except RecordingError as refusal:
-        assert str(refusal).startswith(str(path)) and "\n" not in str(refusal)
+        assert str(refusal).startswith(str(path)) and "\n" not in str(refusal) and "BytesIO" not in str(refusal)
     else:
         assert_same(found, example())
 
