@@ -28,7 +28,10 @@ REFITTED_BESIDE = 5
 """Candidates refitted beside effects that were found already."""
 
 POLISHED = 3
-"""Fits that are continued with sensitivities taken where they are."""
+"""Fits that are continued with sensitivities taken where they are, and as many again of those that gain nearly as much (NEARLY): an
+unfinished fit of a law that holds another is no evidence against it."""
+
+NEARLY = 0.9
 
 PAIRED = 3
 """Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
@@ -146,7 +149,8 @@ def select(
         if not fits:
             break
         fits.sort(key=lambda fit: fit.cost)
-        fits = [polish(runs, tuning, measured, fit) for fit in fits[:POLISHED]] + fits[POLISHED:]
+        unfinished = _worth_finishing(fits, base, len(residual))
+        fits = [polish(runs, tuning, measured, fit) for fit in fits[:unfinished]] + fits[unfinished:]
         fits = in_order(fits, base, noise_energy)
         if size == 0:
             starts = _pairs_worth_a_fit(tuning, residual, fits, screened, base, noise_energy, found)
@@ -191,6 +195,13 @@ def select(
         passed_so_far = (*earlier, *[gates[-1]] * (len(chosen.effects) - len(earlier)))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
     return Selection(chosen, tuple(gates), contenders, tuple(first), closest)
+
+
+def _worth_finishing(fits: Sequence[Fitted], base: float, entries: int) -> int:
+    """How many of the fits, the best first, are polished."""
+    best = base - fits[0].cost
+    near = sum(base - fit.cost > NEARLY * best for fit in fits) if best > needed_gain(1, 1, fits[0].cost, entries) else 0
+    return min(max(near, POLISHED), 2 * POLISHED)
 
 
 def _pairs_worth_a_fit(
