@@ -89,8 +89,8 @@ class Calibration:
         Deviations from nominal as they were known at each sample.
     final : (N, 9) array
         With the parameters found at the end; where marker plates were seen, with the displacement that all images tell.
-    sigma : (N, 9) array
-        Standard deviations of `live`.
+    covariance : (N, 9, 9) array
+        Of `live`.
     parameters : Parameters
         At the end.
     used, refused : lists of int
@@ -109,7 +109,7 @@ class Calibration:
 
     live: np.ndarray
     final: np.ndarray
-    sigma: np.ndarray
+    covariance: np.ndarray
     parameters: Parameters
     used: list[int] = field(default_factory=list)
     refused: list[int] = field(default_factory=list)
@@ -118,6 +118,11 @@ class Calibration:
     converged: int | None = None
     history: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
     place_sigma_m: list[float] = field(default_factory=list)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(N, 9) standard deviations of `live`."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 class DataDrivenFilter:
@@ -249,7 +254,7 @@ def calibrate_data(
     work = DataDrivenFilter(model, start, observed.displacement_std)
     all_rows = model.rows(observed.positions, observed.load)
     twist_now = all_rows[:, :, displacement_columns(model)]
-    result = Calibration(observed.deviation.copy(), observed.deviation.copy(), np.zeros_like(observed.deviation), start)
+    result = Calibration(observed.deviation.copy(), observed.deviation.copy(), np.zeros((len(observed), 9, 9)), start)
     result.history.append((work.x[: work.size].copy(), np.sqrt(np.diag(work.covariance)[: work.size])))
     sparse = all_rows[:: max(1, len(observed) // 40), 3:6]
     result.place_sigma_m.append(place_sigma(work, sparse))
@@ -365,7 +370,6 @@ def _publish(
     states = work.x[: size + 6]
     result.live[part] = observed.deviation[part] + gradient @ states
     covariance = work.covariance[: size + 6, : size + 6]
-    variance = np.einsum("nia,nia->ni", gradient @ covariance, gradient)
-    renewed = (1.0 - kept[:, 0] ** 2) * np.einsum("nij,j->ni", twist[part] ** 2, work.renewed_variance)
-    result.sigma[part] = np.sqrt(variance + np.maximum(renewed, 0.0))
+    renewed = np.maximum(1.0 - kept**2, 0.0) * ((twist[part] * work.renewed_variance) @ twist[part].transpose(0, 2, 1))
+    result.covariance[part] = gradient @ covariance @ gradient.transpose(0, 2, 1) + renewed
     return stop

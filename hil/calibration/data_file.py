@@ -82,6 +82,14 @@ class DataFile:
         return nominal_beam(machine, positions).moved(deviation)
 
 
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """Correlations (N, 36) of covariances (N, 9, 9), by rows above the diagonal, in single precision; zero where there is no variance."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    first, second = np.triu_indices(9, 1)
+    product = sigma[:, first] * sigma[:, second]
+    return np.divide(covariance[:, first, second], product, out=np.zeros_like(product), where=product > 0.0).astype(np.float32)
+
+
 def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibration, path: Path) -> None:
     """To its file; RecordingError where it cannot be written."""
     arrays = {
@@ -95,6 +103,7 @@ def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibrati
         "live": found.live,
         "final": found.final,
         "sigma": found.sigma,
+        "correlation": correlation(found.covariance),
         "values": found.parameters.values,
         "covariance": found.parameters.covariance,
         "static": observed.static,

@@ -80,8 +80,8 @@ class LiveCalibration:
         Images taken in.
     withdrawn_after : int or None
         Phantom images it took until they were withdrawn.
-    positions, fast, live, sigma : arrays over the plan's rows
-        Link sides (rows, axes); of the nine deviations the observer's fast part, what was published, and its standard deviations.
+    positions, fast, live, covariance : arrays over the plan's rows
+        Link sides (rows, axes); of the nine deviations the observer's fast part, what was published, and its covariance (rows, 9, 9).
 
     Raises
     ------
@@ -110,7 +110,7 @@ class LiveCalibration:
         self._offsets = np.where([name.startswith(NOT_OFFSETS) for name in self.model.names], 0.0, start.values)
         self._orientation = machine.plant.imus[0].orientation
         self._rows, self._nominal = np.zeros((9, len(self.model.names))), np.zeros((6, 3))
-        self._deviation, self._out = np.zeros(9), np.zeros(18)
+        self._deviation, self._out, self._together = np.zeros(9), np.zeros(18), np.zeros((9, 9))
         self._asked = self.model.rows(poses, np.tile(self.gravity, (len(poses), 1)))[:, 3:6]
         self.channels, self.values = list(CHANNELS), np.full(len(CHANNELS), np.nan)
         self.restart(0)
@@ -127,7 +127,7 @@ class LiveCalibration:
         self._stands_s, self.used, self._phantoms, self._last = 0.0, 0, 0, -1
         self._low = np.zeros(9)
         self.positions, self.fast = np.full((rows, len(self._link)), np.nan), np.full((rows, 9), np.nan)
-        self.live, self.sigma = np.full((rows, 9), np.nan), np.full((rows, 9), np.nan)
+        self.live, self.covariance = np.full((rows, 9), np.nan), np.full((rows, 9, 9), np.nan)
         self.values[:] = np.nan
 
     def level(self, measured: np.ndarray) -> None:
@@ -171,7 +171,7 @@ class LiveCalibration:
         if arrived:  # they have left their own pose there
             pose_rows(*self._chain, self.gravity, positions, self._rows, self._nominal)
         self._publish(now, fast)
-        self.live[tick], self.sigma[tick] = self.values[:9], np.sqrt(self.values[9:18])
+        self.live[tick], self.covariance[tick] = self.values[:9], self._together
 
     def _take(self, sighting: Sighting) -> str:
         """Take an image in at its exposure's time."""
@@ -204,7 +204,7 @@ class LiveCalibration:
     def _publish(self, now: float, fast: np.ndarray) -> None:
         work, kept = self.filter, math.exp(-(now - self._stands_s) / STRAYS_S)
         renewed = (1.0 - kept**2) * work.renewed_variance
-        published(self._rows, self._twist.start, work.x, work.covariance, kept, renewed, fast, self._out)
+        published(self._rows, self._twist.start, work.x, work.covariance, kept, renewed, fast, self._out, self._together)
         self.values[:18] = self._out
         self.values[18] = self.used
 

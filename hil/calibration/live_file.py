@@ -107,7 +107,7 @@ def write_live_geometry(live: LiveCalibration, path: Path) -> None:
     parameters = live.filter.parameters
     final = fast + live.model.rows(positions, load) @ parameters.values
     fates = [arrival.fate for arrival in live.arrivals]
-    found = Calibration(live.live[known], final, live.sigma[known], parameters)
+    found = Calibration(live.live[known], final, live.covariance[known], parameters)
     found.used = [k for k, fate in enumerate(fates) if fate in ("used", CHANGE)]
     found.refused = [k for k, fate in enumerate(fates) if fate == REFUSED]
     write_data_file(live.model, observed, found, path)

@@ -153,7 +153,7 @@ def deviation_from_nominal(ends, nominal, estimate, out):  # type: ignore[no-unt
 
 
 @exactly_compiled
-def published(rows, first, x, covariance, kept, renewed, fast, out):  # type: ignore[no-untyped-def]
+def published(rows, first, x, covariance, kept, renewed, fast, out, together):  # type: ignore[no-untyped-def]
     """Deviations and their variances (18,) of a row: parameters and faded error of the displacement, and the observer's fast part.
 
     Parameters
@@ -168,23 +168,30 @@ def published(rows, first, x, covariance, kept, renewed, fast, out):  # type: ig
     renewed : (6,) array
         Variances of what has come to it since.
     fast : (9,) array
+    together : (9, 9) array
+        Overwritten: the deviations' covariance.
     """
     size = rows.shape[1]
-    gradient = np.zeros(size + 6)
+    gradient, spread = np.zeros((9, size + 6)), np.zeros(size + 6)
     for i in range(9):
         for a in range(size):
-            gradient[a] = rows[i, a]
-        variance = 0.0
+            gradient[i, a] = rows[i, a]
         for j in range(6):
-            gradient[size + j] = kept * rows[i, first + j]
-            variance += rows[i, first + j] ** 2 * renewed[j]
+            gradient[i, size + j] = kept * rows[i, first + j]
+    for i in range(9):
         value = fast[i]
         for a in range(size + 6):
-            if gradient[a] == 0.0:
-                continue
-            value += gradient[a] * x[a]
-            total = 0.0
-            for b in range(size + 6):
-                total += covariance[a, b] * gradient[b]
-            variance += gradient[a] * total
-        out[i], out[9 + i] = value, variance
+            value += gradient[i, a] * x[a]
+            spread[a] = 0.0
+        for b in range(size + 6):
+            if gradient[i, b] != 0.0:
+                for a in range(size + 6):
+                    spread[a] += covariance[a, b] * gradient[i, b]
+        for k in range(i + 1):
+            both = 0.0
+            for j in range(6):
+                both += rows[i, first + j] * rows[k, first + j] * renewed[j]
+            for a in range(size + 6):
+                both += gradient[k, a] * spread[a]
+            together[i, k] = together[k, i] = both
+        out[i], out[9 + i] = value, together[i, i]

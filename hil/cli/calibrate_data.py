@@ -199,10 +199,8 @@ def _report(answer: Answer, found: Calibration, observed: ObservedBeam) -> None:
 def _draw(observed: ObservedBeam, found: Calibration, figure: Path) -> None:
     from hil.figures.geometry import deviations_figure
 
-    covariance = np.zeros((len(observed), 9, 9))
-    covariance[:, np.arange(9), np.arange(9)] = found.sigma**2
     picture = deviations_figure(
-        observed.time_s, "time [s]", {"live": (found.live, covariance), "parameters of the end": (found.final, None)}
+        observed.time_s, "time [s]", {"live": (found.live, found.covariance), "parameters of the end": (found.final, None)}
     )
     save_figure(picture, figure)
 

@@ -127,6 +127,8 @@ def test_every_row_has_what_the_filter_over_the_recording_has_with_the_images_co
         assert published[row, 18] == len(come)
         assert np.abs(published[row, :9] - offline.live[row]).max() < 1e-9
         assert np.abs(np.sqrt(published[row, 9:18]) / offline.sigma[row] - 1.0).max() < 1e-6
+        spread = np.outer(offline.sigma[row], offline.sigma[row])
+        assert np.abs((live.covariance[row] - offline.covariance[row]) / spread).max() < 1e-6
     assert [arrival.row for arrival in live.arrivals] == [row for row, _ in moving.sightings]
 
 
@@ -141,6 +143,12 @@ def test_what_it_leaves_is_replayed_bit_for_bit_and_read_as_a_calibration(moving
     found = read_data_file(tmp_path / "geometry.npz")
     assert len(found.time_s) == ROWS - 3 and np.array_equal(found.values, again.filter.parameters.values)
     assert np.array_equal(found.live[-1], published[-1, :9]) and np.array_equal(found.static, moving.start.static)
+    with np.load(tmp_path / "geometry.npz") as file:  # what deviations have in common, as docs/formats.md lays it out
+        sigma, correlation = file["sigma"][-1], file["correlation"][-1]
+    together = np.diag(sigma**2)
+    together[np.triu_indices(9, 1)] = correlation * np.outer(sigma, sigma)[np.triu_indices(9, 1)]
+    assert np.allclose(np.triu(together), np.triu(live.covariance[-1]), rtol=1e-5, atol=1e-6 * sigma.max() ** 2)
+    assert correlation.dtype == np.float32 and 0.5 < np.abs(correlation).max() <= 1.0
 
 
 @pytest.mark.parametrize("name", ["row", "time_s", "positions", "covariance", "sightings_format"])
@@ -178,7 +186,8 @@ def test_an_inertial_reading_is_levelled_as_a_recording_is(moving):
 
 
 def test_a_calibration_made_without_an_observer_is_refused(moving, tmp_path):
-    quiet = Calibration(moving.observed.deviation, moving.observed.deviation, moving.observed.deviation, moving.start.parameters(MODEL))
+    seen = moving.observed.deviation
+    quiet = Calibration(seen, seen, np.zeros((ROWS, 9, 9)), moving.start.parameters(MODEL))
     write_data_file(MODEL, moving.observed, quiet, tmp_path / "quiet.npz")
     with pytest.raises(UnusableInput, match="was made without an observer; make it with isocenter calibrate data --design"):
         LiveCalibration(CARM, read_data_file(tmp_path / "quiet.npz"), OBSERVER, Post([]), 0.0, moving.positions[:2])

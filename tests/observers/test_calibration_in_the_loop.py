@@ -37,7 +37,7 @@ def files(machine: Machine, design: ObserverDesign, tmp_path_factory) -> Path:
     model, nothing = QuasiStatic.of(machine), np.zeros((2, 9))
     observed = ObservedBeam(np.arange(2.0), np.zeros((2, 2)), nothing, np.zeros((2, 3)), np.zeros(6), np.full((4, 9), 1e-12))
     known = Parameters(np.full(len(model.names), 1e-9), Parameters.unknown(model).covariance)
-    write_data_file(model, observed, Calibration(nothing, nothing, nothing, known), folder / "start.npz")
+    write_data_file(model, observed, Calibration(nothing, nothing, np.zeros((2, 9, 9)), known), folder / "start.npz")
     return folder
 
 
