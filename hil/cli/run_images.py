@@ -91,6 +91,7 @@ def images_beside(
     detector = nominal_detector(machine, binning)
     plate, nominal = watched_marker(machine, scene_name)
     url = _panel_url(spool, panel_url, bus, lockstep)
+    beam = beam_of(machine, scene_name) if spool is None else None
     with tempfile.TemporaryDirectory() as scratch:
         live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url))
         source: Path | RemotePanel = spool or Path(scratch) / "spool"
@@ -102,8 +103,8 @@ def images_beside(
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
-            assert isinstance(source, Path)
-            panel = PanelOrder(machine, truth, source, Exposures(rate_Hz), beam_of(machine, scene_name), detector, 0)
+            assert isinstance(source, Path) and beam is not None
+            panel = PanelOrder(machine, truth, source, Exposures(rate_Hz), beam, detector, 0)
         with frames_beside(order, panel) as check:
             if beside is not None and isinstance(beside.inbox, LockstepEnd):
                 beside.inbox.check = check

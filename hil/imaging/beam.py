@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.emulated import SPOT, VIEWS
 from hil.imaging.marker_view import PLATE_M
 from hil.imaging.markers import PLATES
 from hil.imaging.markers.emulated import TubeMarker
 from hil.imaging.nominal import panel_in_tube
-from hil.imaging.scenes import scene
+from hil.imaging.scenes import SCENES, scene
 from hil.machine import Machine
 from virtual_bus.xray.imaging import Optics, expected, exposed
 from virtual_bus.xray.motion import FocalSpot, XraySide
@@ -49,4 +50,6 @@ def beam_of(machine: Machine, name: str) -> Beam:
     """
     if name in PLATES:
         return Beam([], TubeMarker(PLATES[name](), PLATE_M, panel_in_tube(machine)))
+    if name not in SCENES:
+        raise UnusableInput(f"scene {name}: there are {', '.join(SCENES)}, and marker plates {', '.join(PLATES)}")
     return Beam(scene(name), None)

@@ -211,6 +211,7 @@ def test_an_address_where_no_panel_is_and_commands_that_are_none():
         (["-b", "lockstep:", "--panel", "tcp:127.0.0.1:1"], "--panel: on lockstep: the emulated panel has its own; leave it out"),
         (["-b", "udp:239.74.163.99"], "--images: nobody says where the panel of udp:239.74.163.99 is"),
         (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--spool", "."], "--spool and --panel: frames come from one of them"),
+        (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--scene", "nothing"], "scene nothing: there are dodecahedron, "),
         (["-b", "udp:", "--panel", "there"], "panel there: its address reads tcp:HOST:PORT"),
     ],
 )
