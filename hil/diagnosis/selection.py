@@ -145,6 +145,7 @@ def select(
         worth = [s for s in screened[:most] if s.score > WORTH_A_FIT * max(other.score for other in screened)]
         report("fitting", 0.35 + 0.2 * size)
         starts = [_beside(chosen, s) for s in worth]
+        starts += _instead(chosen, worth[0])
         fits = [fit for fit in refit(runs, present, measured, starts) if fit is not None]
         if not fits:
             break
@@ -182,7 +183,7 @@ def select(
                 unseen_at_first - unseen + (gate.held_out_gain or 0.0),
                 unseen - (gate.held_out_gain or 0.0),
                 (*earlier, *[gate] * (len(fit.effects) - len(earlier))),
-                searched + _searched(fit.effects[len(earlier) :], found),
+                searched + _searched(_added(chosen, fit), found),
             )
             for fit, gate in judged
             if gate.passed or (gate.certain_gain > least and not gate.lost_form)
@@ -190,7 +191,7 @@ def select(
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
-        searched += _searched(passed[0][0].effects[len(earlier) :], found)
+        searched += _searched(_added(chosen, passed[0][0]), found)
         chosen = passed[0][0]
         passed_so_far = (*earlier, *[gates[-1]] * (len(chosen.effects) - len(earlier)))
         present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
@@ -260,6 +261,18 @@ def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...
     return (*chosen.effects, added.effect), (*chosen.values, added.values)
 
 
+def _instead(chosen: Fitted | None, added: Screened) -> list[Start]:
+    """The most promising effect in place of each of a pair: one of two that were found together may have stood for it."""
+    if chosen is None or len(chosen.effects) < 2:
+        return []
+    kept = [[k for k in range(len(chosen.effects)) if k != left_out] for left_out in range(len(chosen.effects))]
+    return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]
+
+
+def _added(before: Fitted | None, after: Fitted) -> tuple[EffectAt, ...]:
+    return after.effects if before is None else tuple(effect for effect in after.effects if effect not in before.effects)
+
+
 def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[Fitted]:
     """Fitted sets by their evidence on the training recordings, see naming.py."""
     best = min(fit.cost for fit in fits)
@@ -294,7 +307,7 @@ def _gate(
     noise_energy: float,
     tried: Sequence[Candidate],
 ) -> Gate:
-    added = after.effects[len(before.effects) if before is not None else 0 :]
+    added = _added(before, after)
     gain = float(residual @ residual + present.offset @ present.offset) - after.cost
     projection = Projection.of(present)
     deviations = fall = None
