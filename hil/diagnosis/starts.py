@@ -39,8 +39,9 @@ _WAVES = {
     "encoder_eccentricity": ONE_HARMONIC,
 }
 
-_OF_THE_JOINT = "position_dependent_friction"
-"""A wave over the joint's own position; the others turn with the motor."""
+_TURNING_WITH_THE_MOTOR = ("cogging", "torque_ripple", "transmission_error")
+"""Waves that come several times a turn of the motor. Friction over position may change slowly, and an encoder's first error does so once a
+turn, whatever part of it is driven."""
 
 PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
 """Of friction over position."""
@@ -86,10 +87,9 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
 
 def lowest_seen(name: str, at: str, motion: Motion) -> float:
     """Order [cycles per turn, as the effect counts it] or frequency [Hz] of which the motion shows half a cycle; 0 for what is no wave."""
-    if name in _WAVES and name != "encoder_eccentricity":  # its first term is one cycle per turn, whatever part of a turn is driven
+    if name in _TURNING_WITH_THE_MOTOR:
         residual = motion.residual(at)
-        per_motor = 1.0 if name == _OF_THE_JOINT else residual.ratio
-        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * per_motor)
+        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * residual.ratio)
     if name == "base_motion":
         return 0.5 / max(float(np.ptp(motion.residual(at).time_s)), 1e-6)
     return 0.0
