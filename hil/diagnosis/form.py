@@ -21,7 +21,8 @@ NO_LONGER_SWINGS = (("structural_mode", "zeta"),)
 """Numbers without a unit whose upper bound is the end of the law; others are exponents and shares, which may be there."""
 
 DECIDE_THE_SHAPE = ("rad/s", "Hz", "cycles/turn", "Nm/rad", "rad")
-"""Units of numbers whose bounds, but zero, are far outside of what the law is made for; a time that is longer than any recording is a drift."""
+"""Units of numbers whose bounds, but zero, are far outside of what the law is made for. A time longer than any recording is none: it is a
+drift."""
 
 SHARES = ("share", "sign", "p")
 """Strengths that may be all there is of them."""
