@@ -209,7 +209,7 @@ def emulate_machine(
         def ready(ports: Ports) -> None:
             # The bench takes the TCP port: the kernel passes what comes over a pseudo terminal on in a worker of ordinary priority, for
             # which a bench of real-time priority would wait.
-            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url, panel_url)))
+            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url, panel_url, panel)))
             imu = ports.imu_device or ports.imu_url
             ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "imu_tcp": ports.imu_url, "io": ports.io_url}
             more = {"io_rtu": f"rtu:{ports.io_line}@{baud}" if ports.io_line else "", "panel": panel_url}

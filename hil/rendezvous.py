@@ -26,6 +26,7 @@ class EmulatorCard:
     imu_device: str  # tcp:HOST:PORT; "" when the machine has no IMU
     io_url: str  # "" when it has no I/O
     panel_url: str = ""  # "" when it has no panel
+    panel_scene: str = ""  # what stands in that panel's beam
 
 
 def _folder() -> Path:
@@ -56,7 +57,7 @@ def card_from_text(text: str) -> EmulatorCard | None:
         entries = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    kinds = {"bus": str, "pid": int, "imu_device": str, "io_url": str, "panel_url": str}
+    kinds = {"bus": str, "pid": int, "imu_device": str, "io_url": str, "panel_url": str, "panel_scene": str}
     if (
         not isinstance(entries, dict)
         or {name: type(value) for name, value in entries.items()} != kinds

@@ -2,6 +2,7 @@
 
 The panel hears the CAN bus and counts SYNCs from the last NMT start on, and so does who sends them: the count is the loop's time on both
 sides, with no clock besides. Both ends of the wire are here: what the host says is a line of text, what the panel says a header and pixels.
+A panel has one host at a time and greets it; a second one that connects meanwhile hears nothing until its turn comes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import os
 import select
 import socket
 import struct
+import time
 
 import numpy as np
 
@@ -20,10 +22,13 @@ from drivers.tcp_url import parse_tcp_url
 HEADER = struct.Struct("<4sIHHQdd")
 """Mark, number, rows, columns, SYNC count at the pulse, start and width by the panel's clock; then rows x columns pixels of 16 bits.
 
-No rows and no columns: all exposures have been sent, as many as the number says."""
+No rows and no columns: all exposures have been sent, as many as the number says. So it greets, too: none yet."""
 
 MARK = b"IXF1"
 CONNECT_TIMEOUT_S = 2.0
+GREETING_TIMEOUT_S = 5.0
+"""A panel may still make an image for the host before, who is gone."""
+
 READ_BYTES = 1 << 20
 
 
@@ -73,7 +78,7 @@ def frame_bytes(exposure_id: int, sync: int, panel_s: float, width_s: float, ima
 
 
 def end_bytes(exposures: int) -> bytes:
-    """The panel's end: all of its exposures have been sent."""
+    """The panel's end: all of its exposures have been sent; of none, its greeting."""
     return HEADER.pack(MARK, exposures, 0, 0, 0, 0.0, 0.0)
 
 
@@ -95,7 +100,7 @@ class PanelLink:
     Raises
     ------
     BusUnavailable
-        No such address, or nobody listens there.
+        No such address, nobody listens there, or who does is no panel or another host's.
     """
 
     def __init__(self, url: str, period_s: float) -> None:
@@ -109,8 +114,13 @@ class PanelLink:
         except OSError as error:
             number = error.errno or 0  # name resolution counts below zero
             reason = os.strerror(number) if number > 0 else error.strerror or str(error)
-            raise BusUnavailable(f"panel {url}: {reason}; name a panel that is on and that nobody else uses") from error
+            raise BusUnavailable(f"panel {url}: {reason}; name a panel that is on") from error
         self._socket.setblocking(False)
+        try:
+            self._await_greeting()
+        except BaseException:
+            self.close()
+            raise
 
     def expose(self, rate_Hz: float, binning: int, first_sync: int) -> None:
         """Begin; times are counted from the SYNC of this count."""
@@ -140,6 +150,20 @@ class PanelLink:
         if gone and not frames and self.exposures is None:
             raise PanelError(f"panel {self.url} is gone: {gone}")
         return frames
+
+    def _await_greeting(self) -> None:
+        until_s = time.monotonic() + GREETING_TIMEOUT_S
+        while self.exposures is None:
+            left_s = until_s - time.monotonic()
+            if left_s <= 0.0:
+                said = f"has not greeted within {GREETING_TIMEOUT_S:g} s"
+                raise BusUnavailable(f"panel {self.url}: {said}; name a panel, and one that nobody else uses now")
+            self.wait(left_s)
+            try:
+                self.poll()
+            except PanelError as error:
+                raise BusUnavailable(str(error)) from None
+        self.exposures = None
 
     def _read(self) -> str:
         """Take what has come; why nothing comes any more, or ''."""

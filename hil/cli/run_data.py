@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from hil.cli.run_images import FASTEST_Hz
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def data_beside(
     mailbox = Mailbox(multiprocessing.get_context("spawn"), len(machine.axes))
     period_s = 1.0 / machine.sample_rate_Hz
     inbox: LoopEnd = LoopEnd(mailbox)
-    if lockstep and 0.0 < rate_Hz < np.inf:
+    if lockstep and 0.0 < rate_Hz < FASTEST_Hz:  # any other is refused with the images' options
         exposures = Exposures(rate_Hz)
         due_s = exposures.starts(len(plans[0].reference) * period_s) + exposures.width_s + LATE_S
         inbox = LockstepEnd(mailbox, due_s, period_s)

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hil.errors import UnusableInput
@@ -42,6 +41,9 @@ BinningOption = Annotated[
     int, typer.Option("--image-binning", metavar="N", min=1, help="With --images: pixels of the panel read as one, in each direction.")
 ]
 
+FASTEST_Hz = 125.0
+"""Exposures of the emulated panels take 8 ms."""
+
 MANY = 8
 """Lost frames that are named."""
 
@@ -70,6 +72,8 @@ def images_beside(
         Options that do not belong together, or frames that make no scan.
     """
     if images is None:
+        if spool is not None or panel_url:
+            raise UnusableInput(f"{'--panel' if panel_url else '--spool'}: says where images come from; give --images DIR as well")
         yield truth, None
         return
     from hil.imaging.beam import beam_of
@@ -86,11 +90,11 @@ def images_beside(
 
     if len(recordings) != 1:
         raise UnusableInput(f"--images: belongs to one recording; this experiment makes {len(recordings)}")
-    if not 0.0 < rate_Hz < np.inf:
-        raise UnusableInput(f"--image-rate {rate_Hz:g}: must be a positive number")
+    if not 0.0 < rate_Hz < FASTEST_Hz:
+        raise UnusableInput(f"--image-rate {rate_Hz:g}: must be a positive number below {FASTEST_Hz:g}")
     detector = nominal_detector(machine, binning)
     plate, nominal = watched_marker(machine, scene_name)
-    url = _panel_url(spool, panel_url, bus, lockstep)
+    url = _panel_url(spool, panel_url, bus, lockstep, scene_name)
     beam = beam_of(machine, scene_name) if spool is None else None
     with tempfile.TemporaryDirectory() as scratch:
         live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url))
@@ -122,13 +126,13 @@ def images_beside(
     )
 
 
-def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool) -> str:
+def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool, scene_name: str) -> str:
     """Where the panel is; "" where its frames come through a folder.
 
     Raises
     ------
     UnusableInput
-        Nobody says where they come from, or two do.
+        Nobody says where they come from, or two do, or what is emulated shows something else.
     """
     if lockstep:
         if spool is not None or panel_url:
@@ -139,11 +143,14 @@ def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool) -> 
         raise UnusableInput("--spool and --panel: frames come from one of them; leave the other out")
     if spool is not None:
         return ""
+    if panel_url:
+        return panel_url
     card = find(bus)
-    url = panel_url or (card.panel_url if card is not None else "")
-    if not url:
+    if card is None or not card.panel_url:
         raise UnusableInput(
             f"--images: nobody says where the panel of {bus} is; start `isocenter emulate --panel SCENE` on this bus, give --panel URL,"
             " or --spool DIR with the folder of the panel's frames"
         )
-    return url
+    if card.panel_scene != scene_name:
+        raise UnusableInput(f"--scene {scene_name}: the panel that is emulated on {bus} shows {card.panel_scene}; give that one")
+    return card.panel_url

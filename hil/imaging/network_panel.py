@@ -10,6 +10,7 @@ import multiprocessing
 import select
 import socket
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,9 @@ LOOKS_EVERY_S = 0.01
 
 AROUND = 8
 """SYNCs on either side of an exposure that its motion is interpolated through."""
+
+STANDS_S = 1.0
+"""No SYNC for so long after it was told to stop: the machine's time stands still, and what has begun does not end."""
 
 FIRST_AFTER_S = 0.1
 """From the command to the first exposure: a generator runs its anode up."""
@@ -68,11 +72,15 @@ def panel_beside(machine: Machine, board: PoseBoard, scene_name: str) -> Iterato
     process.start()
     theirs.close()
     try:
-        yield f"tcp:127.0.0.1:{ours.recv()}"
-    except EOFError:
-        raise UnusableInput("the emulated panel's process did not start; its error stands above") from None
+        try:
+            port = ours.recv()
+        except EOFError:
+            raise UnusableInput("the emulated panel's process did not start; its error stands above") from None
+        yield f"tcp:127.0.0.1:{port}"
     finally:
+        ours.close()
         process.terminate()
+        process.join()
 
 
 def serve(order: ServedPanel, ready: Connection) -> None:
@@ -84,9 +92,10 @@ def serve(order: ServedPanel, ready: Connection) -> None:
             with caller:
                 try:
                     _Acquisition(order, caller).serve()
+                except ConnectionError:
+                    continue  # the host is gone
                 except (OSError, PanelError, UnusableInput) as error:
-                    if str(error):
-                        print(f"panel: {error}", file=sys.stderr, flush=True)
+                    print(f"panel: {error}", file=sys.stderr, flush=True)
 
 
 class _Acquisition:
@@ -98,9 +107,12 @@ class _Acquisition:
         self._said = b""
         self._exposures: Exposures | None = None
         self._made, self._until_s = 0, np.inf
+        self._ahead_s = max(BEYOND_S, (AROUND + 1) * order.machine.plant.sample_period_s)
+        self._newest_s, self._newest_at_s = -np.inf, time.monotonic()
 
     def serve(self) -> None:
         """Until the host hangs up."""
+        self._caller.sendall(end_bytes(0))
         while self._listen(0.0 if self._work() else LOOKS_EVERY_S):
             pass
 
@@ -114,6 +126,8 @@ class _Acquisition:
             line, _, self._said = self._said.partition(b"\n")
             asked = read_command(line)
             now_s = self._order.board.now_s
+            if not np.isfinite(now_s):
+                raise PanelError("the machine has had no SYNC yet, by which exposures are counted")
             if asked is None:
                 self._until_s = now_s
                 continue
@@ -128,18 +142,25 @@ class _Acquisition:
         if exposures is None:
             return False
         start_s = exposures.start(self._made)
-        if start_s > self._until_s:
+        end_s = start_s + exposures.width_s
+        is_known = end_s + self._ahead_s <= self._order.board.now_s
+        if start_s > self._until_s or (not is_known and np.isfinite(self._until_s) and self._stands_still()):
             self._caller.sendall(end_bytes(self._made))
             self._exposures = None
             return True
-        end_s = start_s + exposures.width_s
-        if end_s + BEYOND_S > self._order.board.now_s:
+        if not is_known:
             return False
         span = self._order.board.around(start_s, end_s, AROUND)
         if span is not None:  # else it is too late for this image: it is lost
             self._send(exposures, start_s, span)
         self._made += 1
         return True
+
+    def _stands_still(self) -> bool:
+        now_s, at_s = self._order.board.now_s, time.monotonic()
+        if now_s != self._newest_s:
+            self._newest_s, self._newest_at_s = now_s, at_s
+        return at_s - self._newest_at_s > STANDS_S
 
     def _send(self, exposures: Exposures, start_s: float, span: PoseSpan) -> None:
         side = self._side(span, exposures.first_s)

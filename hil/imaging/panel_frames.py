@@ -124,7 +124,7 @@ class PanelFrames:
         elif self._is_stopped and not self.is_over and time.monotonic() - self._heard_s > ENDS_WITHIN_S:
             raise PanelError(f"panel {panel.url}: was told to stop and has not said that it has for {ENDS_WITHIN_S:.0f} s")
         last_s = np.inf if span.last < 0 else (span.last - span.first) * panel.period_s
-        return [frame for frame in frames if frame.pulse_s + frame.width_s <= last_s]
+        return [frame for frame in frames if frame.pulse_s > 0.0 and frame.pulse_s + frame.width_s <= last_s]
 
     @property
     def is_over(self) -> bool:

@@ -135,7 +135,7 @@ def test_a_run_receives_its_frames_and_looks_for_the_marker_beside_the_loop(tmp_
     ("arguments", "line"),
     [
         (["--spool", "."], "--spool: on lockstep: the emulated panel has its own; leave it out"),
-        (["--image-rate", "-1"], "--image-rate -1: must be a positive number"),
+        (["--image-rate", "-1"], "--image-rate -1: must be a positive number below 125"),
         (["--scene", "nothing"], "scene nothing: there are dodecahedron"),
         (["--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
     ],

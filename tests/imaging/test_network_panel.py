@@ -1,16 +1,19 @@
 """A panel on the network: what its wire says, and what the emulated one sends of a machine that it only knows by SYNCs."""
 
+import contextlib
 import multiprocessing
+import queue
 import socket
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration.commands import isocenter
 
 from drivers.errors import BusUnavailable
-from drivers.imaging import PanelClock, PanelError, PanelLink
+from drivers.imaging import PanelClock, PanelError, PanelLink, panel_link
 from drivers.imaging.panel_link import end_bytes, frame_bytes, read_command
+from hil.imaging import network_panel
 from hil.imaging.beam import beam_of
 from hil.imaging.mailbox import LETTERS, LoopEnd, Mailbox, Sighting
 from hil.imaging.network_panel import ServedPanel, serve
@@ -43,15 +46,18 @@ def poses(rows):
 class Machine:
     """SYNC after SYNC onto the board; rows are counted from the first one of the recording."""
 
-    def __init__(self):
-        self.board, self._next = PoseBoard(CONTEXT), 0
+    def __init__(self, period_s=PERIOD):
+        self.board, self._next, self.period_s = PoseBoard(CONTEXT), 0, period_s
         self._tube, self._panel = poses(np.arange(-BEFORE, ROWS + 200))
 
     def sync(self, count):
         for _ in range(count):
             k = self._next
-            self.board.put(k + 1, EARLIER_s + k * PERIOD, self._tube[k], self._panel[k])
+            self.board.put(k + 1, EARLIER_s + k * self.period_s, self._tube[k], self._panel[k])
             self._next += 1
+
+
+GREETING = end_bytes(0)
 
 
 class Ready:
@@ -69,12 +75,33 @@ class Ready:
         return f"tcp:127.0.0.1:{self.port}"
 
 
+@contextlib.contextmanager
+def greeting(said=GREETING):
+    """What greets one caller so; yields its URL and a queue with the caller."""
+    callers = queue.Queue()
+
+    def greet():
+        caller, _ = listener.accept()
+        caller.sendall(said)
+        callers.put(caller)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=greet, daemon=True).start()
+        yield f"tcp:127.0.0.1:{listener.getsockname()[1]}", callers
+
+
+def served(machine, settings=CARM):
+    """URL of the emulated panel that follows this machine."""
+    ready, order = Ready(), ServedPanel(settings, machine.board, beam_of(settings, "dodecahedron"))
+    threading.Thread(target=serve, args=(order, ready), daemon=True).start()
+    return ready.url()
+
+
 @pytest.fixture(scope="module")
 def acquired():
     """Frames of a recording of ROWS rows, and the machine."""
-    machine, ready, span = Machine(), Ready(), RowSpan(CONTEXT)
-    threading.Thread(target=serve, args=(ServedPanel(CARM, machine.board, beam_of(CARM, "dodecahedron")), ready), daemon=True).start()
-    source = PanelFrames(RemotePanel(ready.url(), RATE_Hz, BINNING, PERIOD, span))
+    machine, span = Machine(), RowSpan(CONTEXT)
+    source = PanelFrames(RemotePanel(served(machine), RATE_Hz, BINNING, PERIOD, span))
     machine.sync(BEFORE)
     assert source.poll() == [] and source.is_over, "nobody has told it to expose"
     span.begin(BEFORE)
@@ -152,13 +179,62 @@ def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_wh
     assert [each.exposure_id for each in end.collect(1)] == [99] and end.lost == 3
 
 
+def test_a_panel_is_one_hosts_and_the_next_ones_when_that_has_gone(monkeypatch):
+    url = served(Machine())
+    first = PanelLink(url, PERIOD)
+    with monkeypatch.context() as impatient:
+        impatient.setattr(panel_link, "GREETING_TIMEOUT_S", 0.1)
+        with pytest.raises(BusUnavailable, match=r"has not greeted within 0\.1 s; name a panel, and one that nobody else uses now"):
+            PanelLink(url, PERIOD)
+    first.close()
+    PanelLink(url, PERIOD).close()
+
+
+def test_exposures_end_where_the_machines_time_stands_still_and_at_a_slow_rate_none_is_lost(monkeypatch):
+    """At 50 Hz what an exposure's motion is interpolated through takes three times as long as at 256 Hz."""
+    monkeypatch.setattr(network_panel, "STANDS_S", 0.1)
+    period_s = 0.02
+    slow = replace(CARM, sample_rate_Hz=1.0 / period_s, plant=replace(CARM.plant, sample_period_s=period_s))
+    machine, span, frames = Machine(period_s), RowSpan(CONTEXT), []
+    source = PanelFrames(RemotePanel(served(machine, slow), RATE_Hz, BINNING, period_s, span))
+    machine.sync(100)
+    span.begin(100)
+    while len(frames) < 3:
+        machine.sync(1)
+        frames += source.poll()
+        source.wait(0.01)
+    span.end(machine._next)  # the next exposure has begun, and no SYNC comes any more
+    while not source.is_over:
+        frames += source.poll()
+        source.wait(0.01)
+    assert [frame.exposure_id for frame in frames] == list(range(len(frames)))
+
+
+def test_frames_of_before_row_0_and_of_after_the_last_are_left_out():
+    span = RowSpan(CONTEXT)
+    with greeting() as (url, callers):
+        source = PanelFrames(RemotePanel(url, RATE_Hz, BINNING, PERIOD, span))
+        span.begin(99)  # row 0 is the hundredth
+        span.end(300)
+        assert source.poll() == [] and not source.is_over
+        with callers.get() as panel:
+            image = np.ones((2, 3), np.uint16)
+            syncs = (90, 100, 101, 298, 299, 310)
+            sent = [frame_bytes(k, sync, 5000.0 + sync * PERIOD, 2.0 * PERIOD, image) for k, sync in enumerate(syncs)]
+            panel.sendall(b"".join(sent) + end_bytes(len(sent)))
+            frames = []
+            while not source.is_over:
+                source.wait(5.0)
+                frames += source.poll()
+    assert [round(frame.pulse_s / PERIOD) for frame in frames] == [1, 198]
+
+
 @pytest.fixture
 def wire():
     """A link and the panel's end of its line."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        link = PanelLink(f"tcp:127.0.0.1:{listener.getsockname()[1]}", PERIOD)
-        other, _ = listener.accept()
-        with other:
+    with greeting() as (url, callers):
+        link = PanelLink(url, PERIOD)
+        with callers.get() as other:
             yield link, other
         link.close()
 
@@ -200,23 +276,8 @@ def test_an_address_where_no_panel_is_and_commands_that_are_none():
         port = listener.getsockname()[1]
     with pytest.raises(BusUnavailable, match="Connection refused; name a panel that is on"):
         PanelLink(f"tcp:127.0.0.1:{port}", PERIOD)
+    with greeting(b"+OK " * 9) as (url, _), pytest.raises(BusUnavailable, match="what it sends is no frame; is it a panel"):
+        PanelLink(url, PERIOD)
     for line in (b"expose", b"expose 0 4", b"expose 7 0", b"expose nan 4", b"\xff", b"halt"):
         with pytest.raises(PanelError, match="a panel is told"):
             read_command(line)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["-b", "lockstep:", "--panel", "tcp:127.0.0.1:1"], "--panel: on lockstep: the emulated panel has its own; leave it out"),
-        (["-b", "udp:239.74.163.99"], "--images: nobody says where the panel of udp:239.74.163.99 is"),
-        (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--spool", "."], "--spool and --panel: frames come from one of them"),
-        (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--scene", "nothing"], "scene nothing: there are dodecahedron, "),
-        (["-b", "udp:", "--panel", "there"], "panel there: its address reads tcp:HOST:PORT"),
-    ],
-)
-def test_nobody_moves_before_it_is_known_where_frames_come_from(tmp_path, capsys, arguments, line):
-    static = ["run", "static", "-m", "carm", "--seconds", "0.5", "-o", tmp_path / "r.mf4", "--images", tmp_path / "s"]
-    assert isocenter(*static, *arguments) == 2
-    error = capsys.readouterr().err
-    assert line in error and error.count("\n") == 1
