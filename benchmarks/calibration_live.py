@@ -30,7 +30,8 @@ from hil.calibration.data_file import read_data_file
 from hil.calibration.live import LiveCalibration
 from hil.calibration.live_file import SIGHTINGS, KeptSightings
 from hil.cli.output import Answer
-from hil.imaging.emulated import SPOT, true_beam, xray_side
+from hil.imaging.beam import SPOT
+from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine, load_machine, machine_from_text

@@ -34,7 +34,8 @@ from hil.cli import main as isocenter
 from hil.cli.output import Answer
 from hil.experiments import Static
 from hil.identification import read_frf, write_frf
-from hil.imaging.emulated import SPOT, true_beam, xray_side
+from hil.imaging.beam import SPOT
+from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import PLATES
 from hil.imaging.nominal import nominal_beam

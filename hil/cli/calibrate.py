@@ -73,7 +73,8 @@ def expose(
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
-    from hil.imaging.emulated import SPOT, Exposures, Setting, xray_side
+    from hil.imaging.beam import Beam
+    from hil.imaging.emulated import Exposures, xray_side
     from hil.imaging.emulated import expose as render
     from hil.imaging.markers.emulated import TubeMarker
     from hil.imaging.nominal import nominal_detector, panel_in_tube
@@ -88,19 +89,19 @@ def expose(
     answer = Answer(json_to)
     recording = read_recording(recording_file, machine)
     exposures = Exposures(rate_Hz=rate, width_s=1e-3 * width)
-    side = xray_side(machine, truth, SPOT, exposures.first_s)
     detector = nominal_detector(machine, binning)
     shown = {"scene": scene_name} if marker_name is None else {"marker": marker_name, "marker_distance_mm": distance}
     plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
+    beam = Beam(scene(scene_name) if plate is None else [], plate, Optics(photons=photons))
+    side = xray_side(machine, truth, beam.spot, exposures.first_s)
     with progress(answer.console) as bars:
         task = bars.add_task("exposing", total=None)
         count = render(
             machine,
             side,
             exposures,
-            scene(scene_name) if plate is None else [],
+            beam,
             detector,
-            Setting(optics=Optics(photons=photons), spot=SPOT, marker=plate),
             out,
             recording,
             seed,

@@ -8,7 +8,6 @@ import numpy as np
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
-from hil.imaging.emulated import SPOT, VIEWS
 from hil.imaging.marker_view import PLATE_M
 from hil.imaging.markers import PLATES
 from hil.imaging.markers.emulated import TubeMarker
@@ -19,6 +18,12 @@ from virtual_bus.xray.imaging import Optics, expected, exposed
 from virtual_bus.xray.motion import FocalSpot, XraySide
 from virtual_bus.xray.objects import Item
 from virtual_bus.xray.render import Panel
+
+VIEWS = 4
+"""Instants an exposure's pose is averaged over."""
+
+SPOT = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
+"""The emulated tube's focal spot: drifts by 8 and 4 um in 4 s as the anode warms, wobbles by 10 um as it turns (thesis Fig. 6.15)."""
 
 
 @dataclass(frozen=True)

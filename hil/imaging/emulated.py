@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hil.errors import UnusableInput
+from hil.imaging.beam import Beam
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
-from hil.imaging.markers.emulated import TubeMarker
 from hil.imaging.nominal import imaging_geometry
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
 from hil.recording import Recording
-from virtual_bus.xray.imaging import Optics, expected, exposed
-from virtual_bus.xray.motion import STILL, FocalSpot, PoseTrack, XraySide
-from virtual_bus.xray.objects import Ball, Item
-from virtual_bus.xray.render import Panel
-
-VIEWS = 4
-"""Instants an exposure's pose is averaged over."""
-
-SPOT = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
-"""The emulated tube's focal spot: drifts by 8 and 4 um in 4 s as the anode warms, wobbles by 10 um as it turns (thesis Fig. 6.15)."""
+from virtual_bus.xray.motion import FocalSpot, PoseTrack, XraySide
 
 
 @dataclass(frozen=True)
@@ -65,17 +56,6 @@ class Exposures:
         return 1.0 / (self.rate_Hz * (1.0 + 1e-6 * self.clock_ppm))
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What an emulated image depends on besides the motion."""
-
-    optics: Optics = field(default_factory=Optics)
-    spot: FocalSpot = STILL
-    placement_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the scene stands, from the isocentre."""
-    marker: TubeMarker | None = None
-
-
 def xray_side(machine: Machine, truth: Path, spot: FocalSpot, hot_since_s: float) -> XraySide:
     """Tube and panel as they truly moved, from an emulator's truth file.
 
@@ -109,9 +89,8 @@ def expose(
     machine: Machine,
     side: XraySide,
     exposures: Exposures,
-    items: Sequence[Item],
+    beam: Beam,
     detector: Detector,
-    setting: Setting,
     folder: Path,
     recording: Recording | None = None,
     seed: int = 0,
@@ -141,18 +120,12 @@ def expose(
     if not len(starts):
         raise UnusableInput(f"no exposure of {exposures.width_s:g} s fits between {side.panel.first_s:g} and {side.panel.last_s:g} s")
     widths = np.full(len(starts), exposures.width_s)
-    placed = [_moved(item, np.array(setting.placement_m)) for item in items]
-    panel = Panel(detector.columns, detector.rows, detector.pitch_m, detector.aspect, detector.skew)
     rng = np.random.default_rng(seed)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tifffile.TiffWriter(folder / FRAMES) as frames:
             for k, start in enumerate(starts):
-                if setting.marker is None:
-                    mean = expected(side.views(float(start), exposures.width_s, VIEWS), panel, placed, setting.optics)
-                else:
-                    mean = setting.marker.expected(side, float(start), exposures.width_s, VIEWS, panel, placed, setting.optics)
-                frames.write(exposed(mean, setting.optics, rng), contiguous=True)
+                frames.write(beam.image(side, float(start), exposures.width_s, detector, rng), contiguous=True)
                 progress(k + 1, len(starts))
         write_description(folder, detector, machine.axes, {"machine": machine.name, "machine_hash": machine.hash, **(notes or {})})
         positions = positions_at(machine, recording, starts + 0.5 * widths)
@@ -182,12 +155,6 @@ def positions_at(machine: Machine, recording: Recording | None, time_s: np.ndarr
     values = recording.matrix(names)
     whole = np.isfinite(values).all(axis=1)
     return CubicSpline(rows[whole], values[whole])(time_s)
-
-
-def _moved(item: Item, by: np.ndarray) -> Item:
-    if isinstance(item, Ball):
-        return replace(item, center_m=item.center_m + by)
-    return replace(item, start_m=item.start_m + by, end_m=item.end_m + by)
 
 
 def _truth_columns(path: Path, bodies: tuple[str, ...]) -> dict[str, np.ndarray]:

@@ -12,7 +12,8 @@ from hil.calibration.data_file import read_data_file, write_data_file
 from hil.calibration.observed_beam import ObservedBeam
 from hil.calibration.quasi_static import QuasiStatic
 from hil.cli import main
-from hil.imaging.emulated import SPOT, true_beam, xray_side
+from hil.imaging.beam import SPOT
+from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
