@@ -10,4 +10,9 @@ def parse_tcp_url(url: str) -> tuple[str, int] | None:
     match = re.fullmatch(r"tcp:(\[[^\s\[\]]+\]|[^\s\[\]]+):([0-9]{1,5})", url)
     if match is None or not 0 < int(match[2]) <= 0xFFFF:
         return None
-    return match[1].strip("[]"), int(match[2])
+    host = match[1].strip("[]")
+    try:
+        host.encode("idna")
+    except UnicodeError:  # a label that is empty or longer than 63 characters: no name can be looked up by it
+        return None
+    return host, int(match[2])

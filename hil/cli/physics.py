@@ -70,6 +70,8 @@ def emulate(
 
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
+    if eds is not None and (io_rtu or panel):
+        raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu'}: is a machine's; leave it out with --eds")
     answer = Answer(json_to)
 
     def ready(found: dict[str, object]) -> None:

@@ -53,6 +53,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         No such panel.
     """
     imaging_package("tifffile", "images")
+    if isinstance(order.panel, RemotePanel):
+        PanelLink(order.panel.url, order.panel.period_s).close()  # is it there, and nobody else's?
     try:
         for each in (order.folder, *([panel.spool] if panel is not None else [])):
             each.mkdir(parents=True, exist_ok=True)
@@ -61,7 +63,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         raise UnusableInput(f"{error.filename}: {error.strerror}") from None
     if (order.folder / FRAMES).exists():
         raise UnusableInput(f"{order.folder}: holds a scan's {FRAMES} already; receive into another folder")
-    _must_be_there(order.panel)
+    if isinstance(order.panel, Path):
+        _must_be_empty(order.panel)
     if panel is not None:
         panel.truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
     context = multiprocessing.get_context("spawn")
@@ -93,13 +96,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
                 process.terminate()
 
 
-def _must_be_there(panel: Path | RemotePanel) -> None:
+def _must_be_empty(panel: Path) -> None:
     """Before anything moves."""
-    if not isinstance(panel, Path):
-        PanelLink(panel.url, panel.period_s).close()
-    elif not panel.is_dir():
+    if not panel.is_dir():
         raise UnusableInput(f"{panel}: no folder; the panel's software must write its frames there")
-    elif any(panel.iterdir()):
+    if any(panel.iterdir()):
         raise UnusableInput(f"{panel}: is not empty; the panel's folder must be when the run begins")
 
 

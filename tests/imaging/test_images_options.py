@@ -28,6 +28,12 @@ def refused(folder, capsys, *arguments):
 )
 def test_nobody_moves_before_it_is_known_where_frames_come_from(tmp_path, capsys, arguments, line):
     assert line in refused(tmp_path, capsys, "--images", tmp_path / "s", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bare_device_has_no_panel(capsys):
+    assert isocenter("emulate", "--eds", "device.eds", "--bus", "udp:239.74.163.99", "--panel", "dodecahedron") == 2
+    assert "--panel: is a machine's; leave it out with --eds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("option", "value"), [("--panel", "tcp:127.0.0.1:1"), ("--spool", ".")])

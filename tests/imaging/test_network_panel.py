@@ -270,8 +270,9 @@ def test_what_is_no_panel_is_told(wire, said, line):
 
 
 def test_an_address_where_no_panel_is_and_commands_that_are_none():
-    with pytest.raises(BusUnavailable, match="its address reads tcp:HOST:PORT"):
-        PanelLink("127.0.0.1", PERIOD)
+    for url in ("127.0.0.1", f"tcp:{'a' * 64}:4100", "tcp:a..b:4100"):
+        with pytest.raises(BusUnavailable, match="its address reads tcp:HOST:PORT"):
+            PanelLink(url, PERIOD)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(BusUnavailable, match="Connection refused; name a panel that is on"):
