@@ -19,6 +19,9 @@ def refused(folder, capsys, *arguments):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
+        (["--spool", "."], "--spool: on lockstep: the emulated panel has its own; leave it out"),
+        (["--image-rate", "-1"], "--image-rate -1: must be a positive number below 125"),
+        (["--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
         (["-b", "lockstep:", "--panel", "tcp:127.0.0.1:1"], "--panel: on lockstep: the emulated panel has its own; leave it out"),
         (["-b", "udp:239.74.163.99"], "--images: nobody says where the panel of udp:239.74.163.99 is"),
         (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--spool", "."], "--spool and --panel: frames come from one of them"),
@@ -27,8 +30,11 @@ def refused(folder, capsys, *arguments):
     ],
 )
 def test_nobody_moves_before_it_is_known_where_frames_come_from(tmp_path, capsys, arguments, line):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "frames.tif").write_bytes(b"an earlier scan's")
+    arguments = [tmp_path / each if each == "taken" else each for each in arguments]
     assert line in refused(tmp_path, capsys, "--images", tmp_path / "s", *arguments)
-    assert not list(tmp_path.iterdir())
+    assert [each.name for each in tmp_path.iterdir()] == ["taken"]
 
 
 def test_a_bare_device_has_no_panel(capsys):
