@@ -27,6 +27,7 @@ from hil.cli.output import Answer, JsonOption, follower, progress
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
 from hil.errors import UnusableInput
+from hil.rendezvous import find
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -131,9 +132,10 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                 beside = None if not answer.console.is_terminal else functools.partial(drawn_beside, rows=plan.rows, name=path.name)
                 timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside, rows)
                 bars.update(task, completed=plan.rows)
-                for note in timing.notes:
+                said = (*timing.notes, *stepped_over(run, timing.missed))
+                for note in said:
                     answer.say(f"{path}: {note}")
-                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": timing.notes})
+                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": said})
         scheduling = str(bench.scheduling)
     answer.say(f"{machine.name} on {run.bus} ({scheduling})")
     for record in records:
@@ -150,6 +152,13 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     if data is not None and run.images is not None:
         document["calibration"] = leave(data, run.images, answer)
     answer.write(document)
+
+
+def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:
+    """What lost ticks mean to an observer of a machine that stood still meanwhile; a real one moves on."""
+    if run.observer is None or not missed or find(run.bus) is None:
+        return ()
+    return (f'the observer stepped over {missed} lost ticks, in which the emulated machine waited; put overrun = "wait" into [timing]',)
 
 
 def _emulated(machine: Machine, run: RunOptions) -> Machine | None:

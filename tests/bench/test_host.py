@@ -6,9 +6,11 @@ import gc
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
+from hil.cli.running import RunOptions, stepped_over
 from hil.realtime import real_time
 from hil.rendezvous import EmulatorCard, find, published
 
@@ -34,6 +36,15 @@ def test_the_card_of_an_emulator_that_was_killed_is_not_believed():
     dead.wait()
     with published(EmulatorCard(BUS, dead.pid, "/dev/pts/7", "")):
         assert find(BUS) is None
+
+
+def test_ticks_lost_on_an_emulated_machine_are_told_to_who_observes_it(tmp_path):
+    run = RunOptions(tmp_path / "r.mf4", bus=BUS, observer=tmp_path / "observer.npz")
+    assert stepped_over(run, 3) == (), "a real machine moves on"
+    with published(EmulatorCard(BUS, os.getpid(), "", "")):
+        (line,) = stepped_over(run, 3)
+        assert line.startswith("the observer stepped over 3 lost ticks, in which the emulated machine waited")
+        assert stepped_over(run, 0) == () == stepped_over(replace(run, observer=None), 3)
 
 
 def test_a_damaged_card_is_no_card(tmp_path):
