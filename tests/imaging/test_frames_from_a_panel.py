@@ -1,6 +1,7 @@
 """Frames through the driver: the spool, the panel's clock against the loop's, and a run that receives them."""
 
 import csv
+import multiprocessing
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.frames_beside import finished_scan, frames_beside
 from hil.imaging.markers import MarkerProjection
-from hil.imaging.receiver import ReceiverOrder
-from hil.imaging.scan_folder import read_scan
+from hil.imaging.panel_frames import RemotePanel, RowSpan
+from hil.imaging.receiver import STAMPS, ReceiverOrder
+from hil.imaging.scan_folder import EXPOSURES, read_scan
 from hil.machine import load_machine
 from hil.recording import Channel, Recording
 
@@ -104,6 +106,24 @@ def test_frames_that_never_came_are_named_and_the_rest_is_a_scan(tmp_path):
     got = finished_scan(machine, order, Recording({"time": Channel("s", time), **channels}, {}), {})
     assert got.lost == (5, 6, 8) and got.exposures == 4
     assert list(read_scan(order.folder).exposure_id) == [3, 4, 7, 9]
+
+
+@pytest.mark.parametrize("counts_syncs", [True, False])
+def test_exposures_told_by_the_count_of_syncs_are_later_by_the_ticks_that_were_lost(tmp_path, counts_syncs):
+    machine = load_machine("carm")
+    source = RemotePanel("tcp:nowhere:1", 7.31, 1, PERIOD, RowSpan(multiprocessing.get_context("spawn")))
+    order = ReceiverOrder(source if counts_syncs else tmp_path, tmp_path, Detector(6, 4, 1e-3), None, None)
+    start, panel_s, pulse = stamps(12, 7.31)
+    with (tmp_path / STAMPS).open("w", newline="") as file:
+        csv.writer(file).writerows(zip(range(12), panel_s, np.full(12, 0.008), pulse, strict=True))
+    time = np.arange(600) * PERIOD
+    time[200:] += 30 * PERIOD
+    channels = {"time": Channel("s", time)} | {f"position_{axis}": Channel("rad", time) for axis in machine.axes}
+    assert finished_scan(machine, order, Recording(channels, {}), {}).exposures == 12
+    with (tmp_path / EXPOSURES).open(newline="") as file:
+        found = np.array([float(row["start [s]"]) for row in csv.DictReader(file)])
+    late = np.where(start > 199 * PERIOD, 30 * PERIOD, 0.0) if counts_syncs else 0.0
+    assert np.abs(found - (start + late)).max() < PERIOD / 2
 
 
 def test_a_receiver_that_dies_is_told(tmp_path):
