@@ -49,7 +49,7 @@ class Weights:
     outside: float
 
 
-WEIGHTS = Weights(form_error=0.0046, left_weight=0.047, exact=0.21, unknown_freedom=11.0, outside=0.23)
+WEIGHTS = Weights(form_error=0.0099, left_weight=0.019, exact=0.23, unknown_freedom=7.8, outside=0.48)
 
 LIKELIER = 0.5
 """Confidence of nothing from which no effect is named although one passed the gate."""
