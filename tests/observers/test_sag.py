@@ -16,6 +16,7 @@ GRAVITY, TORQUE_PER_A = 9.81, 40.0
 MOUNT_STIFFNESS, GEAR_STIFFNESS, LEVER = 4e6, 1e5, 1.2
 MOUNT_INERTIA, ROTOR_INERTIA, ARC_INERTIA, ARC_MASS = 300.0, 60.0, 90.0, 400.0
 CENTRE_OF_MASS, DETECTOR = np.array([0.004, -0.03]), np.array([0.1, 0.5])  # y, z from the driven axis
+ALONG, VERTICAL_AXIS, VERTICAL_STIFFNESS, VERTICAL_INERTIA = 0.15, -0.7, 3e6, 250.0  # x of the arc's plane and of the vertical axis
 HARMONICS = (5,)
 POSES = np.linspace(-2.5, 2.5, 15)
 
@@ -25,21 +26,30 @@ def turned(vector: np.ndarray, angle: float) -> np.ndarray:
 
 
 def rows_at(pose: float) -> np.ndarray:
-    """The modal model's parameters from the equations of motion; coordinates: turns of the mount, of the rotor and in the gear."""
+    """The modal model's parameters from the equations of motion.
+
+    Coordinates: turns of the mount, of the rotor and in the gear, and the mount's about the vertical.
+    """
     com, detector = turned(CENTRE_OF_MASS, pose), turned(DETECTOR, pose)
-    arc = np.ones(3)  # all three turn it
-    com_moves = np.array([-com[1] * arc + [LEVER, 0.0, 0.0], com[0] * arc])
-    mass = ARC_MASS * com_moves.T @ com_moves + ARC_INERTIA * np.outer(arc, arc) + np.diag([MOUNT_INERTIA, ROTOR_INERTIA, 0.0])
-    squares, shapes = eigh(np.diag([MOUNT_STIFFNESS, 0.0, GEAR_STIFFNESS]), mass)
-    moves = np.array([-detector[1] * arc + [LEVER, 0.0, 0.0], detector[0] * arc])
+    arc, vertical = np.array([1.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])  # what turns it about x, and about z
+
+    def moves(point: np.ndarray) -> np.ndarray:
+        """(3, 4) of a point of the arc by the coordinates."""
+        beside = LEVER * np.eye(4)[0] - point[1] * arc + (ALONG - VERTICAL_AXIS) * vertical
+        return np.array([-point[0] * vertical, beside, point[0] * arc])
+
+    mass = ARC_MASS * moves(com).T @ moves(com) + ARC_INERTIA * np.outer(arc, arc)
+    mass += np.diag([MOUNT_INERTIA, ROTOR_INERTIA, 0.0, VERTICAL_INERTIA])
+    squares, shapes = eigh(np.diag([MOUNT_STIFFNESS, 0.0, GEAR_STIFFNESS, VERTICAL_STIFFNESS]), mass)
     rows = []
     for square, shape in zip(squares[1:], shapes.T[1:], strict=True):
         shape = shape * np.sign(shape[1])
-        shift = turned(moves @ shape, -pose)
+        shift = moves(detector) @ shape
+        shift[1:] = turned(shift[1:], -pose)
         rows += [1.0 / square, 0.02 / np.sqrt(square), shape[1], shape[1] + shape[2]]
-        rows += [0.0, *shift, arc @ shape, 0.0, 0.0, TORQUE_PER_A * shape[1] / square]
+        rows += [*shift, arc @ shape, *turned(np.array([0.0, shape[3]]), -pose), TORQUE_PER_A * shape[1] / square]
     inertia = mass[1, 1]
-    return np.array([*rows, TORQUE_PER_A / inertia, 0.0, -ARC_MASS * GRAVITY * com[0] / inertia, *np.zeros(2 + 6)])
+    return np.array([*rows, TORQUE_PER_A / inertia, 0.0, -ARC_MASS * GRAVITY * com[0] / inertia, *np.zeros(3 + 6)])
 
 
 def basis_at(poses: np.ndarray) -> np.ndarray:
@@ -52,7 +62,7 @@ def basis_at(poses: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def model() -> ModalModel:
     chain = Chain(np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3)), np.array([True]), np.array([0.0, 0.0, -GRAVITY]))
-    end = np.array([0.0, *DETECTOR])
+    end = np.array([ALONG, *DETECTOR])
     coefficients = np.linalg.lstsq(basis_at(POSES), np.array([rows_at(pose) for pose in POSES]), rcond=None)[0].T
     return ModalModel(
         axes=("arc",),
