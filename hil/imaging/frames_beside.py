@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.imaging import PanelLink
-from hil.errors import UnusableInput
+from hil.errors import BadAnswer, UnusableInput
 from hil.imaging import emulated_panel, receiver
 from hil.imaging.emulated import positions_at
 from hil.imaging.emulated_panel import PanelOrder
@@ -48,9 +48,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
     Raises
     ------
     UnusableInput
-        No package for images, the folders cannot be made, one of them holds an earlier run's frames, or a process died.
+        No package for images, the folders cannot be made, or one of them holds an earlier run's frames.
     BusUnavailable
-        No such panel.
+        No such panel, or another host's.
+    BadAnswer
+        A process died.
     """
     imaging_package("tifffile", "images")
     if isinstance(order.panel, RemotePanel):
@@ -77,7 +79,7 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
 
     def check() -> None:
         if not all(process.is_alive() for process in started):
-            raise UnusableInput(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
+            raise BadAnswer(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
 
     try:
         yield check
@@ -85,11 +87,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         for process in started[1:]:
             process.join()
             if process.exitcode:
-                raise UnusableInput("the emulated panel's process ended before its images were made; its error stands above")
+                raise BadAnswer("the emulated panel's process ended before its images were made; its error stands above")
         is_exposed.set()
         started[0].join()
         if started[0].exitcode:
-            raise UnusableInput(f"the process that receives frames ended early; its error stands above, {order.folder} is not whole")
+            raise BadAnswer(f"the process that receives frames ended early; its error stands above, {order.folder} is not whole")
     finally:
         for process in started:
             if process.is_alive():
@@ -114,8 +116,10 @@ def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, 
 
     Raises
     ------
+    BadAnswer
+        No frames, or the receiver ran into something.
     UnusableInput
-        No frames, or frames from outside of the recording.
+        Frames from outside of the recording.
     ClocksDisagree
     """
     period_s = 1.0 / machine.sample_rate_Hz

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.imaging import PanelClock
-from hil.errors import UnusableInput
+from hil.errors import BadAnswer, UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.markers import MarkerProjection
@@ -101,17 +101,17 @@ def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.
 
     Raises
     ------
-    UnusableInput
+    BadAnswer
         Nothing was received, or the receiver ran into something.
     ClocksDisagree
         The panel's stamps do not fit the loop's pulses.
     """
     trouble = folder / TROUBLE
     if trouble.exists():
-        raise UnusableInput(trouble.read_text(encoding="utf-8"))
+        raise BadAnswer(trouble.read_text(encoding="utf-8"))
     with (folder / STAMPS).open(newline="", encoding="utf-8") as file:
         table = np.array([[float(cell) for cell in row] for row in csv.reader(file)])
     if not len(table):
-        raise UnusableInput(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
+        raise BadAnswer(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
     clock = PanelClock(table[:, 1], table[:, 3], period_s, table[:, 0])
     return table[:, 0].astype(int), clock.to_loop(table[:, 1]), table[:, 2] * clock.rate, clock

@@ -8,7 +8,7 @@ import pytest
 from calibration.commands import isocenter
 
 from drivers.imaging import ClocksDisagree, Frame, FrameSpool, PanelClock, SpoolError, write_frame
-from hil.errors import UnusableInput
+from hil.errors import BadAnswer
 from hil.imaging.detector import Detector
 from hil.imaging.frames_beside import finished_scan, frames_beside
 from hil.imaging.markers import MarkerProjection
@@ -130,7 +130,7 @@ def test_a_receiver_that_dies_is_told(tmp_path):
     (tmp_path / "spool").mkdir()
     nowhere = MarkerProjection(np.zeros(9))
     order = ReceiverOrder(tmp_path / "spool", tmp_path / "scan", Detector(6, 4, 1e-3), "no such plate", nowhere)
-    with pytest.raises(UnusableInput, match="the process that receives frames ended early"), frames_beside(order, None):
+    with pytest.raises(BadAnswer, match="the process that receives frames ended early"), frames_beside(order, None):
         write_frame(tmp_path / "spool", frame(0))
 
 

@@ -13,13 +13,16 @@ import pytest
 from drivers.errors import BusUnavailable
 from drivers.imaging import PanelClock, PanelError, PanelLink, panel_link
 from drivers.imaging.panel_link import end_bytes, frame_bytes, read_command
+from hil.errors import BadAnswer
 from hil.imaging import network_panel
 from hil.imaging.beam import beam_of
-from hil.imaging.mailbox import LETTERS, LoopEnd, Mailbox, Sighting
+from hil.imaging.detector import Detector
+from hil.imaging.frames_beside import frames_beside
 from hil.imaging.network_panel import ServedPanel, serve
 from hil.imaging.nominal import body_frame, imaging_geometry, nominal_detector
 from hil.imaging.panel_frames import PanelFrames, RemotePanel, RowSpan
 from hil.imaging.pose_board import KEPT, PoseBoard
+from hil.imaging.receiver import ReceiverOrder, received
 from hil.machine import load_machine
 from virtual_bus.xray.motion import PoseTrack, XraySide
 
@@ -77,13 +80,15 @@ class Ready:
 
 @contextlib.contextmanager
 def greeting(said=GREETING):
-    """What greets one caller so; yields its URL and a queue with the caller."""
+    """What greets every caller so; yields its URL and a queue of the callers."""
     callers = queue.Queue()
 
     def greet():
-        caller, _ = listener.accept()
-        caller.sendall(said)
-        callers.put(caller)
+        with contextlib.suppress(OSError):
+            while True:
+                caller, _ = listener.accept()
+                caller.sendall(said)
+                callers.put(caller)
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
         threading.Thread(target=greet, daemon=True).start()
@@ -156,27 +161,6 @@ def test_images_that_came_too_late_are_lost_and_no_other():
     assert machine.board.around(newest, newest, 4) is None, "what follows is not known yet"
     span = machine.board.around(newest - 1.0, newest - 0.99, 4)
     assert span.time_s[4] >= newest - 1.0 > span.time_s[3] and np.array_equal(span.sync * PERIOD, span.time_s)
-
-
-def test_a_lost_tick_shifts_the_loops_time_against_the_count_of_syncs():
-    box = Mailbox(CONTEXT, 2)
-    end = LoopEnd(box)
-    for row in (0, 1, 2, 5, 6):  # two ticks were lost
-        end.tell(row, row * PERIOD, np.zeros(2))
-    assert box.loop_time(1.25 * PERIOD, PERIOD) == pytest.approx(1.25 * PERIOD)
-    assert box.loop_time(3.5 * PERIOD, PERIOD) == pytest.approx(5.5 * PERIOD)
-    assert np.isnan(box.loop_time(4.5 * PERIOD, PERIOD)), "of a row that has not been told"
-
-
-def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_whole():
-    box = Mailbox(CONTEXT, 2)
-    end = LoopEnd(box)
-    for number in range(LETTERS + 3):
-        box.send(Sighting(number, number, 0.1 * number, "phantom", np.zeros(2), np.full(9, number), np.eye(9)))
-    assert end.lost == 3
-    assert [(each.exposure_id, each.values[0]) for each in end.collect(0)] == [(k, k) for k in range(LETTERS)]
-    box.send(Sighting(99, 99, 9.9, "phantom", np.zeros(2), np.zeros(9), np.eye(9)))
-    assert [each.exposure_id for each in end.collect(1)] == [99] and end.lost == 3
 
 
 def test_a_panel_is_one_hosts_and_the_next_ones_when_that_has_gone(monkeypatch):
@@ -267,6 +251,20 @@ def test_what_is_no_panel_is_told(wire, said, line):
     link.wait(5.0)
     with pytest.raises(PanelError, match=line):
         link.poll()
+
+
+def test_a_panel_that_hangs_up_during_a_run_is_told_when_that_is_over(tmp_path):
+    span = RowSpan(CONTEXT)
+    with greeting() as (url, callers):
+        order = ReceiverOrder(RemotePanel(url, RATE_Hz, BINNING, PERIOD, span), tmp_path, Detector(6, 4, 1e-3), None, None)
+        with frames_beside(order, None):
+            callers.get().close()  # who looked whether it is there
+            with callers.get() as panel:
+                span.begin(0)
+                assert read_command(panel.recv(100).rstrip(b"\n")) == (RATE_Hz, BINNING)
+            span.end(ROWS)
+    with pytest.raises(BadAnswer, match=f"panel {url} is gone: it hung up"):
+        received(tmp_path, PERIOD)
 
 
 def test_an_address_where_no_panel_is_and_commands_that_are_none():
