@@ -127,7 +127,7 @@ def on_the_wall_clock(folder: Path, bus: str, built: Path, effects: Path, real_t
         "bus": bus,
         "scheduler": answer["scheduler"],
         "timing": answer["recordings"][0]["timing"],
-        "images": answer["calibration"],
+        "images": {key: value for key, value in answer["calibration"].items() if key not in ("source", "geometry")},
         "late_ticks": {"p50": p50, "p90": p90, "max": late.max()},
     }
 
