@@ -1,7 +1,8 @@
-"""`tcp:HOST:PORT`, as I/O devices and serial device servers are named."""
+"""`tcp:HOST:PORT`, as I/O devices, serial device servers and panels are named, and why nobody is reached there."""
 
 from __future__ import annotations
 
+import os
 import re
 
 
@@ -16,3 +17,9 @@ def parse_tcp_url(url: str) -> tuple[str, int] | None:
     except UnicodeError:  # a label that is empty or longer than 63 characters: no name can be looked up by it
         return None
     return host, int(match[2])
+
+
+def why_not_reached(error: OSError) -> str:
+    """What the system says of a connection that could not be made; name resolution counts its errors below zero."""
+    number = error.errno or 0
+    return os.strerror(number) if number > 0 else error.strerror or str(error)

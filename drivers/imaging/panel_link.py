@@ -7,7 +7,6 @@ A panel has one host at a time and greets it; a second one that connects meanwhi
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 import struct
@@ -17,7 +16,7 @@ import numpy as np
 
 from drivers.errors import BusUnavailable, DriverError
 from drivers.imaging.spool import Frame
-from drivers.tcp_url import parse_tcp_url
+from drivers.tcp_url import parse_tcp_url, why_not_reached
 
 HEADER = struct.Struct("<4sIHHQdd")
 """Mark, number, rows, columns, SYNC count at the pulse, start and width by the panel's clock; then rows x columns pixels of 16 bits.
@@ -112,9 +111,7 @@ class PanelLink:
         try:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT_S)
         except OSError as error:
-            number = error.errno or 0  # name resolution counts below zero
-            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
-            raise BusUnavailable(f"panel {url}: {reason}; name a panel that is on") from error
+            raise BusUnavailable(f"panel {url}: {why_not_reached(error)}; name a panel that is on") from error
         self._socket.setblocking(False)
         try:
             self._await_greeting()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import socket
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from drivers.errors import BusTimeout, BusUnavailable, ConfigurationRefused, ProtocolError
 from drivers.modbus.registers import ExceptionCode
-from drivers.tcp_url import parse_tcp_url
+from drivers.tcp_url import parse_tcp_url, why_not_reached
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
@@ -127,8 +126,7 @@ class ClientTransport:
         try:
             self._open()
         except OSError as error:
-            number = error.errno or 0  # name resolution counts below zero
-            return os.strerror(number) if number > 0 else error.strerror or str(error)
+            return why_not_reached(error)
         return "the line is in use"
 
     def _explained(self, unit_id: int) -> Exception:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import socket
 
 from drivers.errors import BusUnavailable
+from drivers.tcp_url import why_not_reached
 
 READ_BYTES = 4096
 CONNECT_TIMEOUT_S = 2.0  # a device server on the same network answers within milliseconds
@@ -25,8 +25,7 @@ class TcpStream:
         try:
             self._socket = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except OSError as error:
-            number = error.errno or 0  # name resolution counts below zero
-            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
+            reason = why_not_reached(error)
             raise BusUnavailable(f"serial line {url}: {reason}; name a device server that is on and that nobody else uses") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
