@@ -68,6 +68,7 @@ class Mount:
 
     @property
     def is_clear(self) -> bool:
+        """Whether the compliance stands out of its deviation and explains how the detector moves."""
         return self.compliance > LEAST_DEVIATIONS * self.deviation and self.share_left < LARGEST_SHARE_LEFT
 
     @property
