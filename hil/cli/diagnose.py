@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,12 +45,10 @@ def diagnose(
 
     answer = Answer(json_to)
     machine = load(machine_name)
-    if out.exists() and not out.is_dir():
-        raise UnusableInput(f"{out}: is a file; give a folder for the answer")
-    train, held = _read(recordings, machine), _read(held_out or [], machine)
-    for name in train:
-        if name in held:
-            raise UnusableInput(f"{name}: is given to fit to and as --held-out; hold out another recording")
+    _check_folder(out)
+    _check_apart(recordings, held_out or [])
+    train = _read(recordings, machine)
+    held = _read(held_out or [], machine, train)
     with progress(Answer("-").console) as bars:
         task = bars.add_task("reading", total=1.0)
 
@@ -61,15 +61,33 @@ def diagnose(
     answer.write(plain(outcome.diagnosis.document()))
 
 
-def _read(paths: list[Path], machine: Machine) -> dict[str, Recording]:
-    """Recordings by their file's name without its suffix; by their path where two have the same."""
+def _check_folder(out: Path) -> None:
+    """UnusableInput where the answer could not be written: said before a diagnosis of minutes, not after it."""
+    nearest = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+    if not nearest.is_dir():
+        raise UnusableInput(f"{out if nearest == out.absolute() else nearest}: is a file; give a folder for the answer")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise UnusableInput(f"{out}: cannot be written to: no permission; give another folder")
+
+
+def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
+    """RecordingError where one file is given more than once: a repeat of itself has no noise, and nothing is held out of a fit to it."""
+    files = [path.resolve() for path in (*fitted_to, *held_out)]
+    for number, path in enumerate((*fitted_to, *held_out)):
+        earlier = files.index(files[number])
+        if earlier < len(fitted_to) <= number:
+            raise RecordingError(f"{path}: is given to fit to and as --held-out; hold out another recording")
+        if earlier < number:
+            raise RecordingError(f"{path}: is given twice; once is enough")
+
+
+def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> dict[str, Recording]:
+    """Recordings by their file's name without its suffix; by their path where another one has that name."""
     from hil.recording import read_recording
 
     found: dict[str, Recording] = {}
     for path in paths:
-        name = path.stem if path.stem not in found else str(path)
-        if name in found:
-            raise RecordingError(f"{path}: is given twice; once is enough")
+        name = path.stem if path.stem not in found and path.stem not in taken else str(path)
         found[name] = read_recording(path, machine)
     return found
 

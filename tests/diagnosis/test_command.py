@@ -1,0 +1,50 @@
+"""What `isocenter diagnose` refuses before it computes anything."""
+
+from __future__ import annotations
+
+import pytest
+from carriage import repeats
+
+from hil.cli.app import main
+from hil.diagnosis import files
+from hil.recording import write_recording
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The same names on two days."""
+    monkeypatch.chdir(tmp_path)
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        for name, recording in repeats(2, duration_s=0.1).items():
+            write_recording(recording, tmp_path / day / f"{name}.csv")
+    (tmp_path / "file").touch()
+
+
+REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((*REPEATS, "-o", "file"), "file: is a file; give a folder"),
+        ((*REPEATS, "-o", "file/answer"), "file: is a file; give a folder"),
+        ((*REPEATS, "--held-out", "monday/../monday/run_0_1.csv", "-o", "answer"), "is given to fit to and as --held-out"),
+        ((*REPEATS, "tuesday/../monday/run_0_0.csv", "-o", "answer"), "monday/run_0_0.csv: is given twice"),
+        ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
+    ],
+)
+def test_files_given_twice_and_folders_that_are_none_are_one_line(folder, capsys, words, said):
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", "emps", *words])
+    assert left.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert said in line
+
+
+def test_another_day_s_recording_of_the_same_name_may_be_held_out(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "write_report", lambda *_: None)
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", "emps", *REPEATS, "--held-out", "tuesday/run_0_0.csv", "-o", "answer"])
+    assert left.value.code == 0
+    assert (tmp_path / "answer" / "diagnosis.json").exists()
