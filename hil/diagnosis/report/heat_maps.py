@@ -96,29 +96,33 @@ def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.
 
 
 def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
-    """Both maps of the channels with the largest residual, for one axis; None where it does not move."""
+    """A row for each kind of map that there is, of the channels with the largest residual; None for an axis that does not move."""
     units = found.machine.units[axis]
     channels = _loudest(found)
-    drawn = [(c, over_pose_and_speed(found, axis, c), over_pose_and_frequency(found, axis, c)) for c in channels]
-    if not any(by_speed or by_frequency for _, by_speed, by_frequency in drawn):
+    kinds = [
+        (f"speed [{units.position}/s]", "linear", [over_pose_and_speed(found, axis, c) for c in channels]),
+        ("frequency [Hz]", "log", [over_pose_and_frequency(found, axis, c) for c in channels]),
+    ]
+    kinds = [kind for kind in kinds if any(heat_map is not None for heat_map in kind[2])]
+    if not kinds:
         return None
-    figure = Figure(figsize=(2.9 * len(channels) + 1.2, 5.8), layout="constrained")
-    axes = figure.subplots(2, len(channels), squeeze=False)
-    shown = None
-    for column, (c, by_speed, by_frequency) in enumerate(drawn):
-        axes[0, column].set_title(found.channels[c], fontsize="medium")
-        for row, heat_map in enumerate((by_speed, by_frequency)):
+    figure = Figure(figsize=(2.9 * len(channels) + 1.2, 2.5 * len(kinds) + 0.8), layout="constrained")
+    axes = figure.subplots(len(kinds), len(channels), squeeze=False)
+    drawn = []
+    for row, (label, scale, maps) in enumerate(kinds):
+        for place, heat_map in zip(axes[row], maps, strict=True):
             if heat_map is None:
-                axes[row, column].set_axis_off()
-            else:
-                shown = _draw(axes[row, column], heat_map)
-        axes[1, column].set_yscale("log")
-        axes[1, column].set_xlabel(f"position of {units.axis} [{units.position}]")
-    axes[0, 0].set_ylabel(f"speed [{units.position}/s]")
-    axes[1, 0].set_ylabel("frequency [Hz]")
-    if shown is not None:
-        figure.colorbar(shown, ax=axes, label="rms of the residual in units of one repeat's noise", shrink=0.8)
-    figure.suptitle(f"Residual of the {stage} simulation over the pose of {units.axis}; hatched: not visited")
+                place.set_axis_off()
+                continue
+            drawn.append(_draw(place, heat_map))
+            place.set_yscale(scale)
+        axes[row, 0].set_ylabel(label)
+    for place, c in zip(axes[0], channels, strict=True):
+        place.set_title(found.channels[c], fontsize="medium")
+    for place in axes[-1]:
+        place.set_xlabel(f"position of {units.axis} [{units.position}]")
+    figure.colorbar(drawn[-1], ax=axes, label="rms of the residual\nin units of one repeat's noise")
+    figure.suptitle(f"Residual of the {stage} simulation over the pose of {units.axis}\nhatched: not visited", fontsize="medium")
     return figure
 
 

@@ -35,5 +35,5 @@ def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
     for i, row in enumerate(values):
         for j, value in enumerate(row):
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=6, color="white" if value < 0.6 else "black")
-    figure.colorbar(image, ax=axes, label="|cos| of sensitivities; 1: cannot be told apart", shrink=0.7)
+    figure.colorbar(image, ax=axes, label="|cos| of sensitivities\n1: cannot be told apart")
     return figure

@@ -13,7 +13,6 @@ from hil.diagnosis.report.style import BLACK, STAGE_COLOURS, STAGE_NAMES
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""
 
-COLUMNS = 3
 LEAST_ROWS = 50
 KINDS = (("current_", "effort_", "command_"), ("position_", "link_position_", "speed_"), ("imu_", "gyro_"))
 """One column each; of every kind the channel with the largest mismatch."""

@@ -174,7 +174,7 @@ def _fit(diagnosis: Diagnosis) -> str:
 
 
 def _percent(stages: Stages) -> list[str]:
-    return ["-" if (value := getattr(stages, stage)) is None else f"{value:.2%}" for stage in STAGES]
+    return ["-" if (value := getattr(stages, stage)) is None else f"{100.0 * value:.3g} %" for stage in STAGES]
 
 
 def _numbers(stages: Stages) -> list[str]:

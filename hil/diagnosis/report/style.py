@@ -9,8 +9,3 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK = (
 
 STAGE_COLOURS = {"nominal": ORANGE, "retuned": SKY, "extended": VERMILION}
 STAGE_NAMES = {"nominal": "nominal", "retuned": "re-tuned", "extended": "with the effects"}
-
-
-def channel_label(name: str, unit: str) -> str:
-    """A channel as an axis label."""
-    return f"{name} [{unit}]" if unit else name
