@@ -11,23 +11,10 @@ from carriage import DAMPING, MACHINE, MASS_kg, recording, repeats
 
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.naming import CAP_ASSUMED, confidence_of
 from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
 
-COULOMB_N = 20.0
-DURATION_s = 2.0
-
-
-@pytest.fixture(scope="module")
-def with_friction():
-    truth = {"mass": 1.05 * MASS_kg, "coulomb_N": COULOMB_N}
-    return repeats(duration_s=DURATION_s, **truth), repeats(1, duration_s=DURATION_s, experiment=1, **truth)
-
-
-@pytest.fixture(scope="module")
-def friction(with_friction):
-    return diagnose(MACHINE, *with_friction)
+COULOMB_N = 20.0  # of the friction in conftest.py
 
 
 def test_coulomb_friction_is_named_with_its_strength(friction):
@@ -90,13 +77,6 @@ def test_too_short_a_recording_is_said_to_be_too_short():
     outcome = diagnose(MACHINE, repeats(3, duration_s=0.6))
     assert outcome.diagnosis.verdict == "inconclusive"
     assert "0.599 s" in outcome.diagnosis.reason
-
-
-def test_without_repeats_the_noise_is_assumed_and_confidence_capped():
-    truth = {"mass": 1.05 * MASS_kg, "coulomb_N": COULOMB_N, "duration_s": 1.2}
-    outcome = diagnose(MACHINE, repeats(1, **truth), repeats(1, experiment=1, **truth))
-    assert outcome.diagnosis.noise == "assumed" and outcome.evidence.cap == CAP_ASSUMED
-    assert 0.0 < max(hypothesis.confidence for hypothesis in outcome.diagnosis.hypotheses) <= confidence_of(CAP_ASSUMED)
 
 
 @pytest.mark.parametrize("mutation", ["labels negated", "time reversed"])

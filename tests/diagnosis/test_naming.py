@@ -44,7 +44,7 @@ def test_more_parameters_must_gain_more():
 
 
 def test_what_leaves_most_of_it_is_no_name():
-    assert max(confidences(6000.0, 4500.0, 5400.0)) < 0.5
+    assert max(confidences(6000.0, 4500.0, 5400.0)) < 0.5 * CERTAIN
 
 
 def test_confidence_is_capped_where_the_noise_is_assumed():

@@ -39,7 +39,7 @@ def test_a_pair_of_which_neither_comes_first_alone_is_seen_without_a_run(bench):
     tuning, one, other, both = bench
     residual = 20.0 * one + 20.0 * other
     singles = [fitted("cogging", [0.0], 19.0 * both), fitted("coulomb_friction", [2.0], 2.0 * one)]
-    best, *_ = pairs(tuning, residual, singles, [screened("viscous_friction", 5.0, 4.0 * other, tuning)], lambda _effect: 1)
+    best, *_ = pairs(tuning, residual, singles, [screened("viscous_friction", 5.0, 4.0 * other, tuning)])
     names = {str(effect) for effect in best.start[0]}
     assert names == {"coulomb_friction at carriage", "viscous_friction at carriage"}
     assert best.gain == pytest.approx(800.0, rel=1e-4)
@@ -52,7 +52,7 @@ def test_a_pair_that_would_need_friction_to_push_is_none(bench):
     tuning, one, other, _ = bench
     singles = [fitted("coulomb_friction", [2.0], 2.0 * one)]
     beside = [screened("viscous_friction", 5.0, 4.0 * other, tuning), screened("constant_load", 5.0, 4.0 * other, tuning)]
-    found = pairs(tuning, 20.0 * one - 8.0 * other, singles, beside, lambda _effect: 1)
+    found = pairs(tuning, 20.0 * one - 8.0 * other, singles, beside)
     assert [{effect.effect for effect in pair.start[0]} for pair in found] == [{"coulomb_friction", "constant_load"}]
     assert found[0].start[1][1][0] == pytest.approx(-10.0, rel=1e-4)
 

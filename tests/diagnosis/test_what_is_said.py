@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from carriage import MACHINE, MASS_kg, repeats
+from carriage import MACHINE, repeats
 
 from hil.diagnosis.diagnose import diagnose, removed_share
 from hil.diagnosis.gate import Gate
@@ -45,6 +45,7 @@ def no_repeats():
 
 def test_no_effect_has_a_computed_confidence_capped_where_the_noise_is_assumed(no_repeats):
     assert no_repeats.diagnosis.verdict in ("consistent", "retuned")
+    assert no_repeats.diagnosis.noise == "assumed" and no_repeats.evidence.cap == CAP_ASSUMED
     confidences = {h.effects: h.confidence for h in no_repeats.diagnosis.hypotheses}
     assert () in confidences and max(confidences.values()) <= CAP_ASSUMED
     assert sum(confidences.values()) <= 1.0
@@ -52,12 +53,6 @@ def test_no_effect_has_a_computed_confidence_capped_where_the_noise_is_assumed(n
 
 def test_too_little_data_name_no_hypothesis():
     assert diagnose(MACHINE, repeats(3, duration_s=0.6)).diagnosis.hypotheses == ()
-
-
-@pytest.fixture(scope="module")
-def friction():
-    truth = {"mass": 1.05 * MASS_kg, "coulomb_N": 20.0}
-    return diagnose(MACHINE, repeats(3, **truth), repeats(1, experiment=1, **truth))
 
 
 def test_a_retuned_numbers_interval_is_of_the_fit_beside_the_effects(friction):
