@@ -74,7 +74,7 @@ class Weighed:
     """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
 
     fitted: Fitted | None
-    train: float  # |residual|^2 + |offset|^2
+    train: float  # |residual|^2 + |offset|^2, of a set with effects plus what chance gains more where their strengths scatter (gate.py)
     held_out: float  # |residual|^2; 0 without held-out recordings
     information: tuple[float, ...] = ()  # of its parameters, see refit.py
     confidence: float = 0.0
@@ -185,8 +185,7 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     best = min(sets, key=lambda h: h.misfit)
     train, held_out = (max(1.0, left / n) if n > 0.0 else 1.0 for left, n in zip((best.train, best.held_out), entries, strict=True))
     return [
-        replace(h, train=h.train / train, held_out=h.held_out / held_out, information=tuple(i / train for i in h.information))
-        for h in sets
+        replace(h, train=h.train / train, held_out=h.held_out / held_out, information=tuple(i / train for i in h.information)) for h in sets
     ]
 
 

@@ -6,13 +6,13 @@ v = (a'r, b'r) and G their Gram matrix (Kay 1998, ch. 4): two effects of which n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.refit import Fitted, fitted_parameters
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, scaled
@@ -44,9 +44,7 @@ class _One:
     freedom: int
 
 
-def pairs(
-    tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], screened: Sequence[Screened], freedom_of: Callable[[EffectAt], int]
-) -> list[Pair]:
+def pairs(tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], screened: Sequence[Screened]) -> list[Pair]:
     """Every pair of a fitted single effect with another or with one of the best screened, the largest gain first.
 
     Parameters
@@ -58,15 +56,13 @@ def pairs(
     singles : sequence of Fitted
     screened : sequence of Screened
         In their order.
-    freedom_of : callable
-        Fitted parameters of an effect.
     """
     projection = Projection.of(tuning)
     left = projection.left_of_residual(residual)
     bank = [_One(fit.effects[0], fit.values[0], projection.left(fit.predicted - tuning.predicted), fit.freedom) for fit in singles]
     known = {one.effect for one in bank}
     others = [s for s in screened if s.effect not in known][:PARTNERS]
-    bank += [_One(s.effect, s.values, s.response.astype(float), freedom_of(s.effect)) for s in others]
+    bank += [_One(s.effect, s.values, s.response.astype(float), fitted_parameters(s.effect)) for s in others]
     bank = [one for one in bank if one.response @ one.response > 0.0]
     responses = np.stack([one.response for one in bank]) if bank else np.zeros((0, len(left)))
     gram, along = responses @ responses.T, responses @ left

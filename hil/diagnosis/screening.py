@@ -32,10 +32,8 @@ ROUNDS = 3
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share", "K", "D")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
 
-
 AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"), ("mgr", "phi"), ("J12", "phi"))
 """Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
-
 
 SAME_STRENGTH = 1e-6
 """Share of its energy by which a response must differ from the others to be told from them."""
@@ -146,7 +144,7 @@ def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray
 
 
 def _flipped(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
-    """The same effect with the opposite sign, where its strengths may have it or a phase gives it."""
+    """The same effect with the opposite sign; None where no strength may have it, as a wave's, whose phase would have to turn."""
     signed = [k for k, p in enumerate(effects()[effect.effect].parameters) if p.is_strength and p.low < 0.0]
     flipped = _rescaled(effect, values, factor)
     if flipped is None or not signed:

@@ -16,7 +16,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.naming import Weighed, price_of_a_parameter, temperature
 from hil.diagnosis.pairs import Start, pairs
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import Fitted, fitted_parameters, polish, refit
+from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, screen
@@ -228,7 +228,7 @@ def _pairs_worth_a_fit(
     tried: Sequence[Candidate],
 ) -> list[Start]:
     """Starts of the pairs whose filter says that they may be likelier than the best single effect, and more than chance."""
-    found = pairs(tuning, residual, singles, screened, fitted_parameters)
+    found = pairs(tuning, residual, singles, screened)
     if not found:
         return []
     best = singles[0]
