@@ -42,6 +42,8 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
     part = part_path(path)
     if path.suffix == ".part":
         return recover(path)
+    if path.is_dir():
+        raise RecordingError(f"{path}: is a folder; give the recordings in it")
     _check_suffix(path, READABLE, "read")
     if not path.exists():
         if not part.exists():

@@ -27,6 +27,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("monday", "-o", "answer"), "monday: is a folder; give the recordings in it"),
         ((*REPEATS, "-o", "file"), "file: is a file; give a folder"),
         ((*REPEATS, "-o", "file/answer"), "file: is a file; give a folder"),
         ((*REPEATS, "--held-out", "monday/../monday/run_0_1.csv", "-o", "answer"), "is given to fit to and as --held-out"),
@@ -34,7 +35,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
         ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
     ],
 )
-def test_files_given_twice_and_folders_that_are_none_are_one_line(folder, capsys, words, said):
+def test_files_given_twice_and_folders_in_the_wrong_place_are_one_line(folder, capsys, words, said):
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *words])
     assert left.value.code == 2
