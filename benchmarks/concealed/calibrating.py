@@ -9,10 +9,12 @@ by hand. Cases up to LAST_FITTED are fitted, those after it only checked.
 from __future__ import annotations
 
 import json
+import tempfile
 import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import astuple
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,10 @@ from concealed.judging import matches
 from concealed.making import Places, make, seal
 from concealed.running import JSON_KEPT, commit
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking
 from hil.diagnosis.verdict import UNKNOWN_LEFT
+from hil.errors import BenchError
 from hil.machine import load_machine
 from hil.recording import read_recording
 
@@ -54,12 +58,18 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
     sealed, began = seal(places.truth(number)), time.monotonic()
     outcome = diagnose(machine, runs, held_out, look_further=False)
     document = outcome.diagnosis.document()
+    exit_status, said = 0, ""
+    with tempfile.TemporaryDirectory() as out:
+        try:
+            write_diagnosis(outcome, machine, Path(out))
+        except BenchError as error:  # as the command would end; the other cases go on
+            exit_status, said = error.exit_status, str(error).replace(str(places.work), "WORK")
     answer = {
         "number": number,
         "truth_sha256": sealed,
         "commit": commit(),
-        "exit_status": 0,
-        "error": "",
+        "exit_status": exit_status,
+        "error": said,
         "wall_s": round(time.monotonic() - began, 1),
         "diagnosis": {key: document[key] for key in JSON_KEPT if key in document},
     }
@@ -117,9 +127,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
 def _evidence(row: dict[str, Any]) -> Evidence:
     def one(numbers: dict[str, Any]) -> Weighed:
         information = tuple(numbers["information"])
-        return Weighed(
-            None, numbers["train"], numbers["held_out"], information, searched=numbers["searched"], passed=numbers["passed"]
-        )
+        return Weighed(None, numbers["train"], numbers["held_out"], information, searched=numbers["searched"], passed=numbers["passed"])
 
     return Evidence(tuple(map(one, row["sets"])), one(row["base"]), *row["entries"], row["tried"], row["found"], row["cap"])
 

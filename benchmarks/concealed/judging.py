@@ -63,8 +63,8 @@ class Judgement:
 
 
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
-    """Judge one line of answers by its truth."""
-    diagnosis = answer.get("diagnosis") or {}
+    """Judge one line of answers by its truth. A command that ended in an error has not answered, whatever it had written before."""
+    diagnosis = (answer.get("diagnosis") or {}) if answer["exit_status"] == 0 else {}
     verdict = diagnosis.get("verdict", NO_ANSWER)
     findings = diagnosis.get("findings") or []
     effects = truth["effects"]

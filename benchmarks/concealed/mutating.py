@@ -57,9 +57,10 @@ def _diagnose(folder: Path) -> dict[str, Any]:
     out = folder.with_name(folder.name + "_out")
     runs = sorted(str(path) for path in folder.glob("run_*.csv"))
     held_out = ["--held-out", str(folder / "held_out.csv")]
-    subprocess.run([COMMAND, "diagnose", str(folder / "machine.toml"), *runs, *held_out, "-o", str(out)], capture_output=True, check=False)
+    command = [COMMAND, "diagnose", str(folder / "machine.toml"), *runs, *held_out, "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, check=False)
     answer = out / "diagnosis.json"
-    if not answer.exists():
+    if done.returncode != 0 or not answer.exists():
         return {"verdict": "refused", "findings": []}
     found = json.loads(answer.read_text(encoding="utf-8"))
     return {"verdict": found["verdict"], "findings": [f"{finding['effect']}@{finding['at']}" for finding in found["findings"]]}

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import time
 import tomllib
 from pathlib import Path
@@ -53,7 +54,7 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
     row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": commit()}
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S, check=False)
-        row |= {"exit_status": done.returncode, "error": done.stderr.strip()[-500:]}
+        row |= {"exit_status": done.returncode, "error": _without_places(done.stderr.strip(), places)[-500:]}
     except subprocess.TimeoutExpired:
         row |= {"exit_status": None, "error": f"no answer within {TIME_LIMIT_S:g} s"}
     row["wall_s"] = round(time.monotonic() - start, 1)
@@ -66,6 +67,13 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
         shutil.rmtree(case, ignore_errors=True)
         shutil.rmtree(out, ignore_errors=True)
     return row
+
+
+def _without_places(said: str, places: Places) -> str:
+    """What a command said, without the folders of the computer it ran on."""
+    for folder, name in ((places.work, "WORK"), (Path(sys.prefix), "PYTHON"), (Path(__file__).parents[2], "ISOCENTER")):
+        said = said.replace(str(folder.absolute()), name).replace(str(folder), name)
+    return said
 
 
 def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any]:

@@ -83,6 +83,7 @@ def retuned_values(tuning: Tuning, fitted: Fitted | None, covariance: np.ndarray
     offset = tuning.offset if fitted is None else fitted.offset
     count = len(offset)  # a number at its bound is held in the joint fit; effects beside it never narrow it
     spread = np.sqrt(np.maximum(np.diag(covariance)[:count], np.diag(tuning.covariance)))
+    values = tuning.at(offset)
     shown, frozen = {}, {}
     tuned = {int(index): k for k, index in enumerate(tuning.indices)}
     for index, parameter in enumerate(tuning.parameters):
@@ -93,7 +94,7 @@ def retuned_values(tuning: Tuning, fitted: Fitted | None, covariance: np.ndarray
         if spread[k] > UNDECIDED:
             frozen[name] = f"the recordings narrow it to {spread[k]:.0%} of what was assumed before; others do the same to them"
             continue
-        value = parameter.value + offset[k] * tuning.scale[k]
+        value = values[index]
         reach = TWO_SIDED_95 * spread[k] * tuning.scale[k]
         shown[name] = RetunedValue(parameter.value, float(value), parameter.unit, (float(value - reach), float(value + reach)))
     return shown, frozen

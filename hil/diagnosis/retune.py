@@ -15,6 +15,7 @@ import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.rigid_bodies import rigid
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
@@ -88,10 +89,10 @@ class Tuning:
     covariance: np.ndarray
 
     def at(self, offset: np.ndarray) -> np.ndarray:
-        """Plant parameters at these tuned coordinates."""
+        """Plant parameters at these tuned coordinates, every body a rigid one."""
         values = np.array([parameter.value for parameter in self.parameters])
         values[self.indices] += offset * self.scale
-        return values
+        return rigid(self.parameters, values)
 
     @property
     def names(self) -> list[str]:

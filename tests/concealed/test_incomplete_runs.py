@@ -10,7 +10,7 @@ from test_scoring import answer, finding, truth
 NUMBERS = range(4)
 
 
-def make_run(folder, *, crashed=(), left_out=(), commits=("a",)):
+def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",)):
     """Two nulls and two singles; the tool is right where it answers."""
     from concealed.making import Places, seal
 
@@ -25,6 +25,8 @@ def make_run(folder, *, crashed=(), left_out=(), commits=("a",)):
         row |= {"number": number, "truth_sha256": seal(path), "commit": commits[number % len(commits)]}
         if number in crashed:
             del row["diagnosis"]
+        if number in failed:
+            row["exit_status"] = 2
         if number not in left_out:
             lines.append(json.dumps(row))
     (folder / "answers_development.jsonl").write_text("\n".join(lines) + "\n")
@@ -43,6 +45,12 @@ def test_a_null_without_an_answer_is_an_alarm(tmp_path):
     bars, _ = bars_of(tmp_path, crashed=(0, 3))
     assert (bars["false alarms on nulls"]["hits"], bars["false alarms on nulls"]["n"]) == (1, 2)
     assert (bars["no answer"]["hits"], bars["no answer"]["n"], bars["no answer"]["met"]) == (2, 4, False)
+
+
+def test_a_command_that_ends_in_an_error_has_not_answered_whatever_it_wrote_before(tmp_path):
+    bars, _ = bars_of(tmp_path, failed=(0, 3))
+    assert (bars["no answer"]["hits"], bars["no answer"]["n"]) == (2, 4)
+    assert bars["false alarms on nulls"]["hits"] == 1
 
 
 def test_a_tool_that_always_answers_meets_that_bar_and_one_that_nobody_asks_for_is_not_met(tmp_path):
