@@ -31,7 +31,7 @@ FINE_STEPS = 4
 second-order error of a 20 Hz mode stands out of the noise of four repeats at 1.6 kHz still."""
 
 RUN_AWAY = 1e12
-"""A whitened number beyond this is a simulation that runs away."""
+"""A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class _Runner:
 
     def whitened(self, name: str, trial: Trial) -> np.ndarray | None:
         rows = self.rows(name, trial)
-        if rows is None:
+        if rows is None or any(float(np.abs(one / self._noise.std).max()) > RUN_AWAY for one in rows):  # whitening would overflow
             return None
         joined = self.join(name, rows)
         return joined if float(np.abs(joined).max()) < RUN_AWAY else None

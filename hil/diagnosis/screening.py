@@ -18,6 +18,7 @@ from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import INVERSE
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+from virtual_bus.effects.effect import PHASE
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
@@ -123,12 +124,25 @@ def _wanted(effect: EffectAt, values: np.ndarray, response: np.ndarray, amplitud
 
 def scaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
     """The effect's parameters at a strength that a filter wants changed by this factor, of either sign; as they are where strength is no
-    factor; None where the effect has no such sign.
+    factor; None where the effect has no such sign. A wave of the other sign is half a cycle on.
     """
     if factor < 0.0:
-        return _flipped(effect, values, -factor)
+        flipped = _flipped(effect, values, -factor)
+        return _half_a_cycle_on(effect, values, -factor) if flipped is None else flipped
     changed = _rescaled(effect, values, factor)
     return values if changed is None else changed
+
+
+def _half_a_cycle_on(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:
+    """A wave with the opposite sign; None of what is more than a wave."""
+    parameters = effects()[effect.effect].parameters
+    strengths = [p for p in parameters if p.is_strength and p.name not in NONLINEAR_STRENGTH]
+    phases = [k for k, p in enumerate(parameters) if p.unit == PHASE and not p.is_strength]
+    changed = _rescaled(effect, values, factor)
+    if changed is None or _pair(effect) is None or len(phases) != len(strengths):
+        return None
+    changed[phases] = [_wrapped(phase + np.pi) for phase in changed[phases]]
+    return changed
 
 
 def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray | None:

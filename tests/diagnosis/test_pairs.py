@@ -57,6 +57,20 @@ def test_a_pair_that_would_need_friction_to_push_is_none(bench):
     assert found[0].start[1][1][0] == pytest.approx(-10.0, rel=1e-4)
 
 
+def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
+    tuning, one, other, _ = bench
+    singles = [fitted("coulomb_friction", [2.0], 2.0 * one)]
+    wave = Screened(
+        EffectAt("cogging", "carriage"), np.array([3.0, 4.0, 1.0, 0.5, -2.0]), np.append(4.0 * other, 0.0).astype(np.float32), 0.0
+    )
+    (found,) = pairs(tuning, 20.0 * one - 8.0 * other, singles, [wave])
+    order, A1, phi1, A2, phi2 = found.start[1][1]
+    along = np.linspace(0.0, 7.0, 50)
+    torque = A1 * np.cos(order * along + phi1) + A2 * np.cos(2.0 * order * along + phi2)
+    wanted = -2.0 * (4.0 * np.cos(3.0 * along + 1.0) + 0.5 * np.cos(6.0 * along - 2.0))
+    assert torque == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "values", "lost"),
     [

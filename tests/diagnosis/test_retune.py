@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from carriage import DAMPING, GAIN, MACHINE, MASS_kg, repeats
 
-from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import retune
@@ -36,6 +36,14 @@ def test_what_is_left_is_noise(runs):
     tuning = retune(runs)
     left = runs.measured() - tuning.predicted
     assert 0.8 < np.mean(left**2) < 1.2
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_that_diverges_is_refused_before_its_numbers_overflow(runs, monkeypatch):
+    count = len(runs.sets[TRAIN].groups[0].time_s)
+    diverged = np.geomspace(1.0, 1e300, count)[:, None] * np.ones(len(runs.sets[TRAIN].channels))
+    monkeypatch.setattr("hil.diagnosis.free_run.simulated_matrix", lambda machine, outputs, channels: diverged)
+    assert runs.run_one(Trial(runs.nominal)) is None
 
 
 def test_a_coarse_encoder_hides_no_sensitivity():
