@@ -101,8 +101,14 @@ def fit_marker(
     return _result(values, columns, seen, covariance, weight, where, detector, spot_m)
 
 
-def fit_marker_linear(points: MarkerPoints, plate: MarkerPlate, detector: Detector, known: MarkerProjection) -> MarkerFit:
-    """Linear least squares for f_x, f_y and Z-bar; angles, offsets and the plate's distance as in `known` (Sec. 6.4.1)."""
+def fit_marker_linear(
+    points: MarkerPoints, plate: MarkerPlate, detector: Detector, known: MarkerProjection, spot_m: float = 0.0
+) -> MarkerFit:
+    """Linear least squares for f_x, f_y and Z-bar (Sec. 6.4.1).
+
+    Angles, offsets and the plate's distance are as in `known`; nothing is iterated, and where the fit starts does not matter. The rest is
+    as in `fit_marker`.
+    """
     seen, covariance = _metres(points, detector)
     weight = 1.0 / np.sqrt(np.diag(covariance))
     where = plate.points_m[points.index]
@@ -113,7 +119,7 @@ def fit_marker_linear(points: MarkerPoints, plate: MarkerPlate, detector: Detect
     matrix[:, 2] = MarkerProjection(unit).project(where).ravel()
     values = known.values.copy()
     values[:3] = np.linalg.lstsq(matrix * weight[:, None], seen * weight, rcond=None)[0]
-    return _result(values, [0, 1, 2], seen, covariance, weight, where, detector)
+    return _result(values, [0, 1, 2], seen, covariance, weight, where, detector, spot_m)
 
 
 def _columns(free: Sequence[str]) -> list[int]:
@@ -148,7 +154,7 @@ def _result(
     weight: np.ndarray,
     where: np.ndarray,
     detector: Detector,
-    spot_m: float = 0.0,
+    spot_m: float,
 ) -> MarkerFit:
     """Covariance of weighted least squares whose data are correlated: points on one line share its errors, all the spot's place."""
     whole = _jacobian(values, where)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.arrays import write_arrays
 from hil.calibration.image_quality import ImageQuality, quality_of
-from hil.calibration.marker import NONLINEAR, MarkerFit, fit_marker
+from hil.calibration.marker import LINEAR, NONLINEAR, MarkerFit, fit_marker, fit_marker_linear
 from hil.errors import UnusableInput
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection, find_marker
@@ -74,7 +74,7 @@ def calibrate_marker(
     jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MarkerScan:
-    """Find the plate in every image and fit its pose.
+    """Find the plate in every image and fit its pose: by linear least squares where no more than `LINEAR` is free, else by Gauss-Newton.
 
     Raises
     ------
@@ -118,6 +118,8 @@ def _look(
     image = scan.frame(k)
     try:
         found = find_marker(image, plate, nominal[k], scan.detector)
+        if set(free) == set(LINEAR):
+            return fit_marker_linear(found, plate, scan.detector, nominal[k], SPOT_M), found
         return fit_marker(found, plate, scan.detector, nominal[k], free, SPOT_M), found
     except UnusableInput as error:
         return str(error)
