@@ -30,6 +30,27 @@ STANDS = 0.02
 milliradians; a pose farther than this from where it stood is another scan type."""
 
 
+SAME_SPEED = 0.1
+"""What bends with speed differs by less than a fifth between scans whose speeds differ by this share."""
+
+
+def sweep_speed(time_s: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """(axes,) median speed [rad/s or m/s] while each axis was on its way, signed by where it went; 0 where it stood, NaN if not known.
+
+    Parameters
+    ----------
+    time_s : (N,) array
+        Rising.
+    positions : (N, axes) array
+    """
+    if len(time_s) < 2:
+        return np.zeros(positions.shape[1])
+    speed = np.diff(positions, axis=0) / np.diff(time_s)[:, None]
+    speed[:, np.ptp(positions, axis=0) < STANDS] = 0.0
+    moving = np.abs(speed) >= 0.5 * np.abs(speed).max(axis=0)
+    return np.array([np.median(column[now]) if now.any() else np.nan for column, now in zip(speed.T, moving.T, strict=True)])
+
+
 @dataclass(frozen=True)
 class LookUp:
     """Calibrated deviations of one scan type, or of a grid of poses.
@@ -43,7 +64,7 @@ class LookUp:
         From the nominal geometry there, as `ConeBeam.moved` takes it.
     covariance : (N, 9, 9) array
     notes : mapping
-        Machine, its hash, scan type.
+        Machine, its hash, scan type; `speed`, that of each axis (`sweep_speed`).
     """
 
     axes: tuple[str, ...]
@@ -66,6 +87,13 @@ class LookUp:
                 f"the look-up table is of {made_for} with axes {', '.join(self.axes)};"
                 f" {machine.name} has {', '.join(machine.axes)}: calibrate this machine"
             )
+
+    def other_speed(self, speed: np.ndarray) -> str:
+        """How a scan at this speed (axes,) differs from what the table was made at; "" where it does not, or nobody knows."""
+        own = np.asarray(self.notes.get("speed") or [np.nan] * len(self.axes), dtype=float)
+        differs = np.abs(speed - own) > SAME_SPEED * np.maximum(np.abs(own), np.abs(speed))
+        named = [f"{self.axes[k]} went at {own[k]:+.3g} in the calibration and goes at {speed[k]:+.3g}" for k in np.flatnonzero(differs)]
+        return f"{', '.join(named)} (rad/s, m/s): what bends with speed is not this scan's; calibrate this scan type" if named else ""
 
     def at(self, positions: np.ndarray) -> np.ndarray:
         """(M, 9) deviations at positions (M, axes), linear between calibrated exposures.

@@ -126,7 +126,7 @@ def phantom(
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
-    from hil.calibration.lookup import look_up_of, write_look_up
+    from hil.calibration.lookup import look_up_of, sweep_speed, write_look_up
     from hil.calibration.lookup import standing as where_it_stood
     from hil.calibration.phantom import look_for_bullets
     from hil.calibration.phantom_pose import fit_poses
@@ -153,7 +153,10 @@ def phantom(
         observed = panel.to_metres(seen)
         answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
     fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
-    table = look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": six})
+    notes = {"machine": machine.name, "hash": machine.hash, "six": six}
+    if not standing:
+        notes["speed"] = sweep_speed(scan.middle_s, positions).tolist()
+    table = look_up_of(fit, nominal, scan.axes, positions, notes)
     table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
     write_look_up(table, out)

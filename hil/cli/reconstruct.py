@@ -42,6 +42,7 @@ def reconstruct(
     """Read, reconstruct, judge, draw."""
     from hil.calibration.data_file import read_data_file
     from hil.calibration.geometric_model import read_calibration
+    from hil.calibration.lookup import LookUp, sweep_speed
     from hil.figures.reconstruction import volume_figure, wires_figure
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
@@ -65,6 +66,9 @@ def reconstruct(
         table = read_calibration(lookup, machine)
         if table.notes.get("hash", machine.hash) != machine.hash:
             answer.say(f"{lookup.name} was made with another version of {machine.name}'s file; its deviations are used as they are")
+        other = table.other_speed(sweep_speed(scan.middle_s, positions)) if isinstance(table, LookUp) else ""
+        if other:
+            answer.say(f"{lookup.name}: {other}")
         beam, source = beam.moved(table.at(positions)), f"geometry from {lookup.name}"
     if geometry is not None:
         beam, source = read_data_file(geometry).beam(machine, scan.middle_s), f"geometry from {geometry.name}"

@@ -33,6 +33,7 @@ def test_the_table_holds_the_true_geometry_within_its_covariance(scanned):
     assert 0.5 < np.mean(chi2) < 2.0, np.mean(chi2)  # the focal spot's 8 um and what pixels cost beyond photons are in here
     sagged = truth.deviation_from(nominal)
     assert np.abs(sagged[:, 3:6]).max() > 20.0 * np.sqrt(np.mean(np.diagonal(table.covariance, axis1=1, axis2=2)[:, 3:6]) / 20)
+    np.testing.assert_allclose(table.notes["speed"], np.radians([0.0, 30.0]), rtol=0.05)
     answer = json.loads((scanned / "a.json").read_text())
     assert answer["used"] == len(scan) and (scanned / "f.png").stat().st_size > 10_000
 

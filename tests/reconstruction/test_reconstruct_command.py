@@ -62,6 +62,23 @@ def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path, caps
 
 
 @pytest.mark.parametrize(
+    ("speed", "told"),
+    [
+        ([0.0, 3.2 / 23.0], False),
+        (None, False),
+        ([0.0, -3.2 / 23.0], True),
+        ([0.0, 0.25], True),
+    ],
+)
+def test_a_table_made_at_another_speed_or_the_other_way_is_said(tmp_path, capsys, speed, told):
+    pytest.importorskip("itk")
+    table, scan = table_of(tmp_path / "t.npz", speed=speed), scan_of(tmp_path / "scan")
+    status, said = reconstruct(capsys, scan, "--lookup", table, "--size", 16, "-o", tmp_path / "out")
+    assert status == 0 and ("roll went at" in said.out) == told
+    assert not told or "what bends with speed is not this scan's" in said.out
+
+
+@pytest.mark.parametrize(
     ("axes", "units", "line"),
     [
         (("roll", "propeller"), ("rad", "rad"), "a scan of axes roll, propeller; carm has propeller, roll"),
