@@ -75,7 +75,7 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
     }
     truth = json.loads(places.truth(number).read_text(encoding="utf-8"))
     found = outcome.evidence
-    lost = [{"effect": f.effect.effect, "at": f.effect.at} for f in (d.finding(channel) for channel, d in outcome.train.lost.items())]
+    lost = [{"effect": f.effect.effect, "at": f.effect.at} for f in (d.finding(channel) for channel, d in outcome.train.read_off)]
     sets = []
     for h in found.sets:
         names = [{"effect": effect.effect, "at": effect.at} for effect in h.fitted.effects] if h.fitted is not None else []

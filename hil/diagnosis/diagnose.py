@@ -24,7 +24,7 @@ from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_lost_samples
+from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_read_off
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -145,7 +145,7 @@ def diagnose(
             shown=shown,
             missing=what_is_missing(train, selection),
         )
-        verdict, reason = with_lost_samples(*verdict_of(standing), train.lost)
+        verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
         covariance = covariance_of(runs, tuning, chosen)
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
@@ -156,8 +156,8 @@ def diagnose(
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
         if verdict == "inconclusive":
             hypotheses = ()
-        lost = tuple(dropout.finding(channel) for channel, dropout in train.lost.items())
-        findings += lost
+        read_off = tuple(what.finding(channel) for channel, what in train.read_off)
+        findings += read_off
         proposal = None
         if verdict == "ambiguous" and look_further:
             proposal = _next_experiment(machine, train, tuning, hypotheses, jobs, report)
@@ -170,7 +170,7 @@ def diagnose(
             reason=reason,
             findings=findings,
             hypotheses=tuple(
-                Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in lost)), h.confidence)
+                Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in read_off)), h.confidence)
                 for h in hypotheses
             ),
             retuned=retuned,
@@ -183,7 +183,7 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
         )
-    found = (*effects, *(dropout.setting(channel) for channel, dropout in train.lost.items()))
+    found = (*effects, *(what.setting(channel) for channel, what in train.read_off))
     return Outcome(
         diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, suspicions(train), proposal
     )

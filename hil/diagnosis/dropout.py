@@ -1,4 +1,4 @@
-"""Lost samples: readings that repeat the last one exactly while the channel must have moved.
+"""Lost samples: readings that repeat the last one exactly while the channel must have moved, or stay where it was but for noise.
 
 They are seen in the recordings themselves. Lost at other instants in every repeat, they are noise to the repeats' mean and a small lag in
 it: they are taken out before anything else is looked at.
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
+from hil.diagnosis.held_samples import held_samples
 from hil.diagnosis.result import EffectAt, Estimate, Finding
 from virtual_bus.settings import EffectSetting
 
@@ -32,13 +33,13 @@ CERTAIN = 0.99
 
 @dataclass(frozen=True)
 class Dropout:
-    """What a channel loses: the share of its samples with its 95 % interval, and how many at once."""
+    """What a channel loses: the share of its samples with its 95 % interval, how many at once, and what shows it."""
 
     share: float
     ci95: tuple[float, float]
     length: float
-    steps: int  # that were looked at
-    repeated: int
+    seen: str
+    clarity: float  # samples that show it, or the logarithm of a likelihood: the larger is believed where an IMU's channels differ
 
     def setting(self, channel: str) -> EffectSetting:
         return EffectSetting("sample_dropout", channel, {"p": self.share, "length": self.length, "seed": 0.0})
@@ -48,8 +49,10 @@ class Dropout:
             "p": Estimate(self.share, "", self.ci95),
             "length": Estimate(self.length, "", (1.0, max(2.0 * self.length, 2.0))),
         }
-        seen = f"{self.repeated} of {self.steps} readings repeat the last one exactly while the channel moves"
-        return Finding(EffectAt("sample_dropout", channel), CERTAIN, parameters, evidence_for=(seen,))
+        return Finding(EffectAt("sample_dropout", channel), CERTAIN, parameters, evidence_for=(self.seen,))
+
+    def says(self, channel: str) -> str:
+        return f"{channel} loses {self.share:.1%} of its samples"
 
 
 def without_lost_samples(
@@ -66,7 +69,7 @@ def without_lost_samples(
     Returns
     -------
     measured : (R, N, C) array
-        NaN where a reading of a channel that loses samples repeats the one before.
+        NaN where a reading of a channel that loses samples repeats the one before, or is held.
     lost : mapping of str to Dropout
         By channel.
     """
@@ -79,10 +82,18 @@ def without_lost_samples(
         moving = _moves_around(steps, same, least)
         count, repeated = int(moving.sum()), int((same & moving).sum())
         if count < LEAST_STEPS or scipy.stats.binom.sf(repeated - 1, count, BY_ITSELF) > CHANCE:
+            held = held_samples(measured[:, :, c])
+            if held is not None:
+                seen = (
+                    f"{int(held.rows.sum())} readings stay where the channel was while the other repeats move on, likelier than chance by "
+                )
+                lost[channel] = Dropout(held.share, held.ci95, held.length, f"{seen}exp({held.evidence:.0f})", held.evidence)
+                kept[:, :, c][held.rows] = np.nan
             continue
         share = repeated / count
         interval = scipy.stats.binomtest(repeated, count).proportion_ci(0.95)
-        lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), count, repeated)
+        seen = f"{repeated} of {count} readings repeat the last one exactly while the channel moves"
+        lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), seen, float(count))
         kept[:, 1:, c][same] = np.nan
     return kept, lost
 
@@ -120,4 +131,4 @@ def by_sensor(lost: Mapping[str, Dropout]) -> dict[str, Dropout]:
     if len(imu) < 2:
         return dict(lost)
     others = {name: found for name, found in lost.items() if name not in imu}
-    return others | {"imu": max(imu.values(), key=lambda found: found.steps)}
+    return others | {"imu": max(imu.values(), key=lambda found: found.clarity)}

@@ -15,6 +15,7 @@ import scipy.signal
 
 from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
+from hil.diagnosis.lattice import Lattice, coarser_lattices, with_lattices
 from hil.diagnosis.noise import NoiseModel, noise_model
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
@@ -102,7 +103,7 @@ class Mismatch:
 
     `noise` whitens residuals: `noise.whiten(residual, group.imu)` takes (N, C) and gives numbers of unit variance for one repeat's noise.
     `noise.std` (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is
-    without these.
+    without these. `lattices` are those of encoders that are coarser than the machine file's.
     """
 
     machine: Machine
@@ -111,6 +112,12 @@ class Mismatch:
     groups: tuple[RepeatGroup, ...]
     noise: NoiseModel
     lost: Mapping[str, Dropout] = field(default_factory=dict)
+    lattices: Mapping[str, Lattice] = field(default_factory=dict)
+
+    @property
+    def read_off(self) -> tuple[tuple[str, Dropout | Lattice], ...]:
+        """What the recordings show by themselves: where, and what."""
+        return (*self.lost.items(), *self.lattices.items())
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -181,6 +188,7 @@ def mismatch(
         for member in members:
             _check_has(member, channels)
     made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
+    lattices = coarser_lattices(machine, channels, [group.measured for group in made])
     lost: dict[str, Dropout] = {}
     for number, group in enumerate(made):
         kept, found = without_lost_samples(group.measured, group.simulated, channels)
@@ -189,7 +197,9 @@ def mismatch(
             made = (*made[:number], replace(group, measured=kept), *made[number + 1 :])
     first = next(iter(recordings.values()))
     units = tuple(first.channel(name).unit for name in channels)
-    return Mismatch(machine, channels, units, made, noise or noise_model(made, channels, machine), by_sensor(lost))
+    if noise is None:
+        noise = noise_model(made, channels, with_lattices(machine, lattices, max(group.repeats for group in made)))
+    return Mismatch(machine, channels, units, made, noise, by_sensor(lost), lattices)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate, certain_excess
+from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
-from hil.diagnosis.selection import Contender
 
 RETUNED_GAIN = 20.0
 """Fall of |residual|^2 by re-tuning, per tuned number that the recordings show, from which the file's numbers are wrong; chance gives 1."""
@@ -67,12 +66,11 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     return "consistent", "nothing differs by more than the noise of repeats"
 
 
-def with_lost_samples(verdict: Verdict, reason: str, lost: Mapping[str, Dropout]) -> tuple[Verdict, str]:
-    """The verdict where channels lose samples besides: that explains what nothing else needs to."""
-    if not lost or verdict == "inconclusive":
+def with_read_off(verdict: Verdict, reason: str, seen: Sequence[str]) -> tuple[Verdict, str]:
+    """The verdict where recordings show something by themselves (lost samples, lattices): that explains what nothing else needs to."""
+    if not seen or verdict == "inconclusive":
         return verdict, reason
-    seen = ", ".join(f"{channel} repeats {found.share:.1%} of its readings" for channel, found in lost.items())
-    return ("explained" if verdict in ("consistent", "retuned") else verdict), f"{seen}; besides, {reason}"
+    return ("explained" if verdict in ("consistent", "retuned") else verdict), f"{', '.join(seen)}; besides, {reason}"
 
 
 def alternatives(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[EffectAt, ...]:

@@ -1,0 +1,164 @@
+"""Lattices: an encoder whose readings lie on steps coarser than the machine file's, seen in the recordings themselves.
+
+Readings may have any offset from the lattice; each is then rounded once more to the encoder's own step, so that it lies within half of
+that of a lattice point. On any motion that has no lattice a distinct reading does so with a probability of at most the share of the
+lattice's step that these windows cover.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.result import EffectAt, Estimate, Finding
+from hil.machine import Machine
+from virtual_bus.effects.places import is_prismatic
+from virtual_bus.settings import EffectSetting
+
+COARSER = 3.0
+"""A lattice is looked for from this many of the machine file's steps on: below, most readings lie near its points by chance."""
+
+LEAST_STEPS = 20
+"""Changes by one step, and distinct readings, without which nothing is said."""
+
+CHANCE = 1e-6
+"""Largest probability that all distinct readings lie on the lattice by chance, the lattices that were tried counted."""
+
+MATTERS = 0.2
+"""Share of what repeats differ by, rms, that a lattice's rounding error has where it is named: digits of a file are lattices, too."""
+
+WRITTEN = 1e-8
+"""Share of a reading that it may be off for having been written with nine digits."""
+
+REFINED = 8
+"""Times that a lattice's step is fitted, to readings further and further out."""
+
+NEAREST = 3.0
+"""Steps to either side of the middle that the first of them looks at, at least."""
+
+CERTAIN = 0.99
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A channel's lattice: its step [rad or m] with its 95 % interval, and how many distinct readings lie on it."""
+
+    step: float
+    ci95: tuple[float, float]
+    readings: int
+    unit: str = "rad"
+
+    def setting(self, channel: str) -> EffectSetting:
+        return EffectSetting("encoder_quantization", channel, {"q": self.step})
+
+    def finding(self, channel: str) -> Finding:
+        seen = f"all {self.readings} distinct readings lie on steps of {self.step:.4g} {self.unit}"
+        parameters = {"q": Estimate(self.step, self.unit, self.ci95)}
+        return Finding(EffectAt("encoder_quantization", channel), CERTAIN, parameters, evidence_for=(seen,))
+
+    def says(self, channel: str) -> str:
+        return f"{channel} reads in steps of {self.step:.4g} {self.unit}"
+
+
+def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice | None:
+    """The lattice of a channel.
+
+    Parameters
+    ----------
+    measured : sequence of (R, N) arrays
+        Repeats of every experiment; NaN where a sample is missing.
+    own_step : float
+        The machine file's; 0 where it has none.
+
+    Returns
+    -------
+    Lattice or None
+        None where readings lie on no lattice that is COARSER than `own_step`, or its rounding is small against what repeats differ by.
+    """
+    rows = [row[np.isfinite(row)] for repeats in measured for row in repeats]
+    readings = np.unique(np.concatenate(rows)) if rows else np.empty(0)
+    if len(readings) < LEAST_STEPS:
+        return None
+    off = 0.5 * own_step + WRITTEN * float(np.abs(readings).max())
+    changes = np.concatenate([np.abs(np.diff(row)) for row in rows])
+    changes = changes[changes > 2.0 * off]
+    if not changes.size:
+        return None
+    smallest = float(changes.min())
+    single = changes[changes <= smallest + 4.0 * off]  # two readings, each rounded to the encoder's own step
+    step = float(single.mean())
+    if step < COARSER * own_step or 2.0 * off >= 0.4 * step:
+        return None
+    if len(single) < LEAST_STEPS:
+        return None
+    fitted = _fitted(readings, step, 2.0 * off / np.sqrt(len(single)), off)
+    if fitted is None:
+        return None
+    step, error = fitted
+    windows = 2.0 * off / step + own_step / step
+    tries = float(np.ptp(readings)) / step
+    if windows > 0.0 and len(readings) * np.log(windows) + np.log(max(tries, 1.0)) > np.log(CHANCE):
+        return None
+    differences = [repeats - np.nanmean(repeats, axis=0) for repeats in measured if len(repeats) > 1]
+    if not differences:
+        return None
+    free = np.sqrt(np.mean([len(repeats) / (len(repeats) - 1.0) for repeats in measured if len(repeats) > 1]))
+    spread = free * float(np.sqrt(np.nanmean(np.concatenate([d.ravel() for d in differences]) ** 2)))
+    if step / np.sqrt(12.0) < MATTERS * spread:
+        return None
+    return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+
+
+def _fitted(readings: np.ndarray, step: float, error: float, off: float) -> tuple[float, float] | None:
+    """The step, and its standard error, of the lattice that all readings lie on; None where one does not.
+
+    From the readings nearest to the middle one outwards, as far as the step is known well enough to number them.
+    """
+    middle = readings[len(readings) // 2]
+    centred = readings - middle
+    for _ in range(REFINED):
+        reach = max(0.2 * step / error, NEAREST) * step
+        near = centred[np.abs(centred) <= reach]
+        numbers = np.rint(near / step)
+        design = np.column_stack([numbers, np.ones(len(near))])
+        (fitted, offset), *_ = np.linalg.lstsq(design, near, rcond=None)
+        spread = np.sqrt(np.sum((numbers - numbers.mean()) ** 2))
+        if spread == 0.0:
+            return None
+        step = float(fitted)
+        left = near - step * numbers - offset
+        if float(np.abs(left).max()) > 2.0 * off + 1e-12:
+            return None
+        error = float(max(np.sqrt(np.mean(left**2)), 1e-3 * off) / spread)
+        if len(near) == len(centred):
+            break
+    else:
+        return None
+    return step, error
+
+
+def coarser_lattices(machine: Machine, channels: Sequence[str], measured: Sequence[np.ndarray]) -> dict[str, Lattice]:
+    """Of all encoders among the channels, from (R, N, C) arrays."""
+    found = {}
+    for encoder in machine.plant.encoders:
+        if encoder.channel in channels:
+            column = channels.index(encoder.channel)
+            lattice = coarser_lattice([rows[:, :, column] for rows in measured], encoder.resolution)
+            if lattice is not None:
+                unit = "m" if is_prismatic(encoder.channel, machine.plant) else "rad"
+                found[encoder.channel] = replace(lattice, unit=unit)
+    return found
+
+
+def with_lattices(machine: Machine, lattices: dict[str, Lattice], repeats: int) -> Machine:
+    """The machine with these lattices, as far as noise is asked.
+
+    Repeats of one motion share their rounding errors, which their mean keeps.
+    """
+    encoders = tuple(
+        replace(encoder, resolution=repeats**0.5 * lattices[encoder.channel].step) if encoder.channel in lattices else encoder
+        for encoder in machine.plant.encoders
+    )
+    return replace(machine, plant=replace(machine.plant, encoders=encoders))

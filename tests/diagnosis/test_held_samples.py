@@ -1,0 +1,79 @@
+"""Samples held before the sensor's noise came on top, found in drawn recordings whose held rows are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.diagnosis.dropout import without_lost_samples
+from hil.diagnosis.held_samples import held_samples
+
+ROWS = 1000
+NOISE = 1e-3
+
+
+def repeats(seed, holding, moved=8.0, length=3, repeats=3, coloured=True):
+    """(R, N) readings of a motion that a sample takes `moved` noises further, rms, and which rows are held."""
+    random = np.random.default_rng(seed)
+    shape = scipy.signal.lfilter(*scipy.signal.butter(2, 0.1), random.standard_normal(ROWS))
+    motion = shape / np.std(np.diff(shape)) * moved * NOISE
+    drift = scipy.signal.lfilter(*scipy.signal.butter(1, 0.02), random.standard_normal((repeats, ROWS)), axis=1)
+    passed = motion + 20.0 * NOISE * coloured * drift
+    held = np.zeros((repeats, ROWS), dtype=bool)
+    for begin in np.argwhere(random.random((repeats, ROWS)) < holding / length):
+        held[begin[0], max(begin[1], 1) : begin[1] + length] = True
+    for row in range(1, ROWS):
+        passed[:, row] = np.where(held[:, row], passed[:, row - 1], passed[:, row])
+    return passed + NOISE * random.standard_normal(passed.shape), held
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.sampled_from([0.01, 0.03, 0.1]), st.booleans())
+def test_the_share_of_held_samples_is_measured(seed, share, coloured):
+    readings, held = repeats(seed, share, coloured=coloured)
+    found = held_samples(readings)
+    assert found is not None
+    assert found.ci95[0] < 1.2 * held.mean()
+    assert found.ci95[1] > 0.8 * held.mean()
+    assert np.mean(held[found.rows]) > 0.6, "most rows that are taken out were held"
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.sampled_from([0.3, 8.0, 50.0]), st.booleans(), st.sampled_from([3, 4]))
+def test_where_nothing_is_held_nothing_is_found(seed, moved, coloured, count):
+    readings, _ = repeats(seed, 0.0, moved, repeats=count, coloured=coloured)
+    assert held_samples(readings) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_disturbance_near_reversals_is_no_held_sample(seed):
+    readings, _ = repeats(seed, 0.0)
+    random = np.random.default_rng(seed + 100)
+    near = np.zeros(ROWS)
+    for centre in random.integers(100, ROWS - 100, 8):
+        near[centre - 30 : centre + 30] = np.hanning(60)
+    pushed = scipy.signal.lfilter(*scipy.signal.butter(1, 0.1), random.standard_normal(readings.shape), axis=1)
+    assert held_samples(readings + 40.0 * NOISE * near * pushed) is None
+
+
+def test_readings_that_run_ahead_are_not_held():
+    readings, _ = repeats(1, 0.05)
+    assert held_samples(readings) is not None
+    assert held_samples(readings[:, ::-1].copy()) is None
+
+
+def test_two_repeats_say_nothing():
+    readings, _ = repeats(2, 0.05)
+    assert held_samples(readings[:2]) is None
+
+
+def test_held_samples_are_named_and_taken_out():
+    readings, held = repeats(3, 0.05)
+    measured = np.stack([readings, readings + np.random.default_rng(9).standard_normal(readings.shape) * 10.0], axis=2)
+    kept, lost = without_lost_samples(measured, measured.mean(axis=0), ("current_arm", "imu_x"))
+    assert set(lost) == {"current_arm"}
+    assert np.isnan(kept[:, :, 0]).sum() > 0.4 * held.sum()
+    assert np.isfinite(kept[:, :, 1]).all()

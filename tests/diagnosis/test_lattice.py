@@ -1,0 +1,69 @@
+"""Lattices coarser than the machine file's, found in drawn readings whose lattice is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.diagnosis.lattice import coarser_lattice
+
+OWN = 1e-5
+
+
+def motion(seed, noise, repeats=3, rows=1500):
+    """(R, N) a slow motion of about 3000 of the encoder's own steps to and fro, and what repeats differ by."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(rows) / 200.0
+    moved = 0.03 * np.sin(2.0 * np.pi * random.uniform(0.2, 0.5) * time_s + random.uniform(0.0, 6.0))
+    differs = scipy.signal.lfilter(*scipy.signal.butter(1, 0.1), random.standard_normal((repeats, rows)), axis=1)
+    return moved + noise * differs / differs.std()
+
+
+def read(position, step, offset=0.0):
+    """On the lattice, then on the encoder's own, as a file keeps it."""
+    seen = step * np.floor((position + offset) / step + 0.5) if step else position
+    own = OWN * np.floor(seen / OWN + 0.5)
+    return np.array([float(f"{value:.9g}") for value in own.ravel()]).reshape(own.shape)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.floats(4.0, 60.0), st.floats(0.0, 1.0), st.floats(0.3, 3.0))
+def test_a_lattice_of_any_step_and_offset_is_found(seed, times, offset, share):
+    step = times * OWN
+    found = coarser_lattice([read(motion(seed, share * step), step, offset)], OWN)
+    if share > 1.2:  # its rounding is a fifth of what repeats differ by, or less
+        return
+    assert found is not None
+    assert found.step == pytest.approx(step, rel=1e-4)
+    assert found.ci95[0] <= step * (1.0 + 1e-5)
+    assert found.ci95[1] >= step * (1.0 - 1e-5)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 1e-6, 1e-5, 1e-4]), st.sampled_from([0.0, OWN]))
+def test_the_encoders_own_lattice_is_none(seed, noise, step):
+    assert coarser_lattice([read(motion(seed, noise), step)], OWN) is None
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.floats(20.0, 400.0))
+def test_a_constant_speed_without_noise_is_no_lattice(seed, steps_per_row):
+    """Readings are then equally spaced but for the beginning and the turn."""
+    random = np.random.default_rng(seed)
+    speed = np.concatenate([np.linspace(0.0, 1.0, 60), np.ones(900), np.linspace(1.0, -1.0, 90), -np.ones(900)])
+    position = steps_per_row * OWN * np.cumsum(speed) + random.uniform(0.0, 1.0) * OWN
+    assert coarser_lattice([read(np.stack([position] * 3), 0.0)], OWN) is None
+
+
+def test_a_lattice_far_below_what_repeats_differ_by_is_not_named():
+    assert coarser_lattice([read(motion(0, 40.0 * OWN), 10.0 * OWN)], OWN) is None
+    assert coarser_lattice([read(motion(0, 10.0 * OWN), 10.0 * OWN)], OWN) is not None
+
+
+def test_a_lattice_holds_in_all_recordings_or_is_none():
+    coarse, fine = read(motion(1, 10.0 * OWN), 10.0 * OWN), read(motion(2, 10.0 * OWN), 0.0)
+    assert coarser_lattice([coarse, coarse], OWN) is not None
+    assert coarser_lattice([coarse, fine], OWN) is None
