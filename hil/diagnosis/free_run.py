@@ -100,7 +100,7 @@ class _Runner:
 
     def whitened(self, name: str, trial: Trial) -> np.ndarray | None:
         rows = self.rows(name, trial)
-        if rows is None or any(float(np.abs(one / self._noise.std).max()) > RUN_AWAY for one in rows):  # whitening would overflow
+        if rows is None or any(np.any(np.abs(one) > RUN_AWAY * self._noise.std) for one in rows):  # whitening would overflow
             return None
         joined = self.join(name, rows)
         return joined if float(np.abs(joined).max()) < RUN_AWAY else None

@@ -135,18 +135,18 @@ def refit(
     starts: Sequence[tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]],
     *,
     steps: int = STEPS,
-    from_nominal: bool = True,
+    is_linearised: bool = False,
 ) -> list[Fitted | None]:
     """Fit several sets of effects, their free runs side by side. None where a set cannot be simulated at all.
 
-    Far from the noise, what is missing has bent the tuned numbers: there every set is also fitted from the nominal ones (unless not
-    `from_nominal`), and the better fit counts.
+    Far from the noise, what is missing has bent the tuned numbers: there every set is also fitted from the nominal ones, and the better fit
+    counts; not where a fit goes on and the tuning `is_linearised` beside its effects.
     """
     way = _way(runs)
     offsets: list[np.ndarray | None] = [None]
-    if from_nominal and _cost(measured, tuning.predicted, tuning.offset) > NEAR * len(measured):
+    if not is_linearised and _cost(measured, tuning.predicted, tuning.offset) > NEAR * len(measured):
         offsets.append(np.zeros_like(tuning.offset))
-    fits = [_fit(tuning, measured, names, values, steps, way, offset) for names, values in starts for offset in offsets]
+    fits = [_fit(tuning, measured, names, values, steps, way, offset, is_linearised) for names, values in starts for offset in offsets]
     done = together(runs, fits)
     best = []
     for first in range(0, len(done), len(offsets)):
@@ -160,7 +160,7 @@ def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted)
     for _ in range(POLISHING_ROUNDS):
         at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         at = linearised(runs, at, fitted.settings)
-        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS, from_nominal=False)
+        (again,) = refit(runs, at, measured, [(fitted.effects, fitted.values)], steps=POLISHING_STEPS, is_linearised=True)
         if again is None or again.cost > fitted.cost - POLISHED_GAIN:
             return fitted if again is None or again.cost > fitted.cost else again
         fitted = again
@@ -193,10 +193,11 @@ def _fit(
     steps: int,
     way: float,
     offset: np.ndarray | None,
+    is_linearised: bool,
 ) -> Generator[list[Trial], Answers, Fitted | None]:
     """Gauss-Newton in a trust region, as a generator of trials, from the tuned numbers or from this offset.
 
-    The tuned numbers' sensitivities are taken anew where a step does not bring what they say.
+    The tuned numbers' sensitivities are taken anew where a step does not bring what they say and they are not of this very point.
     """
     fitting = _Fitting(tuning, names, values, way)
     base = _cost(measured, tuning.predicted, tuning.offset) if offset is None else np.inf
@@ -220,6 +221,7 @@ def _fit(
     square = tuned.T @ tuned
     jacobian = np.zeros((len(predicted), len(fitting.free)))
     radius = 1.0
+    is_fresh = is_linearised or offset is not None
     for number in range(steps):
         if number >= HOPELESS_AFTER and cost > base:
             break
@@ -238,8 +240,8 @@ def _fit(
             (answer,) = yield [fitting.trial(to)]
             gain = -np.inf if answer is None else cost - _cost(measured, answer, to.offset)
             fair = gain > FAIR * expected
-            if not fair and stale and expected > WORTH_LINEARISING:
-                stale -= 1
+            if not fair and stale and not is_fresh and expected > WORTH_LINEARISING:
+                stale, is_fresh = stale - 1, True
                 trials, differences = sensitivity_trials(tuning, at.offset, fitting.settings(at))
                 tuned = sensitivities_from((yield trials), differences, predicted)
                 square = tuned.T @ tuned
@@ -248,8 +250,9 @@ def _fit(
             if answer is not None and gain > 0.0:
                 radius *= 2.0 if gain > GOOD * expected else 1.0 if fair else 0.5
                 at, predicted, cost, gained = to, answer, cost - gain, gain
+                is_fresh = False
                 break
-            radius *= SHRINK
+            radius = SHRINK * min(radius, float(np.abs(step).max()))
             shrunk += 1
         if gained is None or (gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5) and not fitting.was_held(step, reach)):
             break

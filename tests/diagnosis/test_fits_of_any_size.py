@@ -64,6 +64,22 @@ def test_a_fit_starts_from_the_strength_that_the_recordings_want():
     assert start.values[0] == pytest.approx(4.0, rel=0.6)
 
 
+def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
+    """A friction fitted to a hardening spring takes steps that bring less than expected."""
+    command = 0.1 * np.random.default_rng(1).standard_normal(1500)
+    recording = recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 40.0}))
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
+        tuning, asked, run = retune(runs), [], runs.run
+
+        def counted(trials, name=TRAIN):
+            asked.extend((trial.values.tobytes(), trial.effects[0].parameters["Fv2"]) for trial in trials)
+            return run(trials, name)
+
+        monkeypatch.setattr(runs, "run", counted)
+        refit(runs, tuning, runs.measured(), [((EffectAt("quadratic_friction", "mass"),), (np.array([1e-3]),))])
+    assert len(asked) == len(set(asked))
+
+
 @pytest.fixture(scope="module")
 def pieces():
     """Pieces of 20 ms of a rotor at various places and speeds, with cogging 72 times a turn."""
