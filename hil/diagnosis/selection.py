@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
-from hil.diagnosis.gate import Gate, Scatter, certain_excess, needed_gain, placebo_gain
+from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import Weighed, price_of_a_parameter, temperature
-from hil.diagnosis.pairs import Start, pairs
-from hil.diagnosis.projection import Projection
+from hil.diagnosis.pairs import Pair, Start, pairs
 from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -51,22 +49,6 @@ WORTH_A_FIT = 0.02
 """Of the best score: candidates below are not refitted."""
 
 Report = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Contender:
-    """A fitted set that competes for the name."""
-
-    fitted: Fitted
-    gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
-    gained_held_out: float
-    left_held_out: float  # the held-out misfit
-    gates: tuple[Gate, ...]  # of the step that added each of its effects
-    searched: float = 0.0  # logarithm of the number of shapes searched for its effects
-
-    @property
-    def passed(self) -> bool:
-        return self.gates[-1].passed  # those before did, or there were no further step
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,93 +100,62 @@ def select(
         Told what is being done, and how far the whole is.
     """
     measured = runs.measured()
-    scatter = Scatter(runs)
-    chosen: Fitted | None = None
+    judgement = Judgement(runs, tuning, held_out, noise_energy)
+    nothing = stand = judgement.nothing
     gates: list[Gate] = []
     contenders: tuple[Contender, ...] = ()
     first: list[Screened] = []
+    singles: list[Fitted] = []
     closest: Fitted | None = None
-    present = tuning
-    base = float(np.sum((measured - tuning.predicted) ** 2) + np.sum(tuning.offset**2))
-    unseen_at_first = 0.0 if held_out is None else held_out.misfit(held_out.base)
-    passed_so_far: tuple[Gate, ...] = ()
-    searched = 0.0
     lowest: dict[EffectAt, float] = {}
+    tried: Tried | None = None
     for size in range(MOST_EFFECTS):
-        if chosen is not None and len(chosen.effects) >= MOST_EFFECTS:
+        chosen = stand.fitted
+        if len(stand.effects) >= MOST_EFFECTS:
             break
         report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
-        settings = chosen.settings if chosen is not None else ()
-        taken = set(chosen.effects) if chosen is not None else set()
-        found = [candidate for candidate in candidates_of(chosen) if candidate.effect not in taken]
-        residual = measured - present.predicted
-        screened = screen(runs, present, found, residual, settings)
-        screened.sort(key=lambda s: -s.score / scatter.along(s.response[: len(residual)].astype(float)))
-        if size == 0:
-            first = screened
+        found = [candidate for candidate in candidates_of(chosen) if candidate.effect not in stand.effects]
+        tried = Tried(found, tried)
+        residual = measured - stand.tuning.predicted
+        screened = screen(runs, stand.tuning, found, residual, () if chosen is None else chosen.settings)
+        screened.sort(key=lambda s: -s.score / judgement.scatter.along(s.response[: len(residual)].astype(float)))
         if not screened:
             break
         most = REFITTED if size == 0 else REFITTED_BESIDE
         worth = [s for s in screened[:most] if s.score > WORTH_A_FIT * max(other.score for other in screened)]
         report("fitting", 0.35 + 0.2 * size)
-        starts = [_beside(chosen, s) for s in worth]
-        starts += _instead(chosen, worth[0])
-        fits = [fit for fit in refit(runs, present, measured, starts) if fit is not None]
+        starts = [*(_beside(chosen, s) for s in worth), *_instead(chosen, worth[0])]
+        fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
             break
-        fits.sort(key=lambda fit: fit.cost)
-        unfinished = _worth_finishing(fits, base, len(residual))
-        fits = _finished(runs, tuning, measured, fits, unfinished)
-        fits = in_order(fits, base, noise_energy)
+        fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
         if size == 0:
-            starts = _pairs_worth_a_fit(tuning, residual, fits, screened, base, noise_energy, found)
-            twos = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-            twos = [fit for fit in twos if _needs_both(fit, fits, found, len(residual))]
-            twos.sort(key=lambda fit: fit.cost)
-            twos = [polish(runs, tuning, measured, fit) for fit in twos[:1]] + twos[1:]
-            fits = in_order([*fits, *twos], base, noise_energy)
+            first, singles = screened, fits
             lowest = {candidate.effect: candidate.lowest for candidate in found}
-        placebo = placebo_gain(runs, present, screened, residual)
-        judged = [
-            (fit, replace(gate, lost_form=lost_form(fit, lowest)))
-            for fit in fits
-            for gate in [_gate(scatter, present, held_out, chosen, fit, placebo, residual, base - noise_energy, noise_energy, found)]
-        ]
+            starts = _pairs_worth_a_fit(tuning, residual, in_order(fits, nothing.cost, noise_energy, tried), screened, nothing.cost, tried)
+            twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
+            fits = [*fits, *(polish(runs, tuning, measured, fit) for fit in twos[:1]), *twos[1:]]
+        fits = [fit for fit in fits if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
+        fits = in_order(fits, nothing.cost, noise_energy, tried)
         closest = min(fits, key=lambda fit: fit.cost)
-        passed = [(fit, gate) for fit, gate in judged if gate.passed]
-        gates.append(passed[0][1] if passed else judged[0][1])
+        judged = judgement.contenders(stand, fits, tried, placebo_gain(runs, stand.tuning, screened, residual), lowest)
+        passed = [one for one in judged if one.passed]
+        gates.append((passed or judged)[0].gate)
         if not passed and chosen is not None:
             break
-        before = float(residual @ residual + present.offset @ present.offset)
-        unseen = 0.0 if held_out is None else held_out.misfit(held_out.predictions([(present.offset, settings)])[0])
-        least = RIVAL_SHARE * passed[0][1].certain_gain if passed else 0.0
-        earlier = passed_so_far
-        rivals = tuple(
-            Contender(
-                fit,
-                base - before + gate.certain_gain,
-                unseen_at_first - unseen + (gate.held_out_gain or 0.0),
-                unseen - (gate.held_out_gain or 0.0),
-                (*earlier, *[gate] * (len(fit.effects) - len(earlier))),
-                searched + _searched(_added(chosen, fit), found),
-            )
-            for fit, gate in judged
-            if gate.passed or (gate.certain_gain > least and not gate.lost_form)
-        )
+        least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
+        rivals = [one for one in judged if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
-        searched += _searched(_added(chosen, passed[0][0]), found)
-        chosen = passed[0][0]
-        passed_so_far = (*earlier, *[gates[-1]] * (len(chosen.effects) - len(earlier)))
-        present = replace(tuning, offset=chosen.offset, values=tuning.at(chosen.offset), predicted=chosen.predicted)
-    return Selection(chosen, tuple(gates), contenders, tuple(first), closest)
+        stand = judgement.after(passed[0])
+    return Selection(stand.fitted, tuple(gates), contenders, tuple(first), closest)
 
 
-def _worth_finishing(fits: Sequence[Fitted], base: float, entries: int) -> int:
-    """How many of the fits, the best first, are polished."""
-    best = base - fits[0].cost
-    near = sum(base - fit.cost > NEARLY * best for fit in fits) if best > needed_gain(1, 1, fits[0].cost, entries) else 0
+def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int:
+    """How many of the fits, the best first, are polished; `before` is the cost without what they add."""
+    best = before - fits[0].cost
+    near = sum(before - fit.cost > NEARLY * best for fit in fits) if best > needed_gain(1, 1, fits[0].cost, entries) else 0
     return min(max(near, POLISHED), 2 * POLISHED)
 
 
@@ -219,39 +170,39 @@ def _finished(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequen
 
 
 def _pairs_worth_a_fit(
-    tuning: Tuning,
-    residual: np.ndarray,
-    singles: Sequence[Fitted],
-    screened: Sequence[Screened],
-    base: float,
-    noise_energy: float,
-    tried: Sequence[Candidate],
+    tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], screened: Sequence[Screened], base: float, tried: Tried
 ) -> list[Start]:
     """Starts of the pairs whose filter says that they may be likelier than the best single effect, and more than chance."""
     found = pairs(tuning, residual, singles, screened)
     if not found:
         return []
-    best = singles[0]
-    temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - noise_energy)
+    best, entries = singles[0], len(residual)
+    temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - entries)
     price = price_of_a_parameter(base - best.cost, temper)
-    least = 0.5 * (base - best.cost) / temper - _price(best, temper) - PAIR_MARGIN
+    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried) - PAIR_MARGIN
+
+    def evidence(pair: Pair) -> float:
+        return 0.5 * pair.gain / temper - pair.freedom * price - tried.searched(pair.start[0])
+
     worth = [
         pair
         for pair in found
-        if 0.5 * pair.gain / temper - pair.freedom * price > least
+        if evidence(pair) > least
         and best.effects[0] not in pair.start[0]  # what is to be added to it is looked for beside it
-        and pair.added > needed_gain(len(tried), 1, base - pair.gain, len(residual))
+        and pair.added > needed_gain(tried.count, 1, base - pair.gain, entries)
     ]
-    worth.sort(key=lambda pair: pair.freedom * price - 0.5 * pair.gain / temper)
-    return [pair.start for pair in worth[:PAIRED]]
+    return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
 
 
-def _needs_both(pair: Fitted, singles: Sequence[Fitted], tried: Sequence[Candidate], entries: int) -> bool:
-    """Whether a pair gains more over each of its own effects alone than chance does."""
+def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float, tried: Tried, entries: int) -> bool:
+    """Whether a pair without the chosen set gains more over each of its own effects than chance and that one's equation allow."""
+    if set(stand.effects) <= set(fit.effects) and (stand.effects or len(fit.effects) == 1):
+        return True
     for single in singles:
-        if single.effects[0] in pair.effects:
-            trials = _trials([effect for effect in pair.effects if effect not in single.effects], tried)
-            if single.cost - pair.cost < needed_gain(trials, pair.freedom - single.freedom, pair.cost, entries):
+        if single.effects[0] in fit.effects:
+            added = [effect for effect in fit.effects if effect not in single.effects]
+            temper = temperature(base - single.cost, fit.cost - entries)
+            if single.cost - fit.cost < temper * needed_gain(tried.sets(added), fit.freedom - single.freedom, fit.cost, entries):
                 return False
     return True
 
@@ -282,61 +233,13 @@ def _instead(chosen: Fitted | None, added: Screened) -> list[Start]:
     return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]
 
 
-def _added(before: Fitted | None, after: Fitted) -> tuple[EffectAt, ...]:
-    return after.effects if before is None else tuple(effect for effect in after.effects if effect not in before.effects)
-
-
-def in_order(fits: Sequence[Fitted], base: float, noise_energy: float) -> list[Fitted]:
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried) -> list[Fitted]:
     """Fitted sets by their evidence on the training recordings, see naming.py."""
-    best = min(fit.cost for fit in fits)
+    best = min((fit.cost for fit in fits), default=base)
     temper = temperature(base - best, best - noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper))
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried))
 
 
-def _price(fitted: Fitted, temper: float) -> float:
-    return Weighed(fitted, 0.0, 0.0, tuple(fitted.information.tolist())).price(temper)
-
-
-def _searched(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:
-    """Logarithm of the number of shapes that were searched for these effects together."""
-    shapes = {candidate.effect: candidate.shapes for candidate in tried}
-    return sum(math.log(shapes[effect]) for effect in added)
-
-
-def _trials(added: Sequence[EffectAt], tried: Sequence[Candidate]) -> float:
-    """Sets of so many effects among those that were tried, each in all its shapes."""
-    return len(tried) ** len(added) / math.factorial(len(added)) * math.exp(_searched(added, tried))
-
-
-def _gate(
-    scatter: Scatter,
-    present: Tuning,
-    held_out: HeldOut | None,
-    before: Fitted | None,
-    after: Fitted,
-    placebo: float,
-    residual: np.ndarray,
-    explainable: float,
-    noise_energy: float,
-    tried: Sequence[Candidate],
-) -> Gate:
-    added = _added(before, after)
-    gain = float(residual @ residual + present.offset @ present.offset) - after.cost
-    projection = Projection.of(present)
-    deviations = fall = None
-    if held_out is not None:
-        settings = before.settings if before is not None else ()
-        predicted = held_out.predictions([(present.offset, settings), (after.offset, after.settings)])
-        deviations = held_out.deviations(*predicted)
-        fall = held_out.misfit(predicted[0]) - held_out.misfit(predicted[1])
-    return Gate(
-        gain=gain,
-        needed=needed_gain(_trials(added, tried), after.freedom - (before.freedom if before is not None else 0), after.cost, len(residual)),
-        scatter=scatter.along(projection.left(after.predicted - present.predicted)[: len(residual)]),
-        held_out_deviations=deviations,
-        held_out_gain=fall,
-        placebo_gain=placebo,
-        share=gain / max(explainable, gain, 1e-9),
-        share_of_left=gain / max(float(residual @ residual) - noise_energy - certain_excess(noise_energy), gain, 1e-9),
-        is_first=before is None,
-    )
+def _price(fitted: Fitted, temper: float, tried: Tried) -> float:
+    information = tuple(fitted.information.tolist())
+    return Weighed(fitted, 0.0, 0.0, information, searched=tried.searched(fitted.effects)).price(temper)

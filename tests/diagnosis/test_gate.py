@@ -1,4 +1,4 @@
-"""What chance gains where an order or a frequency is searched, against noise that is searched."""
+"""What chance gains where an order or a frequency is searched, against noise that is searched, and what two recordings say together."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ import pytest
 import scipy.integrate
 import scipy.stats
 
-from hil.diagnosis.gate import IN_SAMPLE, PRIOR_FREEDOM, PRIOR_VARIANCE, SIMULATOR_ERROR, TRAIN_LEVEL, Scatter, needed_gain
+from hil.diagnosis.gate import (
+    IN_SAMPLE,
+    LEVEL,
+    PRIOR_FREEDOM,
+    PRIOR_VARIANCE,
+    SIMULATOR_ERROR,
+    Gate,
+    Scatter,
+    chance_held_out,
+    chance_of_both,
+    chance_of_gain,
+    needed_gain,
+)
 from hil.diagnosis.starts import ONE_HARMONIC, TWO_HARMONICS
 
 ROWS, PADDED = 128, 2048
@@ -38,9 +50,9 @@ def trials(harmonics: int) -> float:
 @pytest.mark.parametrize("harmonics", [1, 2])
 def test_the_best_of_all_frequencies_passes_by_chance_as_often_as_asked(harmonics):
     needed = needed_gain(trials(harmonics), 2 * harmonics + 1, 0.0, 0)
-    assert np.mean(largest_gains(harmonics) > needed) == pytest.approx(TRAIN_LEVEL, rel=0.35)
+    assert np.mean(largest_gains(harmonics) > needed) == pytest.approx(LEVEL, rel=0.35)
     uncounted = needed_gain(1, 2 * harmonics + 1, 0.0, 0)
-    assert np.mean(largest_gains(harmonics) > uncounted) > 10.0 * TRAIN_LEVEL
+    assert np.mean(largest_gains(harmonics) > uncounted) > 10.0 * LEVEL
 
 
 def test_noise_above_the_model_asks_for_more_and_noise_below_it_for_no_less():
@@ -70,3 +82,62 @@ def test_the_scatter_along_a_response_is_the_variance_expected_after_the_repeats
 def test_without_repeats_the_noise_model_stands_alone():
     runs = SimpleNamespace(repeats=lambda name: [[np.array([1.0, 2.0])]])
     assert Scatter(runs).along(np.array([1.0, 0.0])) == 1.0
+
+
+@pytest.mark.parametrize(("tried", "asked"), [(10, 8), (60, 11), (1000, 8)])
+def test_where_there_is_nothing_one_of_all_sets_comes_through_both_as_often_as_asked(tried, asked):
+    random = np.random.default_rng(5)
+    rounds = 40000 if tried < 200 else 10000
+    best = np.sort(np.partition(random.random((rounds, tried)), asked - 1, axis=1)[:, :asked], axis=1)  # those asked about held out
+    held_out = random.random(best.shape)
+    for level in (0.01, 0.1):
+        x = np.minimum(tried * best, asked) * held_out
+        worth = x < 2.0 * level  # no chance is less than twice its x
+        passed = [any(chance_of_both(tried * t, h, asked) < level for t, h in zip(best[n][worth[n]], held_out[n][worth[n]], strict=True))
+                  for n in np.flatnonzero(worth.any(axis=1))]  # fmt: skip
+        assert 0.75 * level < sum(passed) / rounds < 1.15 * level
+
+
+def test_what_repeats_say_of_the_noise_along_a_response_widens_what_chance_gains_in_both():
+    assert chance_of_gain(30.0, 2, 2.0) == pytest.approx(chance_of_gain(15.0, 2, 1.0))
+    assert chance_held_out(30.0, 2.0) == pytest.approx(chance_held_out(15.0, 1.0))
+
+
+def test_the_tail_of_a_gain_is_that_of_a_variance_known_with_few_degrees_of_freedom():
+    assert scipy.stats.chi2.sf(20.0, 1) < 0.2 * chance_of_gain(20.0, 1, 1.0)
+    assert chance_of_gain(1.0, 3, 1.0) == pytest.approx(scipy.stats.chi2.sf(1.0, 3), rel=0.02)
+
+
+def test_held_out_recordings_that_fit_worse_confirm_nothing():
+    assert chance_held_out(-3.0, 1.0) == 1.0
+
+
+def gate(trained: float, followed: float | None) -> Gate:
+    return Gate(
+        gain=30.0,
+        needed=20.0,
+        scatter=1.0,
+        trained=trained,
+        over_simulator=5.0,
+        asked=8,
+        held_out_deviations=None if followed is None else 5.0,
+        held_out_gain=None if followed is None else 25.0,
+        followed=followed,
+        placebo_gain=3.0,
+        share=0.5,
+        is_first=True,
+    )
+
+
+def test_what_training_shows_weakly_and_another_motion_strongly_is_there():
+    assert gate(0.3, 1e-4).passed
+    assert not gate(0.3, 5e-3).passed
+    assert not gate(1e-9, 0.02).passed  # training alone does not do where there is a held-out recording
+    assert not gate(0.3, None).passed
+    assert gate(1e-3, None).passed
+
+
+def test_a_gain_that_the_simulator_s_own_error_may_be_is_none():
+    one = gate(1e-6, 1e-6)
+    assert one.passed
+    assert not Gate(**{**vars(one), "over_simulator": 0.9}).passed

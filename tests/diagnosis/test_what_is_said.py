@@ -8,10 +8,10 @@ from carriage import MACHINE, repeats
 
 from hil.diagnosis.diagnose import diagnose, removed_share
 from hil.diagnosis.gate import Gate
+from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.selection import Contender
 from hil.diagnosis.verdict import findings_of
 
 NOISE = 20000.0
@@ -70,7 +70,7 @@ def fitted(name: str) -> Fitted:
 
 
 def gate(share: float, *, passes: bool) -> Gate:
-    return Gate(1000.0, 20.0, 1.0, 9.0 if passes else 0.0, 500.0, 0.0, share, 1.0, True)
+    return Gate(1000.0, 20.0, 1.0, 1e-9, 50.0, 8, 9.0, 500.0, 1e-9 if passes else 0.5, 0.0, share, True)
 
 
 def contender(name: str, share: float, *, passes: bool = True) -> Contender:

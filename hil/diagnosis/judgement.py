@@ -1,0 +1,206 @@
+"""Fitted sets of effects before the gate, with what they are judged against: nothing, or the effects that were found before them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.form import lost_form
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
+from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.naming import temperature
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+
+
+class Tried:
+    """Candidates that were tried, with the number of shapes that were searched for each."""
+
+    def __init__(self, candidates: Sequence[Candidate], earlier: Tried | None = None) -> None:
+        self.count = len(candidates)
+        self.first: int = self.count if earlier is None else earlier.first
+        self.shapes: Mapping[EffectAt, float] = {
+            **({} if earlier is None else earlier.shapes),
+            **{candidate.effect: candidate.shapes for candidate in candidates},
+        }
+
+    def sets(self, added: Sequence[EffectAt]) -> float:
+        """Sets of so many effects among the candidates, each in all its shapes."""
+        return math.comb(self.count, len(added)) * math.exp(self._shapes(added))
+
+    def searched(self, effects: Sequence[EffectAt]) -> float:
+        """What a set costs in log evidence beyond a single effect of one shape: the logarithm of how many shapes it had, and of how many
+        sets of its size there were to choose from for each single effect.
+        """
+        return self._shapes(effects) + math.log(math.comb(self.first, len(effects)) / self.first)
+
+    def _shapes(self, effects: Sequence[EffectAt]) -> float:
+        return sum(math.log(self.shapes[effect]) for effect in effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A fitted set that competes for the name."""
+
+    fitted: Fitted
+    gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
+    gained_held_out: float
+    left_held_out: float  # the held-out misfit
+    gates: tuple[Gate, ...]  # of the step that added each of its effects
+    searched: float = 0.0  # what its search costs in log evidence, see `Tried`
+
+    @property
+    def gate(self) -> Gate:
+        """Of its last step."""
+        return self.gates[-1]
+
+    @property
+    def passed(self) -> bool:
+        return self.gate.passed  # those before did, or there were no further step
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """What sets are judged against.
+
+    Attributes
+    ----------
+    fitted : Fitted or None
+        The effects that were found; None where there are none.
+    tuning : Tuning
+        The machine's numbers beside them.
+    cost : float
+        |residual|^2 + |offset|^2 on the training groups.
+    held_out : (M,) array or None
+        Held-out free run.
+    gates : tuple of Gate
+        Of every effect.
+    """
+
+    fitted: Fitted | None
+    tuning: Tuning
+    cost: float
+    held_out: np.ndarray | None
+    gates: tuple[Gate, ...]
+
+    @property
+    def effects(self) -> tuple[EffectAt, ...]:
+        return () if self.fitted is None else self.fitted.effects
+
+
+class Judgement:
+    """Asks the gate about sets.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    tuning : Tuning
+        Without effects.
+    held_out : HeldOut or None
+    noise_energy : float
+        Expected |residual|^2 of a perfect simulation.
+    """
+
+    def __init__(self, runs: FreeRuns, tuning: Tuning, held_out: HeldOut | None, noise_energy: float) -> None:
+        self.scatter = Scatter(runs)
+        self._measured = runs.measured()
+        self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
+        self.nothing = self._stand(None, ())
+
+    def after(self, found: Contender) -> Stand:
+        """What further effects are judged against."""
+        return self._stand(found.fitted, found.gates)
+
+    def _stand(self, fitted: Fitted | None, gates: tuple[Gate, ...]) -> Stand:
+        tuning = self._tuning
+        if fitted is not None:
+            tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
+        residual = self._measured - tuning.predicted
+        held_out = None
+        if self._judge is not None:
+            (held_out,) = self._judge.predictions([(tuning.offset, () if fitted is None else fitted.settings)])
+        return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), held_out, gates)
+
+    def contenders(
+        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float]
+    ) -> list[Contender]:
+        """Every set with its gate: against the stand where it holds the stand's effects, against nothing where it does not.
+
+        Parameters
+        ----------
+        stand : Stand
+        fits : sequence of Fitted
+        tried : Tried
+        placebo : float
+            Largest gain of a placebo.
+        lowest : mapping
+            See `form.lost_form`.
+        """
+        found = []
+        for fitted in fits:
+            before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
+            (after,) = (None,) if self._judge is None else self._judge.predictions([(fitted.offset, fitted.settings)])
+            gate = replace(self._gate(before, fitted, after, tried, placebo, len(fits)), lost_form=lost_form(fitted, lowest))
+            left = 0.0 if self._judge is None else self._judge.misfit(after)
+            found.append(
+                Contender(
+                    fitted,
+                    self.nothing.cost - before.cost + gate.certain_gain,
+                    self._left(self.nothing) - left,
+                    left,
+                    (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),
+                    tried.searched(fitted.effects),
+                )
+            )
+        return found
+
+    def _gate(self, before: Stand, fitted: Fitted, after: np.ndarray | None, tried: Tried, placebo: float, asked: int) -> Gate:
+        entries = len(self._measured)
+        added = [effect for effect in fitted.effects if effect not in before.effects]
+        freedom = fitted.freedom - (0 if before.fitted is None else before.fitted.freedom)
+        gain = before.cost - fitted.cost
+        response = Projection.of(before.tuning).left(fitted.predicted - before.tuning.predicted)[:entries]
+        scatter = self.scatter.along(response)
+        level = max(1.0, fitted.cost / max(entries, 1))
+        trials = tried.sets(added)
+        over_simulator = gain / (level * SIMULATOR_ERROR * entries)
+        deviations = fall = followed = None
+        if self._judge is not None:
+            left, count = self._judge.misfit(after), float(len(self._judge.measured))
+            fall = self._left(before) - left
+            deviations = self._judge.deviations(before.held_out, after)
+            form = self._form(before, self._left(self.nothing) - self._left(before), left - count)
+            level_there = max(1.0, left / max(count, 1.0))
+            followed = chance_held_out(fall, level_there * scatter + form)
+            over_simulator = max(over_simulator, fall / (level_there * SIMULATOR_ERROR * max(count, 1.0)))
+        form = self._form(before, self.nothing.cost - before.cost, fitted.cost - self._noise)
+        return Gate(
+            gain=gain,
+            needed=needed_gain(trials, freedom, fitted.cost, entries),
+            scatter=scatter,
+            trained=trials * chance_of_gain(gain, freedom, level * scatter + form),
+            over_simulator=over_simulator,
+            asked=asked,
+            held_out_deviations=deviations,
+            held_out_gain=fall,
+            followed=followed,
+            placebo_gain=placebo,
+            share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
+            is_first=before.fitted is None,
+        )
+
+    def _left(self, stand: Stand) -> float:
+        """Held-out misfit."""
+        return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
+
+    @staticmethod
+    def _form(before: Stand, removed: float, left: float) -> float:
+        """Variance that the equations of the effects found before may add along any response, as naming weighs it; 0 beside none."""
+        return 0.0 if before.fitted is None else temperature(removed, left) - 1.0
