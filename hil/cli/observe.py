@@ -56,10 +56,13 @@ def live_observer(
             raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
         return None
     from hil.observing import read_design
+    from hil.observing.board import remove_abandoned
     from hil.observing.live import LiveObserver
 
     design = read_design(path)
     _check_machine(design, path, machine, answer)
+    if left := remove_abandoned():
+        answer.say(f"removed {left} {'page' if left == 1 else 'pages'} of shared memory that killed runs had left")
     observer, law = design.observer(), None
     if damping:
         from controllers.damping import DampingSettings, ModalDamping

@@ -15,6 +15,7 @@ import json
 import mmap
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,10 @@ _COUNTERS = 4
 _SEQUENCE, _ROW, _WRITER, _NAMES = range(_COUNTERS)
 _ATTEMPTS = 1000
 """Copies a reader makes before it gives up: the writer takes microseconds out of milliseconds, so the second succeeds."""
+
+
+FRESH_S = 60.0
+"""A page without a writer that is younger than this may be one that is just being made."""
 
 
 @dataclass(frozen=True)
@@ -127,11 +132,38 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
     return LatestEstimate(row, tuple(json.loads(names)), values)
 
 
+def remove_abandoned() -> int:
+    """Remove this user's pages whose writers were killed; how many there were."""
+    base, prefix = _place()
+    removed = 0
+    if not hasattr(os, "getuid"):  # where a process cannot be asked whether it lives
+        return removed
+    for path in base.glob(f"{prefix}*.estimate*"):
+        with contextlib.suppress(OSError):
+            if _is_abandoned(path):
+                path.unlink()
+                removed += 1
+    return removed
+
+
+def _is_abandoned(path: Path) -> bool:
+    with path.open("rb") as file:
+        counters = np.frombuffer(file.read(8 * _COUNTERS), dtype=np.uint8)
+    writer = int(counters.view(np.int64)[_WRITER]) if len(counters) == 8 * _COUNTERS else 0
+    return not _lives(writer) if writer > 0 else time.time() - path.stat().st_mtime > FRESH_S
+
+
 def _path(bus_url: str) -> Path:
+    base, prefix = _place()
+    return base / f"{prefix}{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.estimate"
+
+
+def _place() -> tuple[Path, str]:
+    """Folder of this user's pages, and what their names begin with."""
     shared = Path("/dev/shm")  # memory where the system has it as files
     base = shared if shared.is_dir() else Path(tempfile.gettempdir())
     user = os.getuid() if hasattr(os, "getuid") else "user"
-    return base / f"isocenter-{user}-{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.estimate"
+    return base, f"isocenter-{user}-"
 
 
 def _lives(process: int) -> bool:

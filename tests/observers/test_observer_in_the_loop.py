@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from hil.experiments import Scan
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
 from hil.observing import ObserverDesign, observe, write_design
-from hil.observing.board import EstimateBoard, latest_estimate
+from hil.observing.board import EstimateBoard, latest_estimate, remove_abandoned
 from hil.observing.live import LiveObserver
 from hil.recording import Channel, Recording, RecordingWarning, read_recording
 from virtual_bus.lockstep import imu_line
@@ -219,6 +221,21 @@ def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stay
         second.close()
     with pytest.raises(UnusableInput, match="no observer runs there"):
         latest_estimate(bus)
+
+
+def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_path) -> None:
+    lives, killed = f"virtual:{tmp_path.name}-{os.getpid()}", f"virtual:{tmp_path.name}-{os.getpid()}-killed"
+    board = EstimateBoard(lives, ["estimate_a"])
+    try:
+        board.put(1, np.array([0.5]))
+        made = f"from hil.observing.board import EstimateBoard; EstimateBoard({killed!r}, ['estimate_a'])"
+        subprocess.run([sys.executable, "-c", made], check=True)  # ends without having closed it
+        remove_abandoned()  # of this user's, whoever's test they are
+        with pytest.raises(UnusableInput, match="no observer runs there"):
+            latest_estimate(killed)
+        assert latest_estimate(lives).row == 1
+    finally:
+        board.close()
 
 
 def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
