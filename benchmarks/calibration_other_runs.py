@@ -13,6 +13,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -90,23 +91,31 @@ def main() -> None:
     options = parser.parse_args()
     to = Answer(options.json)
     tours = Tours(Work(options.work, repeats=False))
-    scans = []
-    for seed in range(FIRST_SEED, FIRST_SEED + options.scans):
+    scans, not_run = [], []
+    for seed in count(FIRST_SEED):
+        if len(scans) == options.scans:
+            break
         kept = tours.work.folder / f"unseen_{seed}.json"
-        if not kept.exists():
-            kept.write_text(json.dumps(another_scan(tours, seed)), encoding="utf-8")
-        scans.append(json.loads(kept.read_text(encoding="utf-8")))
+        try:
+            if not kept.exists():
+                kept.write_text(json.dumps(another_scan(tours, seed)), encoding="utf-8")
+        except SystemExit:
+            not_run.append(seed)  # shaken so that homing's first-move check refuses: said on standard error
+            continue
+        scans.append({"seed": seed, "calibrations": json.loads(kept.read_text(encoding="utf-8"))})
         print(f"scan {seed}: {scans[-1]}", file=sys.stderr, flush=True)
     summary = {}
-    for label in scans[0]:
-        over = np.array([[scan[label][each] for each in SCORES] for scan in scans])
-        times = np.array([[scan["model-based"][each] for each in SCORES] for scan in scans]) / over
+    for label in scans[0]["calibrations"]:
+        over, model = (
+            np.array([[scan["calibrations"][name][each] for each in SCORES] for scan in scans]) for name in (label, "model-based")
+        )
+        times = model / over
         summary[label] = {
             "median": dict(zip(SCORES, np.median(over, axis=0).tolist(), strict=True)),
             "times_better_than_model": dict(zip(SCORES, np.median(times, axis=0).tolist(), strict=True)),
             "least_times": dict(zip(SCORES, times.min(axis=0).tolist(), strict=True)),
         }
-    to.write({"summary": summary, "scans": scans})
+    to.write({"summary": summary, "scans": scans, "not_run": not_run})
 
 
 if __name__ == "__main__":

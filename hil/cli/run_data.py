@@ -111,6 +111,7 @@ def keep_sightings(beside: DataBeside, images: Path) -> None:
 def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]:
     """Write the geometry into the images' folder, and say how it went."""
     from hil.calibration.live_file import GEOMETRY, write_live_geometry
+    from hil.imaging.mailbox import POSES
 
     live = beside.calibration
     assert live is not None
@@ -121,12 +122,16 @@ def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]
     answer.say(f"{len(live.arrivals)} images seen live, {live.used} taken in{f'; {left}' if left else ''}; place known to {place:.3f} mm")
     if beside.inbox.lost:
         answer.say(f"{beside.inbox.lost} more were seen and lost: the loop takes images in while it knows where the axes are, and did not")
+    if beside.inbox.unplaced:
+        kept_s = POSES / beside.machine.sample_rate_Hz
+        answer.say(f"{beside.inbox.unplaced} more came later than {kept_s:.0f} s after their exposures, or show lost rows: not taken in")
     if live.withdrawn_after is not None:
         answer.say(f"images of the phantom were withdrawn after {live.withdrawn_after}")
     if found["change"]:
         answer.say("the machine stands elsewhere than it did; the mount was found anew")
     answer.say(f"{images / GEOMETRY}: geometry of {int(np.isfinite(live.live[:, 0]).sum())} samples")
-    return {**found, "lost": beside.inbox.lost, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
+    told = {"lost": beside.inbox.lost, "unplaced": beside.inbox.unplaced}
+    return {**found, **told, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
 
 
 _LEFT = {"refused": "contradicted", "late": "came too late", "withdrawn": "not needed any more"}

@@ -27,7 +27,7 @@ WAITS_S = 1e-3
 
 KINDS = ("phantom", "marker")
 
-_HANDLED, _SENT, _TAKEN, _LOST = range(4)
+_HANDLED, _SENT, _TAKEN, _LOST, _UNPLACED = range(5)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Mailbox:
     def __init__(self, context: Any, axes: int) -> None:
         self.axes = axes
         self._width = 5 + axes + LARGEST + LARGEST**2
-        self._counters = context.RawArray("q", 4)
+        self._counters = context.RawArray("q", 5)
         self._poses = context.RawArray("d", POSES * (2 + axes))
         self._ticks = context.RawArray("q", POSES * 2)
         self._letters = context.RawArray("d", LETTERS * self._width)
@@ -79,7 +79,7 @@ class Mailbox:
 
     @property
     def counters(self) -> np.ndarray:
-        """(4,) images looked at, letters sent, taken, and lost because the box was full."""
+        """(5,) images looked at, letters sent, taken, lost because the box was full, and not sent as nobody knows the pose."""
         return np.frombuffer(self._counters, dtype=np.int64)
 
     @property
@@ -128,6 +128,10 @@ class Mailbox:
         letter[5 + axes : 5 + axes + size] = sighting.values
         letter[5 + axes + LARGEST : 5 + axes + LARGEST + size**2] = sighting.covariance.ravel()
         counters[_SENT] += 1
+
+    def unplaced(self) -> None:
+        """One more image is of where nobody knows the axes to have been: of a lost row, or of one that is kept no longer."""
+        self.counters[_UNPLACED] += 1
 
     def handled(self) -> None:
         """One more image has been looked at, and what it shows was sent."""
@@ -191,6 +195,11 @@ class LoopEnd:
     def lost(self) -> int:
         """What images showed and the mailbox had no place for."""
         return int(self._counters[_LOST])
+
+    @property
+    def unplaced(self) -> int:
+        """Images looked at when nobody knew where the axes were, or knew it no longer: `POSES` rows are kept."""
+        return int(self._counters[_UNPLACED])
 
 
 class LockstepEnd(LoopEnd):

@@ -73,14 +73,17 @@ class Watch:
 
     def _send(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None, clock: PanelClock) -> None:
         time_s = float(clock.to_loop(np.array(frame.panel_s))) + 0.5 * frame.width_s * clock.rate
+        is_before_row_0 = time_s < 0.0
         if self._counts_syncs:
             time_s = self._mailbox.loop_time(time_s, self._period_s)
-        if not np.isfinite(time_s):
-            return
-        here = self._mailbox.pose_at(time_s, self._period_s)
-        soon = self._mailbox.pose_at(time_s + self._period_s, self._period_s)
+        here = soon = None
+        if np.isfinite(time_s):
+            here = self._mailbox.pose_at(time_s, self._period_s)
+            soon = self._mailbox.pose_at(time_s + self._period_s, self._period_s)
         if here is None or soon is None:
-            return  # of before row 0, or from too long ago
+            if not is_before_row_0:
+                self._mailbox.unplaced()
+            return
         if self._nominal is not None:
             if plate is not None:
                 values = plate[0] - self._nominal.values[:6]

@@ -5,7 +5,11 @@ import multiprocessing
 import numpy as np
 import pytest
 
-from hil.imaging.mailbox import LETTERS, LoopEnd, Mailbox, Sighting
+from drivers.imaging import Frame
+from hil.imaging.detector import Detector
+from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
+from hil.imaging.watch import Live, Watch
+from hil.machine import load_machine
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 
@@ -29,3 +33,15 @@ def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_wh
     assert [(each.exposure_id, each.values[0]) for each in end.collect(0)] == [(k, k) for k in range(LETTERS)]
     box.send(Sighting(99, 99, 9.9, "phantom", np.zeros(2), np.zeros(9), np.eye(9)))
     assert [each.exposure_id for each in end.collect(1)] == [99] and end.lost == 3
+
+
+def test_an_image_of_a_row_that_is_kept_no_longer_is_counted_and_one_of_before_row_0_is_not():
+    box, panel = Mailbox(CONTEXT, 2), Detector(16, 12, 20e-3)
+    end, watch = LoopEnd(box), Watch(Live(load_machine("carm"), box), panel, None)
+    for row in range(POSES + 200):
+        end.tell(row, row * PERIOD, np.zeros(2))
+    for number, exposed_s in enumerate((-0.05, 0.3, 0.4, 0.5, 1.0)):  # rows to 200 were written over
+        start_s = exposed_s - 4e-3
+        pulse_s = np.ceil(start_s / PERIOD) * PERIOD
+        watch.take(Frame(number, 5000.0 + start_s, 8e-3, pulse_s, np.full((12, 16), 2000, dtype=np.uint16)), None)
+    assert (end.unplaced, end.looked_at, end.lost) == (3, 5, 0)
