@@ -219,16 +219,12 @@ def _fit(
         trials, differences = sensitivity_trials(tuning, at.offset, fitting.settings(at))
         tuned = sensitivities_from((yield trials), differences, predicted)
     square = tuned.T @ tuned
-    jacobian = np.zeros((len(predicted), len(fitting.free)))
     radius = 1.0
     is_fresh = is_linearised or offset is not None
     for number in range(steps):
         if number >= HOPELESS_AFTER and cost > base:
             break
-        moves = fitting.moves(at)
-        answers = yield [fitting.trial(move) for move, _ in moves]
-        for column, ((_, difference), answer) in enumerate(zip(moves, answers, strict=True)):
-            jacobian[:, column] = 0.0 if answer is None else (answer - predicted) / difference
+        jacobian = yield from _sensitivities(fitting, at, predicted)
         gained = None
         shrunk = 0
         while shrunk < SHRUNK_AT_MOST:
@@ -256,9 +252,22 @@ def _fit(
             shrunk += 1
         if gained is None or (gained < max(ENOUGH * cost * len(at.offset) / len(measured), 0.5) and not fitting.was_held(step, reach)):
             break
+    else:  # its steps ran out on the way; where a fit goes on, it takes them itself
+        if not is_linearised:
+            jacobian = yield from _sensitivities(fitting, at, predicted)
     hessian, _ = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
     information = _information(hessian, len(at.offset))
     return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information)
+
+
+def _sensitivities(fitting: _Fitting, at: _Point, predicted: np.ndarray) -> Generator[list[Trial], Answers, np.ndarray]:
+    """(M, F) of a prediction with the free parameters, in units of their size; 0 where a neighbour cannot be simulated."""
+    moves = fitting.moves(at)
+    answers = yield [fitting.trial(move) for move, _ in moves]
+    jacobian = np.zeros((len(predicted), len(moves)))
+    for column, ((_, difference), answer) in enumerate(zip(moves, answers, strict=True)):
+        jacobian[:, column] = 0.0 if answer is None else (answer - predicted) / difference
+    return jacobian
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ def test_what_is_left_is_noise(runs):
 @pytest.mark.filterwarnings("error")
 def test_a_run_that_diverges_is_refused_before_its_numbers_overflow(runs, monkeypatch):
     count = len(runs.sets[TRAIN].groups[0].time_s)
-    diverged = np.geomspace(1.0, 1e300, count)[:, None] * np.ones(len(runs.sets[TRAIN].channels))
+    diverged = np.geomspace(1.0, 1e307, count)[:, None] * np.ones(len(runs.sets[TRAIN].channels))
     monkeypatch.setattr("hil.diagnosis.free_run.simulated_matrix", lambda machine, outputs, channels: diverged)
     assert runs.run_one(Trial(runs.nominal)) is None
 
