@@ -109,7 +109,7 @@ def images_beside(
             truth = truth or Path(scratch) / "truth.csv"
             assert isinstance(source, Path) and beam is not None
             panel = PanelOrder(machine, truth, source, Exposures(rate_Hz), beam, detector, 0)
-        with frames_beside(order, panel) as check:
+        with frames_beside(order, panel, None if lockstep else answer.say) as check:
             if beside is not None and isinstance(beside.inbox, LockstepEnd):
                 beside.inbox.check = check
             yield truth, rows

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +39,7 @@ class ReceivedScan:
 
 
 @contextmanager
-def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Callable[[], None]]:
+def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[[str], None] | None = None) -> Iterator[Callable[[], None]]:
     """Receive while the block runs; leave it when all frames are in. Yields what raises once frames cannot be received any more.
 
     Parameters
@@ -44,6 +47,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
     order : ReceiverOrder
     panel : PanelOrder, optional
         The emulated panel's; without it frames come from elsewhere.
+    say : callable, optional
+        Told at once, by a thread of its own, when no more images come while the block runs.
 
     Raises
     ------
@@ -76,13 +81,19 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         started.append(context.Process(target=politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
     for process in started:
         process.start()
+    is_left = threading.Event()
+    if say is not None:
+        threading.Thread(target=_say_if_one_ends, args=(order, started, is_left, say), daemon=True).start()
 
     def check() -> None:
         if not all(process.is_alive() for process in started):
             raise BadAnswer(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
 
     try:
-        yield check
+        try:
+            yield check
+        finally:
+            is_left.set()
         is_over.set()
         for process in started[1:]:
             process.join()
@@ -96,6 +107,13 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None) -> Iterator[Ca
         for process in started:
             if process.is_alive():
                 process.terminate()
+
+
+def _say_if_one_ends(order: ReceiverOrder, started: Sequence[BaseProcess], is_left: threading.Event, say: Callable[[str], None]) -> None:
+    """Wait for it; once the block is left they are to end."""
+    wait([process.sentinel for process in started])
+    if not is_left.is_set():
+        say(f"{_trouble(order) or 'the process that receives frames ended'}: no more images; the run goes on without")
 
 
 def _must_be_empty(panel: Path) -> None:

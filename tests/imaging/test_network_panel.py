@@ -253,18 +253,20 @@ def test_what_is_no_panel_is_told(wire, said, line):
         link.poll()
 
 
-def test_a_panel_that_hangs_up_during_a_run_is_told_when_that_is_over(tmp_path):
-    span = RowSpan(CONTEXT)
+def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_is_over(tmp_path):
+    span, told = RowSpan(CONTEXT), queue.Queue()
     with greeting() as (url, callers):
         order = ReceiverOrder(RemotePanel(url, RATE_Hz, BINNING, PERIOD, span), tmp_path, Detector(6, 4, 1e-3), None, None)
-        with frames_beside(order, None):
+        with frames_beside(order, None, told.put):
             callers.get().close()  # who looked whether it is there
             with callers.get() as panel:
                 span.begin(0)
                 assert read_command(panel.recv(100).rstrip(b"\n")) == (RATE_Hz, BINNING)
+            assert told.get() == f"panel {url} is gone: it hung up: no more images; the run goes on without"
             span.end(ROWS)
     with pytest.raises(BadAnswer, match=f"panel {url} is gone: it hung up"):
         received(tmp_path, PERIOD)
+    assert told.empty()
 
 
 def test_an_address_where_no_panel_is_and_commands_that_are_none():
