@@ -196,7 +196,7 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     free = sum(group.repeats - 1 for group in repeated) / sum(group.repeats for group in repeated)
     grid = _grid(rate_Hz, max(len(row) for row in rows))
     spectra, freedom = _smoothed(lines, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
-    floors = floor**2 * (filters**2).sum(axis=1)
+    floors = floor**2 * _gains(filters, grid, rate_Hz)
     roots = _whitening(spectra, freedom, floors)
     power = _power_of_left_out(deviations, filters, floors, rate_Hz, grid)
     if power is None:
@@ -236,13 +236,11 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     places, lines = _lines_of_all(filters, residuals, rate_Hz, 0.0)
     power, place = np.abs(np.concatenate(lines)) ** 2, np.concatenate(places)
     spacing = rate_Hz / max(len(row) for row in residuals)
-    floors = floor**2 * (filters**2).sum(axis=1)
+    gains = _gains(filters, grid, rate_Hz)
     levels = np.zeros((len(grid), count))
     for g, f in enumerate(grid):
         near = np.abs(place - f) <= max(10.5 * spacing, 0.3 * f)
-        levels[g] = np.median(power[near], axis=0) / np.log(2.0) + floors  # the median of an exponential distribution is ln 2 of its mean
-    z = np.exp(-2j * np.pi * np.outer(grid / rate_Hz, np.arange(filters.shape[1])))
-    gains = np.abs(z @ filters.T) ** 2
+        levels[g] = np.median(power[near], axis=0) / np.log(2.0) + floor**2 * gains[g]  # of an exponential distribution, ln 2 of the mean
     white = np.minimum(np.median(levels / gains, axis=0), std**2)
     roots = np.zeros((len(grid), count, count), dtype=complex)
     own = np.sqrt(white * gains)
@@ -314,10 +312,16 @@ def _smoothed(
     return spectra, freedom
 
 
+def _gains(filters: np.ndarray, grid: np.ndarray, rate_Hz: float) -> np.ndarray:
+    """(G, C) power of white noise of variance 1 behind the channels' filters."""
+    z = np.exp(-2j * np.pi * np.outer(grid / rate_Hz, np.arange(filters.shape[1])))
+    return np.abs(z @ filters.T) ** 2
+
+
 def _whitening(spectra: np.ndarray, freedom: np.ndarray, floors: np.ndarray) -> np.ndarray:
     """(G, C, C) S^(-1/2), scaled so that its square's mean is the inverse covariance: that of a sample covariance is too large."""
-    count = len(floors)
-    roots = np.stack([_inverse_root(s + np.diag(floors)) for s in spectra])
+    count = floors.shape[1]
+    roots = np.stack([_inverse_root(s + np.diag(floor)) for s, floor in zip(spectra, floors, strict=True)])
     return roots * np.sqrt(np.clip((freedom - count) / freedom, 0.1, 1.0))[:, None, None]
 
 
@@ -340,9 +344,10 @@ def _power_of_left_out(
             others = np.delete(lines, left_out, axis=0) + lines[left_out] / (repeats - 1.0)  # about their own mean
             others *= np.sqrt((repeats - 1.0) / repeats * (repeats - 1.0) / (repeats - 2.0))
             free = (repeats - 2.0) / (repeats - 1.0)
-            coarse = grid[:: max(1, len(grid) // LEFT_OUT_GRID)]
+            every = max(1, len(grid) // LEFT_OUT_GRID)
+            coarse = grid[::every]
             spectra, freedom = _smoothed(list(others), [place] * (repeats - 1), coarse, free, FREEDOM_PER_CHANNEL * count)
-            roots = _whitening(spectra, freedom, floors)
+            roots = _whitening(spectra, freedom, floors[::every])
             nearest = np.rint(np.interp(place, coarse, np.arange(len(coarse)))).astype(int)
             whitened.append((roots[nearest] @ lines[left_out][:, :, None])[:, :, 0])
             places.append(place)

@@ -97,3 +97,20 @@ def test_noise_is_no_larger_along_signals_at_the_ends_of_a_record_than_elsewhere
     variance = np.mean(ratios, axis=0)
     assert variance.min() > 0.7
     assert variance.max() < 2.5
+
+
+def test_what_two_channels_have_in_common_is_told_from_what_they_have_not():
+    """Two channels read one slow disturbance, each on a lattice: their difference is known to the lattices."""
+    step = MACHINE.plant.encoders[0].resolution
+
+    def read(count, seed):
+        random = np.random.default_rng(seed)
+        both = scipy.signal.lfilter(*scipy.signal.butter(2, 0.02), random.standard_normal((count, ROWS + 2000)), axis=1)[:, 2000:]
+        return step * (both[:, :, None] / both.std() + random.uniform(-0.5, 0.5, (count, ROWS, 2)))
+
+    model = noise_model([group_of(read(4, 0))], CHANNELS, MACHINE)
+    pairs = [model.spectrum(fresh) for fresh in read(12, 1)]
+    slow = np.concatenate([lines[(frequencies > 0.0) & (frequencies < 5.0)] for frequencies, lines in pairs])
+    powers = np.linalg.eigvalsh(slow.T @ slow.conj() / len(slow))
+    assert powers[0] > 0.5, "a difference of the channels is taken for more noise than it has"
+    assert powers[1] < 1.6
