@@ -32,9 +32,9 @@ class Projection:
         return cls(jacobian, tuning.offset[free], scipy.linalg.cho_factor(hessian))
 
     def left(self, change: np.ndarray) -> np.ndarray:
-        """(M + F,) of a change of the simulation, the part that no re-tuning imitates."""
-        weights = scipy.linalg.cho_solve(self.factor, self.jacobian.T @ change)
-        return np.concatenate([change - self.jacobian @ weights, -weights])
+        """(..., M + F) of changes (..., M) of the simulation, the part that no re-tuning imitates."""
+        weights = scipy.linalg.cho_solve(self.factor, (change @ self.jacobian).T).T
+        return np.concatenate([change - weights @ self.jacobian.T, -weights], axis=-1)
 
     def left_of_residual(self, residual: np.ndarray) -> np.ndarray:
         """(M + F,) of a residual at the present tuning, its prior's pull included."""

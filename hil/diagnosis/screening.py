@@ -7,7 +7,7 @@ tried again there, because few effects are linear in it; a fit starts from the s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,9 @@ AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"
 
 SAME_STRENGTH = 1e-6
 """Share of its energy by which a response must differ from the others to be told from them."""
+
+SOME = 32
+"""Free runs whose answers are kept at a time."""
 
 IN_PROPORTION_TO_EACH = ("imu_scale_bias", "imu_misalignment")
 """Effects of several strengths that add up: every one runs alone, and then the mixture that the residual wants of them."""
@@ -79,14 +82,13 @@ def screen(
     for number in range(ROUNDS):
         singles: dict[EffectAt, list[tuple[Candidate, np.ndarray, np.ndarray]]] = {}
         earlier: tuple[np.ndarray, np.ndarray] | None = None  # values and response of the try before
-        answers = runs.run([Trial(tuning.values, (*present, candidate.setting(values))) for candidate, values in tries])
+        trials = [Trial(tuning.values, (*present, candidate.setting(values))) for candidate, values in tries]
         again = []
-        for (candidate, values), answer in zip(tries, answers, strict=True):
-            if answer is None:
+        for (candidate, values), response in zip(tries, _responses(runs, tuning, projection, trials), strict=True):
+            if response is None:
                 again.append((candidate, _rescaled(candidate.effect, values, 0.2)))
                 earlier = None
                 continue
-            response = projection.left(answer - tuning.predicted)
             energy = float(response @ response)
             amplitude = float(response @ left) / energy if energy > 0.0 else 0.0
             score = max(amplitude, 0.0) ** 2 * energy
@@ -111,6 +113,18 @@ def screen(
             again += [(parts[0][0], _mixture(parts, left)) for parts in singles.values()]
         tries = [(candidate, values) for candidate, values in again if values is not None]
     return sorted(best.values(), key=lambda screened: -screened.score)
+
+
+def _responses(runs: FreeRuns, tuning: Tuning, projection: Projection, trials: Sequence[Trial]) -> Iterator[np.ndarray | None]:
+    """(M + F,) of every trial: what it changes in the simulation and re-tuning cannot imitate; None where it cannot be simulated.
+
+    Some at a time: the answers of all would take a gigabyte where recordings are a minute long.
+    """
+    for first in range(0, len(trials), SOME):
+        answers = runs.run(trials[first : first + SOME])
+        changes = [answer - tuning.predicted for answer in answers if answer is not None]
+        left = iter(projection.left(np.stack(changes)) if changes else ())
+        yield from (None if answer is None else next(left) for answer in answers)
 
 
 def _wanted(effect: EffectAt, values: np.ndarray, response: np.ndarray, amplitude: float, score: float) -> Screened:

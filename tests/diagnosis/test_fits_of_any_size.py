@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hil.diagnosis.bounded_noise import candidates_for
-from hil.diagnosis.candidates import Candidate, setting_of
+from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import refit
@@ -47,25 +49,17 @@ def test_a_load_displaces_a_loop_without_an_integrator_by_load_over_its_stiffnes
 
 
 def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
+    """Only its ratio to the drive's constant shows: mass, springs and constant scaled alike move in the same way."""
     command = 0.1 * np.random.default_rng(1).standard_normal(3000)
-    recording = recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0}))
-    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
-        (fit,) = refit(runs, retune(runs), runs.measured(), [((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0]),))])
-    assert fit.values[0][0] == pytest.approx(4.0, rel=0.02)
-
-
-def test_where_steps_run_out_sensitivities_are_of_where_the_fit_has_come_to():
-    command = 0.1 * np.random.default_rng(1).standard_normal(3000)
-    recording = recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0}))
-    spring = EffectAt("nonlinear_stiffness", "oscillator")
+    hidden = EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0})
+    recording = recorded(SILVERBOX, driven(SILVERBOX, command), hidden)
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
         tuning = retune(runs)
-        (fit,) = refit(runs, tuning, runs.measured(), [((spring,), (np.array([1.0]),))], steps=1)
-        (at,) = fit.values[0]
-        lower, upper = runs.run([Trial(tuning.at(fit.offset), (setting_of(spring, np.array([k3])),)) for k3 in (0.995 * at, 1.005 * at)])
-    slope = (upper - lower) / (0.01 * at)
-    assert at > 1.5
-    assert np.linalg.norm(fit.jacobian[:, 0] - slope) < 0.02 * np.linalg.norm(slope)
+        runs.correct(Trial(runs.nominal, (hidden,)))  # the error of the plant's steps, as it is near the end of a search
+        tuning = replace(tuning, predicted=runs.run_one(Trial(tuning.values)))
+        (fit,) = refit(runs, tuning, runs.measured(), [((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0]),))])
+    constant = tuning.at(fit.offset)[[p.quantity for p in tuning.parameters].index("constant")]
+    assert fit.values[0][0] / constant == pytest.approx(4.0, rel=2e-3)
 
 
 def test_a_fit_starts_from_the_strength_that_the_recordings_want():
