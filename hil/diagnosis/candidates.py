@@ -18,6 +18,9 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 ON_A_SPRING = ("joint_compliance", "nonlinear_stiffness", "backlash", "structural_mode", "base_motion", "bouc_wen_hysteresis")
 """What may act at a joint without a drive: it moves as far as its spring gives way, so a law over its own range would show nothing."""
 
+NEEDS_GRAVITY = ("gravity_imbalance",)
+"""What no machine has whose file says that gravity does nothing to it: a circuit, a balanced rotor, a level slide."""
+
 WHOLE_IMU = "imu"
 
 
@@ -66,7 +69,7 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
     chosen: list[EffectAt] = []
     taken: set[tuple[str, str]] = set()
     for name, effect in effects().items():
-        if effect.kind is DROPOUT:
+        if effect.kind is DROPOUT or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
             continue
         for at in places(effect.kind, settings):
             key = at

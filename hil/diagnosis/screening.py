@@ -42,6 +42,11 @@ SAME_STRENGTH = 1e-6
 SOME = 32
 """Free runs whose answers are kept at a time."""
 
+UNLIKE = 0.9
+"""Squared cosine with every better response below which a candidate is another kind of mismatch."""
+
+MOST_UNLIKE = 3
+
 IN_PROPORTION_TO_EACH = ("imu_scale_bias", "imu_misalignment")
 """Effects of several strengths that add up: every one runs alone, and then the mixture that the residual wants of them."""
 
@@ -125,6 +130,37 @@ def _responses(runs: FreeRuns, tuning: Tuning, projection: Projection, trials: S
         changes = [answer - tuning.predicted for answer in answers if answer is not None]
         left = iter(projection.left(np.stack(changes)) if changes else ())
         yield from (None if answer is None else next(left) for answer in answers)
+
+
+def shortlist(screened: Sequence[Screened], most: int, worth: float) -> list[Screened]:
+    """The best candidates, and those after them whose responses are unlike all of these.
+
+    Where a machine turns one way only, every friction, a load and a torque constant are one response, and all of them score alike: eight of
+    them would leave no fit to a wave that explains more, but not in proportion to its response at a start's phase.
+
+    Parameters
+    ----------
+    screened : sequence of Screened
+        In their order.
+    most : int
+    worth : float
+        Share of the best score that a candidate has at least.
+    """
+    if not screened:
+        return []
+    least = worth * max(candidate.score for candidate in screened)
+    chosen = [candidate for candidate in screened[:most] if candidate.score > least]
+    for candidate in screened[most:]:
+        if len(chosen) == most + MOST_UNLIKE:
+            break
+        if candidate.score > least and all(_squared_cosine(candidate.response, other.response) < UNLIKE for other in chosen):
+            chosen.append(candidate)
+    return chosen
+
+
+def _squared_cosine(one: np.ndarray, other: np.ndarray) -> float:
+    energies = float(one @ one) * float(other @ other)
+    return float(one @ other) ** 2 / energies if energies > 0.0 else 1.0
 
 
 def _wanted(effect: EffectAt, values: np.ndarray, response: np.ndarray, amplitude: float, score: float) -> Screened:

@@ -17,7 +17,7 @@ from hil.diagnosis.pairs import Pair, Start, pairs
 from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import Screened, screen
+from hil.diagnosis.screening import Screened, screen, shortlist
 
 REFITTED = 8
 """Candidates refitted after the first screening."""
@@ -122,7 +122,7 @@ def select(
         if not screened:
             break
         most = REFITTED if size == 0 else REFITTED_BESIDE
-        worth = [s for s in screened[:most] if s.score > WORTH_A_FIT * max(other.score for other in screened)]
+        worth = shortlist(screened, most, WORTH_A_FIT)
         report("fitting", 0.35 + 0.2 * size)
         starts = [*(_beside(chosen, s) for s in worth), *_instead(chosen, worth[0])]
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)

@@ -1,14 +1,15 @@
-"""Effects of several strengths that add up, against the least squares that they are."""
+"""Effects of several strengths that add up, against the least squares that they are; which candidates are worth a fit."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.candidates import Candidate, places_to_try
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import screen
+from hil.diagnosis.screening import Screened, screen, shortlist
+from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
 
 ENTRIES = 300
@@ -34,3 +35,19 @@ def test_strengths_that_act_against_each_other_are_found_together():
     guess = Candidate(MISALIGNED, (np.array([0.01, 0.01, 0.0]), np.array([0.01, 0.01, 0.01])))
     (found,) = screen(runs, tuning, [guess], runs.columns @ hidden + noise)
     assert found.values == pytest.approx(hidden, abs=5e-4)
+
+
+def test_many_alike_leave_a_fit_to_what_is_unlike_them():
+    """Nine of one response and one across it: the best three are fitted, and the tenth."""
+    friction, wave = np.eye(ENTRIES)[:2].astype(np.float32)
+    alike = [Screened(EffectAt("coulomb_friction", f"axis_{k}"), np.zeros(1), friction + 0.01 * k * wave, 100.0 - k) for k in range(9)]
+    unlike = Screened(EffectAt("cogging", "axis_0"), np.zeros(5), wave, 50.0)
+    assert shortlist([*alike, unlike], 3, 0.02) == [*alike[:3], unlike]
+    assert shortlist([*alike, unlike], 3, 0.6) == alike[:3]
+
+
+def test_gravity_is_no_candidate_where_the_machine_file_has_none():
+    """An electronic oscillator carries no weight; the C-arm's propeller may."""
+    circuit, carm = load_machine("silverbox"), load_machine("carm")
+    assert "gravity_imbalance" not in {place.effect for place in places_to_try(circuit.plant, ["position_mass"])}
+    assert EffectAt("gravity_imbalance", "propeller") in places_to_try(carm.plant, ["position_propeller"])
