@@ -11,6 +11,9 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from hil.calibration.roadmap import PLACES, Overlay
 from hil.figures.geometry import COLOURS
 
+MANY_TIMES = 50.0
+"""Where errors differ by more than this, numbers of powers of ten alone have room on the axis."""
+
 
 def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
     """Share of the poses below an overlay error, by place and calibration."""
@@ -22,7 +25,8 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
             panel.step(errors, np.arange(1, len(errors) + 1) / len(errors), where="post", color=colour, label=name)
         panel.axhline(0.9, color="0.6", linewidth=0.8, linestyle="--")
         panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        low, high = panel.get_xlim()
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > MANY_TIMES * low else (1.0, 2.0, 5.0)))
         panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_title(place if place == "centre" else f"{place} of the way to the border", fontsize=10)
