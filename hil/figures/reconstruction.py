@@ -29,7 +29,7 @@ def volume_figure(volume: Volume, title: str) -> Figure:
             panel.set_xlabel(f"{across} [mm]")
             panel.set_ylabel(f"{up} [mm]")
     figure.colorbar(shown, ax=panels, label="attenuation [1/m]", shrink=0.7)
-    figure.suptitle(title)
+    figure.suptitle(f"{title}\nthe volume's own frame: its middle the isocentre, y along the scan's axis", fontsize=10)
     return figure
 
 
