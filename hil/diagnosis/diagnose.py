@@ -203,6 +203,7 @@ def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection:
                 tuple(c.fitted.information.tolist()),
                 searched=c.searched,
                 passed=c.passed,
+                by_numbers=c.by_numbers,
             )
             for c in rivals
         ),

@@ -101,7 +101,8 @@ class Gate:
 
     @property
     def significant(self) -> bool:
-        return self.over_simulator > 1.0 and self.chance < LEVEL
+        """Beside others training must show it too: held-out recordings also show what training left open of the others' parameters."""
+        return self.over_simulator > 1.0 and self.chance < LEVEL and (self.is_first or self.trained < 1.0)
 
     @property
     def confirmed(self) -> bool:

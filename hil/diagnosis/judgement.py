@@ -13,7 +13,7 @@ from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.naming import temperature
+from hil.diagnosis.naming import NUMBERS, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -65,6 +65,11 @@ class Contender:
     def passed(self) -> bool:
         return self.gate.passed  # those before did, or there were no further step
 
+    @property
+    def by_numbers(self) -> float:
+        """Energy that those of its effects remove which are numbers of the machine file, in training and held out."""
+        return sum(gate.gain + (gate.held_out_gain or 0.0) for gate in _steps(self.fitted.effects, self.gates, numbers=True))
+
 
 @dataclass(frozen=True, eq=False)
 class Stand:
@@ -78,6 +83,8 @@ class Stand:
         The machine's numbers beside them.
     cost : float
         |residual|^2 + |offset|^2 on the training groups.
+    response : (M,) array
+        Whitened change of the free run that the effects make, the part that no re-tuning imitates.
     held_out : (M,) array or None
         Held-out free run.
     gates : tuple of Gate
@@ -87,12 +94,25 @@ class Stand:
     fitted: Fitted | None
     tuning: Tuning
     cost: float
+    response: np.ndarray
     held_out: np.ndarray | None
     gates: tuple[Gate, ...]
 
     @property
     def effects(self) -> tuple[EffectAt, ...]:
         return () if self.fitted is None else self.fitted.effects
+
+    def steps(self, *, numbers: bool) -> list[Gate]:
+        """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
+        return _steps(self.effects, self.gates, numbers=numbers)
+
+
+def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], *, numbers: bool) -> list[Gate]:
+    names: dict[int, set[str]] = {}
+    for effect, gate in zip(effects, gates, strict=True):
+        names.setdefault(id(gate), set()).add(effect.effect)
+    known = {id(gate): gate for gate in gates}
+    return [known[step] for step, own in names.items() if (own <= set(NUMBERS)) is numbers]
 
 
 class Judgement:
@@ -112,6 +132,7 @@ class Judgement:
         self.scatter = Scatter(runs)
         self._measured = runs.measured()
         self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
+        self._projection = Projection.of(tuning)
         self.nothing = self._stand(None, ())
 
     def after(self, found: Contender) -> Stand:
@@ -123,10 +144,11 @@ class Judgement:
         if fitted is not None:
             tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         residual = self._measured - tuning.predicted
+        response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]
         held_out = None
         if self._judge is not None:
             (held_out,) = self._judge.predictions([(tuning.offset, () if fitted is None else fitted.settings)])
-        return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), held_out, gates)
+        return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
 
     def contenders(
         self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float]
@@ -169,18 +191,18 @@ class Judgement:
         response = Projection.of(before.tuning).left(fitted.predicted - before.tuning.predicted)[:entries]
         scatter = self.scatter.along(response)
         level = max(1.0, fitted.cost / max(entries, 1))
+        form = 0.0
+        if before.fitted is not None:
+            removed = sum(gate.gain for gate in before.steps(numbers=False))
+            form = form_variance(before.response, response, removed, fitted.cost - self._noise)
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
         if self._judge is not None:
-            left, count = self._judge.misfit(after), float(len(self._judge.measured))
-            fall = self._left(before) - left
-            deviations = self._judge.deviations(before.held_out, after)
-            form = self._form(before, self._left(self.nothing) - self._left(before), left - count)
-            level_there = max(1.0, left / max(count, 1.0))
-            followed = chance_held_out(fall, level_there * scatter + form)
-            over_simulator = max(over_simulator, fall / (level_there * SIMULATOR_ERROR * max(count, 1.0)))
-        form = self._form(before, self.nothing.cost - before.cost, fitted.cost - self._noise)
+            deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
+            variance, of_simulator = self._held_out_variance(before, after, scatter)
+            followed = chance_held_out(fall, variance)
+            over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,
             needed=needed_gain(trials, freedom, fitted.cost, entries),
@@ -196,11 +218,36 @@ class Judgement:
             is_first=before.fitted is None,
         )
 
+    def _held_out_variance(self, before: Stand, after: np.ndarray | None, scatter: float) -> tuple[float, float]:
+        """Along the change from a stand to a held-out free run, and the fall there that the simulator's own error may be."""
+        assert self._judge is not None
+        left, count = self._judge.misfit(after), max(float(len(self._judge.measured)), 1.0)
+        level, form = max(1.0, left / count), 0.0
+        if before.held_out is not None and after is not None and before.fitted is not None and self.nothing.held_out is not None:
+            response = before.held_out - self.nothing.held_out
+            removed = sum(gate.held_out_gain or 0.0 for gate in before.steps(numbers=False))
+            form = form_variance(response, after - before.held_out, removed, left - count)
+        return level * scatter + form, level * SIMULATOR_ERROR * count
+
     def _left(self, stand: Stand) -> float:
         """Held-out misfit."""
         return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
 
-    @staticmethod
-    def _form(before: Stand, removed: float, left: float) -> float:
-        """Variance that the equations of the effects found before may add along any response, as naming weighs it; 0 beside none."""
-        return 0.0 if before.fitted is None else temperature(removed, left) - 1.0
+
+def form_variance(found: np.ndarray, added: np.ndarray, removed: float, left: float) -> float:
+    """Variance along a response that the equations of the effects found before may add to the noise's.
+
+    An equation errs by a share of its own response wherever that is, with any sign: of an error whose energy is `form_error` of what the
+    effects removed, no more is along another response than the squared cosine of both responses' absolute values. What is left above noise
+    counts as in naming's temperature.
+
+    Parameters
+    ----------
+    found, added : (M,) arrays
+        Whitened responses.
+    removed, left : float
+        Energy that the effects found before removed, and that is left above noise.
+    """
+    sizes = float(np.sqrt((found @ found) * (added @ added)))
+    alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0
+    return temperature(alike**2 * removed, left) - 1.0

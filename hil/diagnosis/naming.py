@@ -69,6 +69,11 @@ PLAUSIBLE = 0.04
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
 
+NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth")
+"""Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own and errs by nothing
+that the simulator does not."""
+
+
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
@@ -81,6 +86,7 @@ class Weighed:
     searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
     passed: bool = True  # the gate
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
+    by_numbers: float = 0.0  # energy that those of its effects remove which are NUMBERS
 
     @property
     def misfit(self) -> float:
@@ -171,7 +177,7 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     noise += certain_excess(noise)  # what is left within this is nothing that needs a name
     best = min(h.misfit for h in hypotheses)
     removed = base.misfit - best
-    temper = temperature(removed, best - noise, weights)
+    temper = temperature_of([(h.misfit, h.by_numbers) for h in hypotheses], base.misfit, noise, weights)
     unknown = -0.5 * min(noise, best) / temper - price_of_a_parameter(removed, temper) * weights.unknown_freedom
     tempered = _normalised([*_evidence(hypotheses, base, temper, tried), unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
@@ -212,6 +218,25 @@ def unnamed_share(before: float, after: float, noise: float) -> float:
 def price_of_a_parameter(removed: float, temper: float) -> float:
     """What a parameter costs in log evidence that is known as well as this energy lets it be."""
     return 0.5 * float(np.log1p(max(removed, 0.0) / temper))
+
+
+def temperature_of(sets: Sequence[tuple[float, float]], base: float, noise: float, weights: Weights = WEIGHTS) -> float:
+    """T of sets that compete.
+
+    Parameters
+    ----------
+    sets : sequence of (misfit, energy that effects remove which are NUMBERS)
+        No equation erred in what such effects remove, where they are in the best set or in one that T does not tell from it.
+    base : float
+        Misfit without effects.
+    noise : float
+        Expected misfit of a perfect simulation.
+    weights : Weights
+    """
+    best = min(misfit for misfit, _ in sets)
+    most = temperature(base - best, best - noise, weights)
+    by_numbers = max(energy for misfit, energy in sets if misfit <= best + 2.0 * most)
+    return temperature(base - best - by_numbers, best - noise, weights)
 
 
 def temperature(removed: float, left: float, weights: Weights = WEIGHTS) -> float:

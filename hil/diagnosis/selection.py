@@ -12,7 +12,7 @@ from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import Weighed, price_of_a_parameter, temperature
+from hil.diagnosis.naming import NUMBERS, Weighed, price_of_a_parameter, temperature, temperature_of
 from hil.diagnosis.pairs import Pair, Start, pairs
 from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
@@ -132,11 +132,12 @@ def select(
         if size == 0:
             first, singles = screened, fits
             lowest = {candidate.effect: candidate.lowest for candidate in found}
-            starts = _pairs_worth_a_fit(tuning, residual, in_order(fits, nothing.cost, noise_energy, tried), screened, nothing.cost, tried)
+            ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
+            starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
             fits = [*fits, *(polish(runs, tuning, measured, fit) for fit in twos[:1]), *twos[1:]]
         fits = [fit for fit in fits if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
-        fits = in_order(fits, nothing.cost, noise_energy, tried)
+        fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         judged = judgement.contenders(stand, fits, tried, placebo_gain(runs, stand.tuning, screened, residual), lowest)
         passed = [one for one in judged if one.passed]
@@ -233,10 +234,18 @@ def _instead(chosen: Fitted | None, added: Screened) -> list[Start]:
     return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]
 
 
-def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried) -> list[Fitted]:
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
     """Fitted sets by their evidence on the training recordings, see naming.py."""
-    best = min((fit.cost for fit in fits), default=base)
-    temper = temperature(base - best, best - noise_energy)
+    if not fits:
+        return []
+    known = sum(gate.gain for gate in stand.steps(numbers=True))
+
+    def by_numbers(fit: Fitted) -> float:
+        if {effect.effect for effect in fit.effects} <= set(NUMBERS):
+            return base - fit.cost
+        return known if set(stand.effects) <= set(fit.effects) else 0.0
+
+    temper = temperature_of([(fit.cost, by_numbers(fit)) for fit in fits], base, noise_energy)
     return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried))
 
 

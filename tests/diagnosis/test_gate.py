@@ -137,6 +137,12 @@ def test_what_training_shows_weakly_and_another_motion_strongly_is_there():
     assert gate(1e-3, None).passed
 
 
+def test_beside_another_effect_training_must_show_it_too():
+    one = gate(3.0, 1e-7)
+    assert one.passed
+    assert not Gate(**{**vars(one), "is_first": False}).passed
+
+
 def test_a_gain_that_the_simulator_s_own_error_may_be_is_none():
     one = gate(1e-6, 1e-6)
     assert one.passed

@@ -23,13 +23,20 @@ def tried(count: int = 50, shapes: float = 1.0) -> Tried:
     return Tried([Candidate(COULOMB, ()), Candidate(LOAD, ()), Candidate(VISCOUS, (), shapes), *others])
 
 
-def bench(friction: float = 30.0):
-    """A judgement of noise with friction and a load of 8 in it along directions of their own, and what fits their amplitudes."""
+def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = False):
+    """A judgement of noise with a friction and a load of 8 in it along directions of their own, and what fits their amplitudes.
+
+    `apart`: the load shows where friction does not.
+    """
     random = np.random.default_rng(2)
-    directions = dict(zip((COULOMB, LOAD, VISCOUS), np.linalg.qr(random.standard_normal((ENTRIES, 3)))[0].T, strict=True))
+    drawn = random.standard_normal((ENTRIES, 3))
+    if apart:
+        drawn[: ENTRIES // 2, 1] = 0.0
+        drawn[ENTRIES // 2 :, (0, 2)] = 0.0
+    directions = dict(zip((COULOMB, LOAD, VISCOUS), np.linalg.qr(drawn)[0].T, strict=True))
     noise = random.standard_normal(ENTRIES)
     noise -= sum((noise @ d) * d for d in directions.values())
-    measured = noise + friction * directions[COULOMB] + 8.0 * directions[LOAD]
+    measured = noise + friction * directions[found] + 8.0 * directions[LOAD]
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [[noise]])
 
@@ -44,8 +51,8 @@ def bench(friction: float = 30.0):
     return Judgement(runs, tuning, None, float(ENTRIES)), fitted
 
 
-def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 30.0) -> Contender:
-    judgement, fitted = bench(friction)
+def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 30.0, apart: bool = False) -> Contender:
+    judgement, fitted = bench(friction, before[0], apart=apart)
     stand = judgement.nothing
     if before:
         stand = judgement.after(judgement.contenders(stand, [fitted(*before)], tried(), 0.0, {})[0])
@@ -72,6 +79,16 @@ def test_beside_a_large_effect_a_gain_must_exceed_what_its_equation_may_err_by()
     assert beside_little.gate.gain == pytest.approx(beside_much.gate.gain)
     assert beside_little.gate.passed
     assert not beside_much.gate.passed
+
+
+def test_an_equation_errs_only_where_its_effect_acts():
+    assert judged((COULOMB,), COULOMB, LOAD, friction=60.0, apart=True).gate.passed
+
+
+def test_a_number_of_the_machine_file_has_no_equation_of_its_own_to_err():
+    beside = judged((VISCOUS,), VISCOUS, LOAD, friction=60.0)
+    assert beside.gate.passed
+    assert beside.by_numbers == pytest.approx(3600.0)
 
 
 def test_a_set_costs_the_logarithm_of_the_sets_there_were_to_choose_from():

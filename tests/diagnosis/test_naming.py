@@ -5,7 +5,18 @@ from __future__ import annotations
 import pytest
 
 from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.naming import CAP_ASSUMED, CONFIDENT, WEIGHTS, Evidence, Weighed, ranking, unnamed_share, weighed
+from hil.diagnosis.naming import (
+    CAP_ASSUMED,
+    CONFIDENT,
+    WEIGHTS,
+    Evidence,
+    Weighed,
+    ranking,
+    temperature,
+    temperature_of,
+    unnamed_share,
+    weighed,
+)
 
 NOISE = 20000.0
 ENTRIES = 19000.0
@@ -85,6 +96,25 @@ def test_a_parameter_that_the_recordings_do_not_see_costs_nothing():
     simple, blind, seen = shares((0.0, 0.0, (9000.0,)), (0.0, 0.0, (9000.0, 0.0)), (0.0, 0.0, (9000.0, 3000.0)), base=(9000.0, 0.0))
     assert simple == pytest.approx(blind)
     assert seen < 0.5 * simple
+
+
+def test_what_a_number_of_the_machine_file_removes_tempers_nothing():
+    """A viscous friction a thousand times above noise, and with it a load that gains 200: the friction's equation is the machine's own."""
+
+    def share_of_both(by_numbers: float) -> float:
+        one = Weighed(None, ENTRIES + 200.0, 0.0, (1e6,), by_numbers=by_numbers)
+        both = Weighed(None, ENTRIES, 0.0, (1e6, 200.0), by_numbers=by_numbers)
+        ranked, _ = weighed([one, both], Weighed(None, ENTRIES + 1e6, 0.0), (ENTRIES, 0.0), TRIED)
+        return next(r.share for r in ranked if r.misfit == both.misfit)
+
+    assert share_of_both(1e6) > CONFIDENT
+    assert share_of_both(0.0) < 0.7
+
+
+def test_a_number_that_leaves_more_than_the_best_set_s_equation_errs_by_is_not_counted():
+    sets = [(ENTRIES, 0.0), (ENTRIES + 3000.0, 7000.0)]
+    assert temperature_of(sets, ENTRIES + 10000.0, ENTRIES) == temperature(10000.0, 0.0)
+    assert temperature_of([*sets, (ENTRIES + 10.0, 9990.0)], ENTRIES + 10000.0, ENTRIES) == temperature(10.0, 0.0)
 
 
 def test_another_motion_s_noise_above_the_model_s_decides_no_name():
