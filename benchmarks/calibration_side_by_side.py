@@ -216,7 +216,7 @@ def wire_figures(scan: ImageScan, beam: ConeBeam) -> dict[str, float]:
     images = np.array([line_integrals(scan.frame(k)) for k in range(len(scan))])
     volume = reconstruct(images, scan.detector, beam, 128, 0.5e-3)
     rods = scene("wires-1mm")
-    found = {axis: wire_quality(volume, rod.start_m, rod.end_m) for axis, rod in zip("xyz", rods, strict=True)}
+    found = {axis: wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m) for axis, rod in zip("xyz", rods, strict=True)}
     peaks = {f"peak_{axis}_1_m": quality.mean_peak_1_m for axis, quality in found.items()}
     return peaks | {f"off_{axis}_mm": 1e3 * float(np.linalg.norm(quality.offset_m)) for axis, quality in found.items()}
 

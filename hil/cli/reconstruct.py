@@ -92,11 +92,12 @@ def reconstruct(
     judged = {}
     if name.startswith("wires"):
         rods = [item for item in scene(name) if isinstance(item, Rod)]
-        judged = {f"wire {axis}": wire_quality(volume, rod.start_m, rod.end_m) for axis, rod in zip("xyz", rods, strict=True)}
+        for axis, rod in zip("xyz", rods, strict=True):
+            judged[f"wire {axis}"] = wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m)
         wires_figure(judged, f"{scan_folder.name}, {source}").savefig(out / "wires.png", dpi=130)
         for wire, quality in judged.items():
             answer.say(
-                f"  {wire}: peak {quality.mean_peak_1_m:.1f} 1/m, widths"
+                f"  {wire}: peak {quality.mean_peak_1_m:.1f} 1/m, {quality.peak_ratio:.2f} of what it has, widths"
                 f" {1e3 * quality.widths_m[0]:.2f} and {1e3 * quality.widths_m[1]:.2f} mm,"
                 f" {1e3 * np.linalg.norm(quality.offset_m):.2f} mm from its place, artefacts {quality.artefact:.1%} of the peak"
             )
@@ -105,7 +106,13 @@ def reconstruct(
             "geometry": source,
             "projections": len(scan),
             "wires": {
-                wire: {"peak_1_m": q.mean_peak_1_m, "widths_m": q.widths_m, "offset_m": q.offset_m, "artefact": q.artefact}
+                wire: {
+                    "peak_1_m": q.mean_peak_1_m,
+                    "peak_ratio": q.peak_ratio,
+                    "widths_m": q.widths_m,
+                    "offset_m": q.offset_m,
+                    "artefact": q.artefact,
+                }
                 for wire, q in judged.items()
             },
         }

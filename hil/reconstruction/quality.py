@@ -27,10 +27,10 @@ class WireQuality:
 
     Attributes
     ----------
-    peak_1_m : float
-        Largest attenuation of the mean cross section after each slice's was found where it is.
     mean_peak_1_m : float
         Largest attenuation of the mean cross section at the wire's mean place: lower, if the wire is not straight in the volume.
+    peak_ratio : float
+        Of that to the attenuation the wire has: 1 where neither voxels, blur nor geometry take any of it.
     widths_m : (2,) array
         Full widths at half the peak, in two directions across the wire.
     offset_m : (3,) array
@@ -43,8 +43,8 @@ class WireQuality:
         Of the section's samples.
     """
 
-    peak_1_m: float
     mean_peak_1_m: float
+    peak_ratio: float
     widths_m: np.ndarray
     offset_m: np.ndarray
     artefact: float
@@ -52,7 +52,7 @@ class WireQuality:
     spacing_m: float
 
 
-def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray) -> WireQuality:
+def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenuation_1_m: float) -> WireQuality:
     """Look at one straight wire.
 
     Parameters
@@ -60,6 +60,8 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray) -> Wire
     volume : Volume
     start_m, end_m : (3,) arrays
         Its ends in the phantom's frame.
+    attenuation_1_m : float
+        That it has.
     """
     axis = end_m - start_m
     length = np.linalg.norm(axis)
@@ -77,8 +79,8 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray) -> Wire
     widths = np.array([_width(mean[:, column], row), _width(mean[row, :], column)]) * step
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
     return WireQuality(
-        peak_1_m=float(np.mean(sections.max(axis=(1, 2)))),
         mean_peak_1_m=float(mean[row, column]),
+        peak_ratio=float(mean[row, column] / attenuation_1_m),
         widths_m=widths,
         offset_m=_center(mean, grid, row, column, 1.5 * volume.spacing_m) @ np.array([first, second]),
         artefact=float(np.sqrt(np.mean(mean[outside] ** 2)) / mean[row, column]),
