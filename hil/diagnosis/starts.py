@@ -184,7 +184,10 @@ def _orders(
     def find(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
         found = []
         ratio = scale(residual)
-        for value in _strongest_orders(residual, per(residual), typical, 2):
+        strongest = _strongest_orders(residual, per(residual), typical, 2)
+        for value in strongest:
+            if any(abs(value - 2.0 * other) < 2.0 * np.pi / typical.travel for other in strongest):
+                continue  # the second harmonic of the other one, which starts with both
             (a1, p1), (a2, p2) = harmonics(value * residual.position, per(residual))
             found.append({**first, order: value / ratio, amplitudes[0]: a1, phases[0]: p1, amplitudes[1]: a2, phases[1]: p2})
         return found

@@ -8,6 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.diagnosis.align import aligned
+from hil.diagnosis.bounded_noise import candidates_for
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.retune import retune
 from hil.machine import machine_from_text
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting
@@ -67,3 +72,13 @@ def test_pieces_of_the_motors_record_begin_in_motion():
     for recording in data.train.values():
         assert simulate(data.machine, recording)["speed_rotor"][0] == recording.metadata["initial"]["speeds"][0]
         assert np.abs(judged(recording, simulate(data.machine, recording), "position_rotor"))[:2].max() < 0.01
+
+
+@present
+def test_cogging_of_a_motor_starts_at_its_first_order_and_not_at_twice_that():
+    """Effort at 144 a turn stands out as well; started there, a fit would have no 72."""
+    data = REAL_SETS["laas_anti_cogging"]()
+    found = mismatch(data.machine, aligned(data.machine, data.train))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        cogging = next(c for c in candidates_for(runs, retune(runs))(None) if c.effect.effect == "cogging")
+    assert [start[0] for start in cogging.starts] == pytest.approx([72.0] * len(cogging.starts), abs=0.1)
