@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.naming import NUMBERS, temperature
+from hil.diagnosis.naming import NUMBERS, NUMBERS_ERROR, WEIGHTS, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -106,6 +106,11 @@ class Stand:
         """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
         return _steps(self.effects, self.gates, numbers=numbers)
 
+    def erring(self, energy_of: Callable[[Gate], float]) -> float:
+        """Energy by which the equations of its effects may err, of what they removed in training or held out."""
+        own, numbers = (sum(max(energy_of(gate), 0.0) for gate in self.steps(numbers=which)) for which in (False, True))
+        return WEIGHTS.form_error * own + NUMBERS_ERROR * numbers
+
 
 def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], *, numbers: bool) -> list[Gate]:
     names: dict[int, set[str]] = {}
@@ -193,8 +198,7 @@ class Judgement:
         level = max(1.0, fitted.cost / max(entries, 1))
         form = 0.0
         if before.fitted is not None:
-            removed = sum(gate.gain for gate in before.steps(numbers=False))
-            form = form_variance(before.response, response, removed, fitted.cost - self._noise)
+            form = form_variance(before.response, response, before.erring(lambda gate: gate.gain), fitted.cost - self._noise)
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
@@ -225,8 +229,8 @@ class Judgement:
         level, form = max(1.0, left / count), 0.0
         if before.held_out is not None and after is not None and before.fitted is not None and self.nothing.held_out is not None:
             response = before.held_out - self.nothing.held_out
-            removed = sum(gate.held_out_gain or 0.0 for gate in before.steps(numbers=False))
-            form = form_variance(response, after - before.held_out, removed, left - count)
+            erring = before.erring(lambda gate: gate.held_out_gain or 0.0)
+            form = form_variance(response, after - before.held_out, erring, left - count)
         return level * scatter + form, level * SIMULATOR_ERROR * count
 
     def _left(self, stand: Stand) -> float:
@@ -234,20 +238,19 @@ class Judgement:
         return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
 
 
-def form_variance(found: np.ndarray, added: np.ndarray, removed: float, left: float) -> float:
+def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float) -> float:
     """Variance along a response that the equations of the effects found before may add to the noise's.
 
-    An equation errs by a share of its own response wherever that is, with any sign: of an error whose energy is `form_error` of what the
-    effects removed, no more is along another response than the squared cosine of both responses' absolute values. What is left above noise
-    counts as in naming's temperature.
+    An equation errs by a share of its own response wherever that is, with any sign: of the energy of its error no more is along another
+    response than the squared cosine of both responses' absolute values. What is left above noise counts as in naming's temperature.
 
     Parameters
     ----------
     found, added : (M,) arrays
         Whitened responses.
-    removed, left : float
-        Energy that the effects found before removed, and that is left above noise.
+    erring, left : float
+        Energy of the equations' error, and what is left above noise.
     """
     sizes = float(np.sqrt((found @ found) * (added @ added)))
     alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0
-    return temperature(alike**2 * removed, left) - 1.0
+    return alike**2 * erring + temperature(0.0, left) - 1.0

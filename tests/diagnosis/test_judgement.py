@@ -85,7 +85,7 @@ def test_an_equation_errs_only_where_its_effect_acts():
     assert judged((COULOMB,), COULOMB, LOAD, friction=60.0, apart=True).gate.passed
 
 
-def test_a_number_of_the_machine_file_has_no_equation_of_its_own_to_err():
+def test_a_number_of_the_machine_file_has_no_equation_of_its_own_that_errs():
     beside = judged((VISCOUS,), VISCOUS, LOAD, friction=60.0)
     assert beside.gate.passed
     assert beside.by_numbers == pytest.approx(3600.0)
