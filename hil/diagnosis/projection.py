@@ -27,7 +27,7 @@ class Projection:
     @classmethod
     def of(cls, tuning: Tuning) -> Projection:
         free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - AT_BOUND
-        jacobian = np.ascontiguousarray(tuning.jacobian[:, free])
+        jacobian = np.asfortranarray(tuning.jacobian[:, free])
         hessian = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
         return cls(jacobian, tuning.offset[free], scipy.linalg.cho_factor(hessian))
 

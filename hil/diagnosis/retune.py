@@ -178,7 +178,7 @@ def sensitivity_trials(tuning: Tuning, offset: np.ndarray, effects: tuple[Effect
 
 def sensitivities_from(answers: Sequence[np.ndarray | None], differences: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """(M, P) of those trials' answers."""
-    jacobian = np.zeros((len(predicted), len(differences)))
+    jacobian = np.zeros((len(differences), len(predicted))).T  # its columns are written and multiplied
     for k, answer in enumerate(answers):
         if answer is not None:
             jacobian[:, k] = (answer - predicted) / differences[k]
@@ -193,7 +193,7 @@ def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: t
     """
     units = FINE_DIFFERENCE * np.eye(len(offset))
     answers = runs.run([Trial(tuning.at(offset + way * unit), effects) for unit in units for way in (1.0, -1.0)])
-    jacobian = np.zeros((len(tuning.predicted), len(offset)))
+    jacobian = np.zeros((len(offset), len(tuning.predicted))).T
     for k, (up, down) in enumerate(zip(answers[::2], answers[1::2], strict=True)):
         if up is not None and down is not None:
             jacobian[:, k] = (up - down) / (2.0 * FINE_DIFFERENCE)

@@ -45,7 +45,7 @@ SOME = 32
 UNLIKE = 0.9
 """Squared cosine with every better response below which a candidate is another kind of mismatch."""
 
-MOST_UNLIKE = 3
+MOST_UNLIKE = 2
 
 IN_PROPORTION_TO_EACH = ("imu_scale_bias", "imu_misalignment")
 """Effects of several strengths that add up: every one runs alone, and then the mixture that the residual wants of them."""
