@@ -3,11 +3,15 @@
 python benchmarks/concealed make --seeds development --strata null --cases 0-59 --work WORK
 python benchmarks/diagnosis_noise.py WORK/development
 python benchmarks/diagnosis_noise.py WORK/development --along 45,48,15
+python benchmarks/diagnosis_noise.py WORK/development --gate 45,48,15
 
 For every null: |residual|^2 over its expectation at the true machine numbers, on the repeats' mean and on the held-out recording (1 is
 right), and after re-tuning. With --along, for these nulls: the variance, in units of the noise model's, of twelve fresh repeats and of the
-recorded ones, each about their mean, along what every candidate changes, re-tuning projected out; 1 is right. Truths are read here, as
-only a development set's may be. Prints JSON.
+recorded ones, each about their mean, along what every candidate changes, re-tuning projected out; 1 is right. With --gate, for these nulls:
+the least expected number of tried sets that gain as much in training by chance (of independent candidates, below a in about a share a of
+them), the farthest that held-out recordings follow a set (root of the misfit's fall, in standard deviations), the least chance of both,
+and the verdict; then shares, and the likeliest scale of the t distribution of what follows. Truths are read here, as only a development
+set's may be. Prints JSON.
 """
 
 from __future__ import annotations
@@ -18,11 +22,15 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import scipy.optimize
+import scipy.stats
 from concealed import making
 from concealed.truth.build import Workshop
 
 from hil.diagnosis.bounded_noise import candidates_for
+from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.gate import HELD_OUT_FREEDOM
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import retune
@@ -98,6 +106,35 @@ def along(folder: Path, number: int) -> dict[str, object]:
     return answer
 
 
+def gates(folder: Path, numbers: list[int]) -> None:
+    """Print what the gate sees on these nulls."""
+    rows, followed = [], []
+    for number in numbers:
+        case = folder / "cases" / f"{number:04d}"
+        assert json.loads((folder / "truths" / f"{number:04d}.json").read_text())["stratum"] == "null", f"case {number} hides something"
+        machine = load_machine(case / "machine.toml")
+        runs, held = (
+            {path.stem: read_recording(path, machine) for path in sorted(case.glob(f"{part}*.csv"))} for part in ("run_", "held_out")
+        )
+        outcome = diagnose(machine, runs, held, look_further=False)
+        asked = [contender.gate for contender in outcome.selection.contenders if contender.gate.is_first]
+        falls = [float(np.sqrt(max(gate.held_out_gain or 0.0, 0.0) / gate.scatter)) for gate in asked]
+        followed += falls
+        least = {key: min((getattr(gate, key) for gate in asked), default=1.0) for key in ("trained", "chance")}
+        rows.append({"number": number, **least, "follow": max(falls, default=0.0), "verdict": outcome.diagnosis.verdict})
+        print(json.dumps(rows[-1]), flush=True)
+    found, near = np.array(followed), 0.5
+
+    def cost(log_scale: float) -> float:
+        scale, far = np.exp(log_scale), found > near
+        beyond = np.sum(scipy.stats.t.logpdf(found[far] / scale, HELD_OUT_FREEDOM) - log_scale)
+        return float(-beyond - np.sum(~far) * scipy.stats.t.logcdf(near / scale, HELD_OUT_FREEDOM))
+
+    scale = float(np.exp(scipy.optimize.minimize_scalar(cost, bounds=(-2.0, 1.0), method="bounded").x))
+    shares = {key: {str(a): float(np.mean([row[key] < a for row in rows])) for a in (0.1, 0.3, 1.0)} for key in ("trained", "chance")}
+    print(json.dumps({"nulls": len(rows), "sets": len(found), "scale": scale, "beyond_2.5": float(np.mean(found > 2.5)), **shares}))
+
+
 def main(folder: Path) -> None:
     """Print a line per null of a set, then the median and range over them."""
     warnings.simplefilter("ignore")
@@ -117,5 +154,8 @@ if __name__ == "__main__":
         warnings.simplefilter("ignore")
         for number in sys.argv[sys.argv.index("--along") + 1].split(","):
             print(json.dumps(along(Path(sys.argv[1]), int(number))), flush=True)
+    elif "--gate" in sys.argv:
+        warnings.simplefilter("ignore")
+        gates(Path(sys.argv[1]), [int(number) for number in sys.argv[sys.argv.index("--gate") + 1].split(",")])
     else:
         main(Path(sys.argv[1]))
