@@ -43,7 +43,7 @@ TRUE = DenavitHartenberg(
 """Table 2.2."""
 NOISE = PoseNoise(0.05e-3, 0.2e-3)
 SPREAD = np.array([*([5e-3, 0.05, 0.02, 5e-3, 0.01] * 4), 0.02, 0.02, 0.02, 0.02])
-MOVING = {"1234": 24, "23": 16, "12": 14, "34": 16, "2": 11, "3": 11, "1": 9}
+MOVING = {"1234": 24, "234": 21, "123": 19, "124": 19, "134": 19, "23": 16, "12": 14, "34": 16, "2": 11, "3": 11, "1": 9}
 """Combinations that must be seen with these joints moving."""
 
 
