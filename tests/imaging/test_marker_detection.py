@@ -8,6 +8,8 @@ from hil.errors import UnusableInput
 from hil.imaging.markers import PLATES, MarkerProjection, experimental_plate, find_marker
 from hil.imaging.markers.detect import coarse_points
 from hil.imaging.markers.filters import hybrid_median
+from hil.imaging.markers.lines import CoarseLine
+from hil.imaging.markers.profile import fit_profile
 from virtual_bus.xray.imaging import exposed
 
 
@@ -112,3 +114,8 @@ def test_noise_alone_makes_no_plate():
     noise = np.random.default_rng(6).poisson(400.0, (512, 640)).astype(np.uint16)
     with pytest.raises(UnusableInput, match="of the experimental plate are in the image"):
         find_marker(noise, experimental_plate(), TRUE, DETECTOR)
+
+
+def test_where_nothing_stands_out_there_is_no_line_and_no_fault():
+    flat = np.full((200, 80), 500.0, dtype=np.float32)
+    assert fit_profile(flat, flat, CoarseLine(40.0, 0.0), 7.0, 1.2, np.ones(200, dtype=bool), True) is None

@@ -77,9 +77,11 @@ def fit_profile(
     values = np.zeros(SIZE)
     values[:4] = line.at(middle), line.slope * half, width, blur
     reach = 0.5 * width + 4.0 * blur + 1.0
-    covariance, misfit, count = _fit(
-        image if upright else image.T, filtered if upright else filtered.T, places, middle, half, reach, values, width
-    )
+    seen = (image, filtered) if upright else (image.T, filtered.T)
+    try:
+        covariance, misfit, count = _fit(*seen, places, middle, half, reach, values, width)
+    except np.linalg.LinAlgError:
+        return None  # what stands there does not tell the profile's numbers apart: no groove's contrast is left in it
     if count < 20 * SIZE or not np.isfinite(values).all() or values[9] <= 0.0:
         return None
     scale = np.array([1.0, 1.0 / half])
