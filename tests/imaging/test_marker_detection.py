@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from marker_images import DETECTOR, NOMINAL, TRUE, image, mean_image, optics, truth
+from scipy.ndimage import median_filter
+from scipy.special import erf
 
 from hil.errors import UnusableInput
 from hil.imaging.markers import PLATES, MarkerProjection, experimental_plate, find_marker
@@ -116,6 +118,13 @@ def test_noise_alone_makes_no_plate():
         find_marker(noise, experimental_plate(), TRUE, DETECTOR)
 
 
-def test_where_nothing_stands_out_there_is_no_line_and_no_fault():
-    flat = np.full((200, 80), 500.0, dtype=np.float32)
-    assert fit_profile(flat, flat, CoarseLine(40.0, 0.0), 7.0, 1.2, np.ones(200, dtype=bool), True) is None
+def test_a_narrow_groove_looked_for_beside_its_place_is_found_there_or_not_at_all():
+    """Three pixels wide, as the clinical plate's on a panel read 8 x 8: a fit that runs away is a line refused."""
+    away = np.arange(80) - 47.6
+    profile = 400.0 + 240.0 * (erf((away + 1.5) / 2.1) - erf((away - 1.5) / 2.1))
+    counts = np.random.default_rng(399).poisson(np.tile(profile, (195, 1))).astype(np.float32)
+    smooth, whole = median_filter(counts, 3), np.ones(195, dtype=bool)
+    beside = np.arange(30.0, 70.0, 0.5)
+    found = [fit_profile(counts, smooth, CoarseLine(offset, 0.0), 3.0, 1.3, whole, True) for offset in beside]
+    assert all(line is None or abs(line.offset - 47.6) < 0.05 for line, off in zip(found, beside, strict=True) if abs(off - 47.6) < 2.0)
+    assert sum(line is not None for line in found) >= 4
