@@ -50,7 +50,7 @@ def vessel() -> list[Item]:
         ("right", "right_b", 0.5e-3),
     ]
     items: list[Item] = [Rod(np.array(points[a]), np.array(points[b]), r, BLOOD_WITH_CONTRAST_1_M) for a, b, r in branches]
-    return [*items, Ball(np.array([0.001, -0.006, 0.006]), 4.0e-3, BLOOD_WITH_CONTRAST_1_M)]
+    return [*items, Ball(np.array([0.001, -0.008, 0.004]), 4.0e-3, BLOOD_WITH_CONTRAST_1_M)]
 
 
 SCENES = {

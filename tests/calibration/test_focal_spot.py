@@ -33,7 +33,7 @@ def test_the_anode_shows_at_its_alias_with_its_own_amplitude():
 
 
 def test_the_command_measures_the_emulated_tube(tmp_path):
-    still = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "2.2", "--truth", tmp_path / "t.csv", "-o", tmp_path / "r.mf4"]
+    still = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "1.2", "--truth", tmp_path / "t.csv", "-o", tmp_path / "r.mf4"]
     assert isocenter(*still) == 0
     shown = ["--truth", tmp_path / "t.csv", "--marker", "clinical", "--rate", "20", "-o", tmp_path / "images"]
     assert isocenter("expose", "carm", tmp_path / "r.mf4", *shown) == 0

@@ -75,5 +75,5 @@ def test_the_vessel_branches_and_has_an_aneurysm_at_its_first_branching():
     for branch in others:
         parents = [each for each in branches if np.array_equal(each.end_m, branch.start_m)]
         assert len(parents) == 1 and branch.radius_m < parents[0].radius_m
-    assert np.linalg.norm(aneurysm.center_m - trunk.end_m) < aneurysm.radius_m + 2.0 * trunk.radius_m
+    assert aneurysm.radius_m < np.linalg.norm(aneurysm.center_m - trunk.end_m) < aneurysm.radius_m + trunk.radius_m, "beside it, and joined"
     assert aneurysm.radius_m > trunk.radius_m and {each.attenuation_1_m for each in items} == {BLOOD_WITH_CONTRAST_1_M}
