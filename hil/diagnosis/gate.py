@@ -48,8 +48,8 @@ none of 30 development nulls. With 40 it did on two, with infinitely many (chi-s
 
 HELD_OUT_SCALE, HELD_OUT_FREEDOM = 0.81, 5.0
 """Of the t distribution of the root of the held-out misfit's fall, in standard deviations of the noise along the response, by sets fitted
-where there is nothing: the likeliest scale for 214 sets on 29 development nulls, of which 1.4 % come beyond 2.5, the farthest to 3.6 (0.82 for
-185 sets at 6339777, `benchmarks/diagnosis_noise.py --gate`). Of 2 to 10 degrees of freedom none is much likelier."""
+where there is nothing: the likeliest scale for 214 sets on 29 development nulls, of which 1.4 % come beyond 2.5, the farthest to 3.6.
+Later it was 0.82 for 185 sets (`benchmarks/diagnosis_noise.py --gate`). Of 2 to 10 degrees of freedom none is much likelier."""
 
 HELD_OUT_LEVEL = 0.01
 """Chance of the held-out fall alone below which held-out recordings confirm a set."""
