@@ -323,7 +323,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "base_motion": _lines,
     "structural_mode": _modes,
     "backlash": _several("b", lambda f, r, t: [share * t.deflection for share in (0.0015, 0.006, 0.025, 0.1, 0.4)]),
-    "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.1, -0.05)]),
+    "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.3, -0.1)]),
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
     "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s, 1.5 / t.sample_s]),
     "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),

@@ -82,7 +82,7 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
         lambda t, x, v, z: (1.5 * np.cos(60.0 * x + 0.4) + 0.5 * np.cos(120.0 * x - 0.2), []),
         0,
     ),
-    "nonlinear_stiffness": ({"k3": 4e4}, lambda t, x, v, z: (-4e4 * x**3, []), 0),
+    "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0}, lambda t, x, v, z: (-300.0 * (x - np.tanh(20.0 * x) / 20.0), []), 0),
     "backlash": ({"b": 0.01}, lambda t, x, v, z: (STIFFNESS * np.clip(x, -0.01, 0.01), []), 0),
     "end_stop": (
         {"K": 5000.0, "D": 10.0, "at_position": 0.03, "side": 1.0},

@@ -23,6 +23,11 @@ def test_every_effect_is_written_and_read_back() -> None:
     assert effects_from_text(effects_text(chosen, CARM), CARM, "effects.toml") == chosen
 
 
+def test_a_cubic_spring_needs_no_bend_in_its_file() -> None:
+    text = '[[effect]]\nname = "nonlinear_stiffness"\nat = "propeller"\nk3_Nm_rad3 = 5e10\n'
+    assert effects_from_text(text, CARM, "effects.toml") == (EXAMPLES["nonlinear_stiffness"],)
+
+
 def residual_of(effort: np.ndarray, speed: np.ndarray, time_s: np.ndarray, imu: bool = False) -> Residual:
     position = np.cumsum(speed) * (time_s[1] - time_s[0])
     wave = np.stack([np.sin(3.0 * time_s + k) for k in range(6)], 1) if imu else position

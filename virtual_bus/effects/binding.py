@@ -84,9 +84,9 @@ def _parameters(
             raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")
     values = {}
     for key, (parameter, unit) in keys.items():
-        if key not in entry:
+        if key not in entry and parameter.default is None:
             raise EffectError(f"{where}: {key} is missing: {parameter.description}")
-        value = entry[key]
+        value = entry.get(key, parameter.default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not is_number or not parameter.low <= float(value) <= parameter.high:  # type: ignore[arg-type]
             bounds = f"{parameter.low:g} to {parameter.high:g} {unit}".rstrip()

@@ -11,6 +11,7 @@ PRISMATIC_UNITS = {
     "rad/s": "m/s",
     "Nm/rad": "N/m",
     "Nm/rad3": "N/m3",
+    "1/rad2": "1/m2",
     "rad/Nm": "m/N",
     "Nm s/rad": "N s/m",
     "Nm s2/rad2": "N s2/m2",
@@ -83,6 +84,7 @@ class Parameter:
     description: str
     is_strength: bool = True  # with every strength at `neutral`, the effect does nothing
     neutral: float = 0.0
+    default: float | None = None  # of a file that leaves it out; None where it must not
 
     def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
         """The unit at a joint that turns or one that slides, behind a drive that counts in this unit."""

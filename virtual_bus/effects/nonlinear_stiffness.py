@@ -15,28 +15,50 @@ EFFECT = Effect(
     kind=ELASTIC,
     parameters=(
         Parameter("k3", unit="Nm/rad3", low=-10000000000000.0, high=10000000000000.0, description="cubic stiffness; negative softens"),
+        Parameter(
+            "bend",
+            unit="1/rad2",
+            low=0.0,
+            high=1000000000000.0,
+            description="one over the square of the deflection about which the cubic becomes a straight line; 0: nowhere",
+            is_strength=False,
+            default=0.0,
+        ),
     ),
-    equation="K deflection + k3 deflection^3",
+    equation="K deflection + 3 k3 / bend (deflection - tanh(r deflection) / r), r = sqrt(bend); bend = 0: K deflection + k3 deflection^3",
     convention=(
-        "effort on the spring behind the axis (or under the body) = -k3 deflection^3 besides its own -K deflection, on the "
-        "joint's side of the gear; a negative k3 is limited to the deflection at which the spring would stop growing, sqrt(K / "
-        "(3 abs(k3)))"
+        "effort on the spring behind the axis (or under the body) = minus what comes besides its own -K deflection, on the joint's side of "
+        "the gear; far beyond 1 / sqrt(bend) the spring is K + 3 k3 / bend stiff, as of a drive train with a corner; a negative k3 is "
+        "limited to the deflection at which the spring would stop growing, with bend = 0 sqrt(K / (3 abs(k3)))"
     ),
     neighbours=("bouc_wen_hysteresis", "backlash"),
     source="Noël and Kerschen 2017, Sec. 2.1",
 )
 
+NEARLY_CUBIC = 0.01
+"""Share of 1 / sqrt(bend) below which the law is taken from its series: a difference of nearly equal numbers has no digits left."""
 
-def effort(motion: JointMotion, k3: float) -> float:
+
+FIRST_BEND = 9.0
+"""Of a first guess, in units of one over the square of the largest deflection: from there a fit finds its way to a cubic and to a corner.
+"""
+
+
+def effort(motion: JointMotion, k3: float, bend: float) -> float:
     """Effort [Nm or N] on the sprung joint."""
-    x = motion.deflection
+    x, r = motion.deflection, math.sqrt(bend)
     if k3 < 0.0:
-        knee = math.sqrt(motion.stiffness / (-3.0 * k3))
-        x = min(max(x, -knee), knee)
-    return -k3 * x * x * x
+        straight = math.sqrt(motion.stiffness / (-3.0 * k3))  # tanh(r knee) / r
+        if r * straight < 1.0:
+            knee = math.atanh(r * straight) / r if r * straight > NEARLY_CUBIC * NEARLY_CUBIC else straight
+            x = min(max(x, -knee), knee)
+    u = r * x
+    if abs(u) < NEARLY_CUBIC:
+        return -k3 * x * x * x * (1.0 - 0.4 * u * u)
+    return -3.0 * k3 / bend * (x - math.tanh(u) / r)
 
 
-def guess(residual: Residual) -> tuple[float]:
+def guess(residual: Residual) -> tuple[float, float]:
     """The cubic part of the missing effort over the spring's deflection."""
     x = residual.other_position
-    return (float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]),)
+    return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11)
