@@ -38,7 +38,7 @@ PAIRED = 3
 """Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
 near it."""
 
-PAIR_MARGIN = 5.0
+PAIR_MARGIN = 8.0
 """Logarithm of the evidence by which a pair's filter may stay behind the best single effect and still be worth a fit."""
 
 MOST_EFFECTS = 3
@@ -136,16 +136,21 @@ def select(
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
             fits = [*fits, *(polish(runs, tuning, measured, fit) for fit in twos[:1]), *twos[1:]]
-        fits = [fit for fit in fits if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
+        exact = [fit for fit in fits if _needs_all(fit, stand, singles, None, tried, len(residual))]
+        fits = [fit for fit in exact if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
+        doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
-        judged = judgement.contenders(stand, fits, tried, placebo_gain(runs, stand.tuning, screened, residual), lowest)
+        placebo = placebo_gain(runs, stand.tuning, screened, residual)
+        judged = judgement.contenders(stand, fits, tried, placebo, lowest)
         passed = [one for one in judged if one.passed]
         gates.append((passed or judged)[0].gate)
         if not passed and chosen is not None:
             break
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
         rivals = [one for one in judged if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
+        if passed:  # naming weighs pairs whose second effect may be the first one's error
+            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest) if one.passed]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
@@ -195,14 +200,16 @@ def _pairs_worth_a_fit(
     return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
 
 
-def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float, tried: Tried, entries: int) -> bool:
-    """Whether a pair without the chosen set gains more over each of its own effects than chance and that one's equation allow."""
+def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float | None, tried: Tried, entries: int) -> bool:
+    """Whether a pair without the chosen set gains more over each of its own effects than chance and, with the cost of no effect at all as
+    `base`, that one's equation allow.
+    """
     if set(stand.effects) <= set(fit.effects) and (stand.effects or len(fit.effects) == 1):
         return True
     for single in singles:
         if single.effects[0] in fit.effects:
             added = [effect for effect in fit.effects if effect not in single.effects]
-            temper = temperature(base - single.cost, fit.cost - entries)
+            temper = 1.0 if base is None else temperature(base - single.cost, fit.cost - entries)
             if single.cost - fit.cost < temper * needed_gain(tried.sets(added), fit.freedom - single.freedom, fit.cost, entries):
                 return False
     return True
