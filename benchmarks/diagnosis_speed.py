@@ -1,6 +1,6 @@
 """How long a diagnosis of the C-arm takes: four repeats and a held-out recording of 60 s, whole catalogue. Prints JSON.
 
-python benchmarks/diagnosis_speed.py [--seconds 60] [--jobs 2]
+python benchmarks/diagnosis_speed.py [--seconds 60] [--jobs 2] [--without-search]
 
 Run it twice: the first run compiles the plant. The recordings come from the simulator with friction added and noise of its own per repeat:
 the work hardly depends on what is in them.
@@ -56,6 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--without-search", action="store_true", help="leave out the search for the next experiment")
     arguments = parser.parse_args()
     machine = load_machine("carm")
     sets = []
@@ -64,7 +65,7 @@ def main() -> None:
         clean = simulate(machine, inputs, [FRICTION])
         sets.append({f"run_{experiment}_{n}": noisy(machine, inputs, clean, 10 * experiment + n) for n in range(count)})
     wall, processor = time.monotonic(), time.process_time()
-    outcome = diagnose(machine, *sets, jobs=arguments.jobs)
+    outcome = diagnose(machine, *sets, jobs=arguments.jobs, look_further=not arguments.without_search)
     wall = time.monotonic() - wall
     own = resource.getrusage(resource.RUSAGE_SELF)
     workers = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -73,6 +74,7 @@ def main() -> None:
             {
                 "recording_s": arguments.seconds,
                 "jobs": arguments.jobs,
+                "search": not arguments.without_search,
                 "wall_s": round(wall, 1),
                 "processor_s": round(time.process_time() - processor + workers.ru_utime + workers.ru_stime, 1),
                 "peak_GB": round((own.ru_maxrss + arguments.jobs * workers.ru_maxrss) / 1e6, 2),
