@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
 
 from hil.arrays import read_arrays, write_arrays
 from hil.calibration.phantom_pose import PoseFit
@@ -29,13 +30,14 @@ STANDS = 0.02
 """An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by
 milliradians; a pose farther than this from where it stood is another scan type."""
 
-
 SAME_SPEED = 0.1
 """What bends with speed differs by less than a fifth between scans whose speeds differ by this share."""
 
 
 def sweep_speed(time_s: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(axes,) median speed [rad/s or m/s] while each axis was on its way, signed by where it went; 0 where it stood, NaN if not known.
+    """(axes,) median speed [rad/s or m/s] while each axis was on its way, signed by where it went.
+
+    0 where it stood; NaN where no one number says it: the axis went both ways, or there are fewer than two exposures.
 
     Parameters
     ----------
@@ -44,11 +46,15 @@ def sweep_speed(time_s: np.ndarray, positions: np.ndarray) -> np.ndarray:
     positions : (N, axes) array
     """
     if len(time_s) < 2:
-        return np.zeros(positions.shape[1])
+        return np.full(positions.shape[1], np.nan)
     speed = np.diff(positions, axis=0) / np.diff(time_s)[:, None]
     speed[:, np.ptp(positions, axis=0) < STANDS] = 0.0
-    moving = np.abs(speed) >= 0.5 * np.abs(speed).max(axis=0)
-    return np.array([np.median(column[now]) if now.any() else np.nan for column, now in zip(speed.T, moving.T, strict=True)])
+    result = np.full(positions.shape[1], np.nan)
+    for k, column in enumerate(speed.T):
+        moving = column[np.abs(column) >= 0.5 * np.abs(column).max()]
+        if len(moving) and np.ptp(np.sign(moving)) == 0.0:
+            result[k] = np.median(moving)
+    return result
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,11 @@ class LookUp:
             return np.repeat(self.deviation.mean(axis=0)[None], len(positions), axis=0)
         if len(moved) == 1:
             return self._along(int(moved[0]), positions)
-        found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
+        try:
+            found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
+        except QhullError:
+            named = " and ".join(self.axes[k] for k in moved)
+            raise UnusableInput(f"{len(self.positions)} poses that span no area of {named}; calibrate a grid of both") from None
         if np.isnan(found).any():
             worst = positions[np.flatnonzero(np.isnan(found).any(axis=1))[0]]
             raise UnusableInput(f"pose {np.round(worst, 3)} is outside of the calibrated grid; calibrate farther out")
@@ -194,6 +204,10 @@ def read_look_up(path: Path) -> LookUp:
     return look_up_from(path, read_arrays(path, "a look-up table"))
 
 
+def _is_speed(value: object) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
 def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
     """A look-up table from the arrays of its file.
 
@@ -206,7 +220,8 @@ def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
         if int(arrays["format"]) != FORMAT:
             raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
         axes, notes = tuple(str(axis) for axis in arrays["axes"]), json.loads(str(arrays["notes"]))
-        table = LookUp(axes, arrays["positions"], arrays["deviation"], arrays["covariance"], notes)
+        numbers = [np.asarray(arrays[name], dtype=float) for name in ("positions", "deviation", "covariance")]
+        table = LookUp(axes, numbers[0], numbers[1], numbers[2], notes)
     except UnusableInput:
         raise
     except (ValueError, KeyError, TypeError) as error:
@@ -215,4 +230,9 @@ def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
     shapes = (table.positions.shape, table.deviation.shape, table.covariance.shape)
     if not count or shapes != ((count, len(axes)), (count, 9), (count, 9, 9)) or not isinstance(notes, dict):
         raise UnusableInput(f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance")
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise UnusableInput(f"{path}: a number is not finite; take the table as isocenter calibrate phantom wrote it")
+    speed = notes.get("speed")
+    if speed is not None and (not isinstance(speed, list) or len(speed) != len(axes) or not all(map(_is_speed, speed))):
+        raise UnusableInput(f"{path}: notes: speed = {speed!r}; it is a list of {len(axes)} numbers, null where none is known")
     return table

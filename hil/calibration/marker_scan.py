@@ -74,7 +74,7 @@ def calibrate_marker(
     jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MarkerScan:
-    """Find the plate in every image and fit its pose: by linear least squares where no more than `LINEAR` is free, else by Gauss-Newton.
+    """Find the plate in every image and fit its pose: by linear least squares where `LINEAR` is what is free, else by Gauss-Newton.
 
     Raises
     ------

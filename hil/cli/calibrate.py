@@ -155,7 +155,7 @@ def phantom(
     fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
     notes = {"machine": machine.name, "hash": machine.hash, "six": six}
     if not standing:
-        notes["speed"] = sweep_speed(scan.middle_s, positions).tolist()
+        notes["speed"] = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]
     table = look_up_of(fit, nominal, scan.axes, positions, notes)
     table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
@@ -206,7 +206,8 @@ def marker(
     answer = Answer(json_to)
     can_be_written(out, figure)
     scan = read_scan(scan_folder)
-    name, away = plate_name or scan.notes.get("marker"), distance or scan.notes.get("marker_distance_mm")
+    name = plate_name or scan.notes.get("marker")
+    away = distance if distance is not None else scan.notes.get("marker_distance_mm")
     if name is None or away is None:
         raise UnusableInput(f"{scan_folder}/scan.toml names no marker and marker_distance_mm; give --plate and --distance")
     distance_m = 1e-3 * _positive(away)

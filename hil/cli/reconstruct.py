@@ -93,8 +93,12 @@ def reconstruct(
     if name.startswith("wires"):
         rods = [item for item in scene(name) if isinstance(item, Rod)]
         for axis, rod in zip("xyz", rods, strict=True):
-            judged[f"wire {axis}"] = wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m)
-        wires_figure(judged, f"{scan_folder.name}, {source}").savefig(out / "wires.png", dpi=130)
+            try:
+                judged[f"wire {axis}"] = wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m)
+            except UnusableInput as error:
+                answer.say(f"  wire {axis}: {error}")
+        if judged:
+            wires_figure(judged, f"{scan_folder.name}, {source}").savefig(out / "wires.png", dpi=130)
         for wire, quality in judged.items():
             answer.say(
                 f"  {wire}: peak {quality.mean_peak_1_m:.1f} 1/m, {quality.peak_ratio:.2f} of what it has, widths"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.errors import UnusableInput
 from hil.reconstruction.cone_beam import Volume
 
 REACH_VOXELS = 10.0
@@ -19,6 +20,9 @@ SLICES = 41
 
 ENDS = 0.2
 """Share of the wire's length left out at each end."""
+
+FEWEST_SLICES = 5
+"""Of them that the volume must hold."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class WireQuality:
 
 
 def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenuation_1_m: float) -> WireQuality:
-    """Look at one straight wire.
+    """Look at one straight wire, as far as the volume holds it.
 
     Parameters
     ----------
@@ -62,6 +66,11 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
         Its ends in the phantom's frame.
     attenuation_1_m : float
         That it has.
+
+    Raises
+    ------
+    UnusableInput
+        The volume does not hold the wire, or nothing is where it should be.
     """
     axis = end_m - start_m
     length = np.linalg.norm(axis)
@@ -73,9 +82,15 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
     grid = np.arange(-REACH_VOXELS * PER_VOXEL, REACH_VOXELS * PER_VOXEL + 1) * step
     across = grid[:, None, None] * first + grid[None, :, None] * second
     places = start_m + np.linspace(ENDS, 1.0 - ENDS, SLICES)[:, None] * axis
+    half = 0.5 * (np.array(volume.values.shape[::-1]) - 1) * volume.spacing_m
+    places = places[(np.abs(places @ volume.rotation) <= half).all(axis=1)]
+    if len(places) < FEWEST_SLICES:
+        raise UnusableInput(f"not in the volume, which is {1e3 * volume.spacing_m * volume.values.shape[0]:.3g} mm wide")
     sections = volume.sample(places[:, None, None, :] + across[None])
     mean = sections.mean(axis=0)
     row, column = (int(index) for index in np.unravel_index(np.argmax(mean), mean.shape))
+    if mean[row, column] <= 0.0:
+        raise UnusableInput("nothing attenuates where it should be")
     widths = np.array([_width(mean[:, column], row), _width(mean[row, :], column)]) * step
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
     return WireQuality(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibration.commands import exposed_scan, isocenter
 
-from hil.calibration.lookup import LookUp, read_look_up
+from hil.calibration.lookup import LookUp, read_look_up, sweep_speed, write_look_up
 from hil.errors import UnusableInput
 from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.nominal import nominal_beam
@@ -130,3 +130,35 @@ def test_a_table_interpolates_between_exposures_and_refuses_what_it_does_not_cov
     np.testing.assert_allclose(plane.at([[0.3, -0.2]])[0], [0.3, -0.2] @ slopes, atol=1e-12)
     with pytest.raises(UnusableInput, match="outside of the calibrated grid"):
         plane.at([[1.4, 0.0]])
+
+
+@pytest.mark.parametrize("poses", [[[0.0, 0.0], [1.0, 1.0]], [[0.0, 0.0], [0.5, 0.5], [1.0, 1.0], [2.0, 2.0]]])
+def test_poses_of_both_axes_that_span_no_area_are_refused(poses):
+    table = LookUp(("propeller", "roll"), np.array(poses), np.zeros((len(poses), 9)), np.zeros((len(poses), 9, 9)))
+    with pytest.raises(UnusableInput, match=f"{len(poses)} poses that span no area of propeller and roll"):
+        table.at([[0.5, 0.5]])
+
+
+def test_a_sweep_s_speed_is_signed_and_not_one_number_where_it_went_both_ways():
+    time_s = np.arange(5.0)
+    there, back, stood = np.array([0.0, 0.1, 0.4, 0.7, 0.8]), np.array([0.0, 0.3, 0.6, 0.3, 0.0]), np.zeros(5)
+    np.testing.assert_allclose(sweep_speed(time_s, np.column_stack([there, -there, stood])), [0.3, -0.3, 0.0])
+    np.testing.assert_array_equal(sweep_speed(time_s, np.column_stack([back, stood])), [np.nan, 0.0])
+    assert np.isnan(sweep_speed(time_s[:1], np.zeros((1, 2)))).all()
+    table = LookUp(("propeller", "roll"), np.zeros((1, 2)), np.zeros((1, 9)), np.zeros((1, 9, 9)), {"speed": [None, 0.0]})
+    assert table.other_speed(np.array([0.3, 0.0])) == "" and "roll went at +0 in" in table.other_speed(np.array([0.0, 0.3]))
+
+
+@pytest.mark.parametrize(
+    ("positions", "notes", "line"),
+    [
+        ([[0.0, np.nan]], {}, "a number is not finite"),
+        ([[0.0, 1.0]], {"speed": [0.3]}, r"speed = \[0.3\]; it is a list of 2 numbers"),
+        ([[0.0, 1.0]], {"speed": "fast"}, "speed = 'fast'; it is a list of 2 numbers"),
+    ],
+)
+def test_a_table_that_another_hand_wrote_wrongly_is_refused(tmp_path, positions, notes, line):
+    table = LookUp(("propeller", "roll"), np.array(positions), np.zeros((1, 9)), np.zeros((1, 9, 9)), notes)
+    write_look_up(table, tmp_path / "t.npz")
+    with pytest.raises(UnusableInput, match=line):
+        read_look_up(tmp_path / "t.npz")

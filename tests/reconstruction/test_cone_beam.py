@@ -112,6 +112,19 @@ def test_a_rod_much_wider_than_voxels_keeps_its_whole_peak():
     assert 0.97 < wire_quality(volume, rod.start_m, rod.end_m, 20.0).peak_ratio < 1.1  # its edges overshoot, by the voxels' size
 
 
+def test_a_wire_is_judged_as_far_as_the_volume_holds_it():
+    wire = Rod(np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.03, 0.0]), 2e-3, 20.0)
+    beam = scan("y")
+    whole = reconstruct(projections(beam, [wire]), DETECTOR, beam, size=64, spacing_m=1e-3)
+    small = replace(whole, values=whole.values[20:44, 20:44, 20:44])  # 24 of the 36 mm that are looked at
+    here, there = (wire_quality(volume, wire.start_m, wire.end_m, 20.0) for volume in (whole, small))
+    assert there.peak_ratio == pytest.approx(here.peak_ratio, rel=0.02) and there.peak_ratio > 0.9
+    with pytest.raises(UnusableInput, match="not in the volume, which is 24 mm wide"):
+        wire_quality(small, wire.start_m + np.array([0.0, 0.03, 0.0]), wire.end_m + np.array([0.0, 0.03, 0.0]), 20.0)
+    with pytest.raises(UnusableInput, match="nothing attenuates where it should be"):
+        wire_quality(replace(whole, values=np.zeros_like(whole.values)), wire.start_m, wire.end_m, 20.0)
+
+
 def test_a_shift_of_the_world_moves_the_wire_and_leaves_it_sharp():
     wire = Rod(np.array([0.004, -0.008, 0.003]), np.array([0.004, 0.008, 0.003]), 0.5e-3, 500.0)
     beam = scan("y")
