@@ -1,7 +1,8 @@
 """The newest estimate where another process can read it while the loop runs: a page of shared memory, one writer, any number of readers.
 
-A counter is odd while the writer writes and even when it is done, so that a reader knows whether what it copied is of one row. Nobody
-locks and nobody waits: the loop copies some hundred numbers per tick.
+A counter is odd while the writer writes and even when it is done, so that a reader knows whether what it copied is of one row; nobody
+waits, and the loop copies some hundred numbers per tick. The writer holds a lock on its page's file for as long as it lives: where that
+is free there is no writer, however it ended and whatever process has its number now.
 
     newest = latest_estimate("socketcan:vcan0")
     newest.row, newest["estimate_detector_x"], newest["estimate_detector_x_variance"]
@@ -19,21 +20,26 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from hil.errors import UnusableInput
 
-_COUNTERS = 4
-"""Sequence, row, process of the writer, bytes of the names."""
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
-_SEQUENCE, _ROW, _WRITER, _NAMES = range(_COUNTERS)
+_COUNTERS = 3
+"""Sequence, row, bytes of the names."""
+
+_SEQUENCE, _ROW, _NAMES = range(_COUNTERS)
 _ATTEMPTS = 1000
 """Copies a reader makes before it gives up: the writer takes microseconds out of milliseconds, so the second succeeds."""
 
-
 FRESH_S = 60.0
-"""A page without a writer that is younger than this may be one that is just being made."""
+"""A page that is not yet in its place and younger than this may be one that is just being made."""
 
 
 @dataclass(frozen=True)
@@ -71,18 +77,20 @@ class EstimateBoard:
         self._path = _path(bus_url)
         handle, made = tempfile.mkstemp(prefix=f"{self._path.name}.", dir=self._path.parent)
         try:
+            if fcntl is not None:
+                with contextlib.suppress(OSError):  # a file system without locks
+                    fcntl.flock(handle, fcntl.LOCK_EX)
             os.ftruncate(handle, first + 8 * len(names))
             self._memory = mmap.mmap(handle, first + 8 * len(names))
-            self._inode = os.fstat(handle).st_ino
         except BaseException:
+            os.close(handle)
             os.unlink(made)
             raise
-        finally:
-            os.close(handle)
+        self._handle = handle
         self._memory[8 * _COUNTERS : 8 * _COUNTERS + len(text)] = text
         self._counters = np.frombuffer(self._memory, dtype=np.int64, count=_COUNTERS)
         self._values = np.frombuffer(self._memory, dtype=np.float64, offset=first)
-        self._counters[:] = 0, -1, os.getpid(), len(text)
+        self._counters[:] = 0, -1, len(text)
         self._values[:] = np.nan
         os.replace(made, self._path)
 
@@ -97,8 +105,8 @@ class EstimateBoard:
     def close(self) -> None:
         """Nobody finds it any more; a page that has taken its place stays."""
         with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == self._inode:
-                self._path.unlink()
+            _remove(self._path, os.fstat(self._handle).st_ino)
+        os.close(self._handle)
 
 
 def latest_estimate(bus_url: str) -> LatestEstimate:
@@ -113,12 +121,13 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
     try:
         with path.open("rb") as file:
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            is_written = _has_writer(file)
     except (OSError, ValueError):
         raise UnusableInput(f"{bus_url}: no observer runs there; `isocenter run ... --observer FILE` starts one") from None
     with memory:
         # copies throughout: nothing may hold on to the memory when it is closed
         for _ in range(_ATTEMPTS):
-            before, row, writer, size = (int(value) for value in np.frombuffer(memory[: 8 * _COUNTERS], dtype=np.int64))
+            before, row, size = (int(value) for value in np.frombuffer(memory[: 8 * _COUNTERS], dtype=np.int64))
             first = 8 * _COUNTERS + -(-size // 8) * 8
             names = memory[8 * _COUNTERS : 8 * _COUNTERS + size]
             values = np.frombuffer(memory[first:], dtype=np.float64)
@@ -127,7 +136,7 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
                 break
         else:
             raise UnusableInput(f"{bus_url}: the observer there stopped in the middle of a row")
-    if not _lives(writer):
+    if not is_written:
         raise UnusableInput(f"{bus_url}: the observer that ran there has ended")
     return LatestEstimate(row, tuple(json.loads(names)), values)
 
@@ -136,21 +145,39 @@ def remove_abandoned() -> int:
     """Remove this user's pages whose writers were killed; how many there were."""
     base, prefix = _place()
     removed = 0
-    if not hasattr(os, "getuid"):  # where a process cannot be asked whether it lives
-        return removed
     for path in base.glob(f"{prefix}*.estimate*"):
-        with contextlib.suppress(OSError):
-            if _is_abandoned(path):
-                path.unlink()
-                removed += 1
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            page = os.fstat(file.fileno())
+            is_in_place = path.suffix == ".estimate"
+            if not _has_writer(file) and (is_in_place or time.time() - page.st_mtime > FRESH_S):
+                removed += _remove(path, page.st_ino)
     return removed
 
 
-def _is_abandoned(path: Path) -> bool:
-    with path.open("rb") as file:
-        counters = np.frombuffer(file.read(8 * _COUNTERS), dtype=np.uint8)
-    writer = int(counters.view(np.int64)[_WRITER]) if len(counters) == 8 * _COUNTERS else 0
-    return not _lives(writer) if writer > 0 else time.time() - path.stat().st_mtime > FRESH_S
+def _has_writer(file: IO[bytes]) -> bool:
+    """Whether a page's lock is held; where nobody can tell, it is taken for held."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
+
+
+def _remove(path: Path, inode: int) -> bool:
+    """Remove a page, unless another has taken its place; one that does so in this moment is put back."""
+    if path.stat().st_ino != inode:
+        return False
+    aside = path.with_name(f"{path.name}.{os.getpid()}.old")
+    path.rename(aside)
+    is_it = aside.stat().st_ino == inode
+    if not is_it:
+        with contextlib.suppress(FileExistsError):  # a third has come meanwhile
+            os.link(aside, path)
+    aside.unlink()
+    return is_it
 
 
 def _path(bus_url: str) -> Path:
@@ -164,11 +191,3 @@ def _place() -> tuple[Path, str]:
     base = shared if shared.is_dir() else Path(tempfile.gettempdir())
     user = os.getuid() if hasattr(os, "getuid") else "user"
     return base, f"isocenter-{user}-"
-
-
-def _lives(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except OSError:
-        return False
-    return True

@@ -223,19 +223,45 @@ def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stay
         latest_estimate(bus)
 
 
+def leave_a_page(bus: str, name: str) -> None:
+    """As a process does that ends without having closed it."""
+    made = f"from hil.observing.board import EstimateBoard; EstimateBoard({bus!r}, [{name!r}])"
+    subprocess.run([sys.executable, "-c", made], check=True)
+
+
 def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_path) -> None:
     lives, killed = f"virtual:{tmp_path.name}-{os.getpid()}", f"virtual:{tmp_path.name}-{os.getpid()}-killed"
     board = EstimateBoard(lives, ["estimate_a"])
     try:
         board.put(1, np.array([0.5]))
-        made = f"from hil.observing.board import EstimateBoard; EstimateBoard({killed!r}, ['estimate_a'])"
-        subprocess.run([sys.executable, "-c", made], check=True)  # ends without having closed it
+        leave_a_page(killed, "estimate_a")
+        with pytest.raises(UnusableInput, match="the observer that ran there has ended"):
+            latest_estimate(killed)
         remove_abandoned()  # of this user's, whoever's test they are
         with pytest.raises(UnusableInput, match="no observer runs there"):
             latest_estimate(killed)
         assert latest_estimate(lives).row == 1
     finally:
         board.close()
+
+
+def test_a_run_that_begins_while_a_killed_one_s_page_is_removed_keeps_its_own(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, begun, rename = f"virtual:{tmp_path.name}-{os.getpid()}", list[EstimateBoard](), Path.rename
+    leave_a_page(bus, bus)
+
+    def late(page: Path, aside: Path) -> Path:
+        if not begun and bus.encode() in page.read_bytes():
+            begun.append(EstimateBoard(bus, ["estimate_b"]))  # between the look at the page and its removal
+        return rename(page, aside)
+
+    monkeypatch.setattr(Path, "rename", late)
+    remove_abandoned()
+    (board,) = begun
+    board.put(4, np.array([0.5]))
+    assert latest_estimate(bus).row == 4
+    board.close()
+    with pytest.raises(UnusableInput, match="no observer runs there"):
+        latest_estimate(bus)
 
 
 def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
