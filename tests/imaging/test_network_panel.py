@@ -262,7 +262,7 @@ def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_
             with callers.get() as panel:
                 span.begin(0)
                 assert read_command(panel.recv(100).rstrip(b"\n")) == (RATE_Hz, BINNING)
-            assert told.get() == f"panel {url} is gone: it hung up: no more images; the run goes on without"
+            assert told.get(timeout=60.0) == f"panel {url} is gone: it hung up: no more images; the run goes on without"
             span.end(ROWS)
     with pytest.raises(BadAnswer, match=f"panel {url} is gone: it hung up"):
         received(tmp_path, PERIOD)
