@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import Locator, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from hil.calibration.roadmap import PLACES, Overlay
 from hil.figures.geometry import COLOURS
 
-MANY_TIMES = 50.0
-"""Where errors differ by more than this, numbers of powers of ten alone have room on the axis."""
+MANY_TIMES, FEW_TIMES = 50.0, 5.0
+"""Where errors differ by more, numbers of powers of ten alone have room on the axis; where by less, 1, 2 and 5 may come once."""
 
 
 def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
@@ -26,7 +26,7 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
         panel.axhline(0.9, color="0.6", linewidth=0.8, linestyle="--")
         panel.set_xscale("log")
         low, high = panel.get_xlim()
-        panel.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > MANY_TIMES * low else (1.0, 2.0, 5.0)))
+        panel.xaxis.set_major_locator(_places(high / low))
         panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_title(place if place == "centre" else f"{place} of the way to the border", fontsize=10)
@@ -36,3 +36,10 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(overlays), fontsize=8)
     figure.suptitle(title, fontsize=10)
     return figure
+
+
+def _places(times: float) -> Locator:
+    """Of the numbers on a logarithmic axis whose ends are so many times apart."""
+    if times < FEW_TIMES:
+        return MaxNLocator(4)
+    return LogLocator(subs=(1.0,) if times > MANY_TIMES else (1.0, 2.0, 5.0))

@@ -1,5 +1,7 @@
 """Overlay errors, the reconstruction volume and the compensation of images against closed forms."""
 
+import itertools
+
 import numpy as np
 import pytest
 from calibration.phantom_images import DETECTOR, PHANTOM, RADIUS_PIXELS, image_of, nominal
@@ -8,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from hil.calibration.bullets import find_bullets
 from hil.calibration.compensation import compensated, compensation
 from hil.calibration.lookup import LookUp, standing
-from hil.calibration.roadmap import overlay, registered
+from hil.calibration.roadmap import PLACES, Overlay, overlay, registered
 from hil.calibration.volume import reconstruction_volume
 from hil.errors import BadAnswer, UnusableInput
+from hil.figures.roadmap import roadmap_figure
 from hil.imaging import ConeBeam, Detector
 
 BEAM = nominal(np.linspace(-1.2, 1.2, 20))
@@ -111,3 +114,16 @@ def test_a_grid_holds_the_poses_at_which_the_machine_stood():
     np.testing.assert_allclose(grid.covariance[:, 0, 0], [1 / 5, 1 / 4, 1 / 3])
     with pytest.raises(UnusableInput, match="the machine never stood"):
         standing(LookUp(("propeller", "roll"), np.linspace([0, 0], [1, 1], 9), np.zeros((9, 9)), np.zeros((9, 9, 9))))
+
+
+@pytest.mark.parametrize("times", [1.0, 1.02, 1.5, 3.0, 4.9, 5.1, 20.0, 49.0, 51.0, 1e3, 1e6])
+def test_numbers_on_the_figure_s_axes_do_not_overlap(times):
+    errors = 1.7e-6 * np.tile(np.geomspace(1.0, times, 9), (len(PLACES), 1))
+    figure = roadmap_figure({"nominal": Overlay(errors)}, "overlay")
+    figure.canvas.draw()
+    for panel in figure.axes:
+        low, high = panel.get_xlim()
+        shown = [label for label in panel.get_xticklabels() if low <= label.get_position()[0] <= high and label.get_text()]
+        ends = [label.get_window_extent().intervalx for label in shown]
+        assert len(ends) >= 2 or times < 1.5
+        assert all(left[1] < right[0] for left, right in itertools.pairwise(ends)), [label.get_text() for label in shown]
