@@ -3,7 +3,7 @@
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
 motion shows less than a part of a cycle: an offset and a slope. A strength at the bound that no real machine exceeds is not that machine's
-either.
+either, and no oil is viscous one way only: a load beside dry friction looks like that.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ WAVES = ("cycles/turn", "Hz")
 OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl"))
 """Numbers of a second term, which may be zero and then says nothing of them."""
 
+ONE_WAY = {"asymmetric_friction": ("Fv_plus", "Fv_minus")}
+"""Numbers of the two directions, of which none is zero beside another that counts."""
+
+COUNTS = 0.01
+"""Share of an effect's energy in the recordings from which a number of it counts: as much as an equation errs by (`naming.py`)."""
+
 AT_BOUND = 1e-6
 """Of a bound's size."""
 
@@ -45,7 +51,9 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
     lowest : mapping of EffectAt to float
         Of effects that are waves, the number of cycles per turn or second below which the recordings show no wave.
     """
-    for effect, values in zip(fitted.effects, fitted.values, strict=True):
+    for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
+        if effect.effect in ONE_WAY and (name := _one_way(fitted, number)):
+            return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
@@ -65,3 +73,15 @@ def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     if (name, parameter.name) in NO_LONGER_SWINGS:
         ends = [parameter.high]
     return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)
+
+
+def _one_way(fitted: Fitted, number: int) -> str:
+    """Which of the two directions' numbers stands alone and counts; "" where none does."""
+    effect, values = fitted.effects[number], fitted.values[number]
+    names = [parameter.name for parameter in effects()[effect.effect].parameters]
+    alone = [name for name in ONE_WAY[effect.effect] if values[names.index(name)] > 0.0]
+    if len(alone) != 1:
+        return ""
+    parts = {names[p]: values[p] * fitted.jacobian[:, column] for column, (k, p) in enumerate(fitted.free) if k == number}
+    own, whole = parts.get(alone[0], np.zeros(1)), sum(parts.values(), np.zeros(1))
+    return alone[0] if own @ own > COUNTS * (whole @ whole) else ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,12 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
     assert bool(lost_form(fitted(name, values), {EffectAt("cogging", "carriage"): 1.0})) == lost
+
+
+@pytest.mark.parametrize(
+    ("one_way", "other_way", "lost"), [(8.0, 0.0, True), (0.0, 8.0, True), (0.5, 0.0, False), (8.0, 0.1, False), (0.0, 0.0, False)]
+)
+def test_no_oil_is_viscous_one_way_only(one_way, other_way, lost):
+    rows = np.random.default_rng(8).normal(size=(400, 4))
+    rubbing = replace(fitted("asymmetric_friction", [10.0, 10.0, one_way, other_way]), free=tuple((0, p) for p in range(4)), jacobian=rows)
+    assert bool(lost_form(rubbing, {})) == lost
