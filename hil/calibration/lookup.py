@@ -163,7 +163,7 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
 
 
 def standing(table: LookUp) -> LookUp:
-    """The poses at which the machine stood: a roadmapping grid, the exposures of each pose averaged.
+    """The poses at which the machine stood: a roadmapping grid, the exposures of each pose averaged; of no speed.
 
     Raises
     ------
@@ -177,7 +177,8 @@ def standing(table: LookUp) -> LookUp:
     names = ("positions", "deviation", "covariance")
     positions, deviation, covariance = ([getattr(table, name)[run].mean(axis=0) for run in runs] for name in names)
     covariance = [each / len(run) for each, run in zip(covariance, runs, strict=True)]
-    return replace(table, positions=np.array(positions), deviation=np.array(deviation), covariance=np.array(covariance))
+    notes = {name: value for name, value in table.notes.items() if name != "speed"}
+    return replace(table, positions=np.array(positions), deviation=np.array(deviation), covariance=np.array(covariance), notes=notes)
 
 
 def write_look_up(table: LookUp, path: Path) -> None:

@@ -153,9 +153,8 @@ def phantom(
         observed = panel.to_metres(seen)
         answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
     fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
-    notes = {"machine": machine.name, "hash": machine.hash, "six": six}
-    if not standing:
-        notes["speed"] = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]
+    speed = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]
+    notes = {"machine": machine.name, "hash": machine.hash, "six": six, "speed": speed}
     table = look_up_of(fit, nominal, scan.axes, positions, notes)
     table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)

@@ -107,8 +107,10 @@ def test_a_grid_holds_the_poses_at_which_the_machine_stood():
     way = np.concatenate([way, np.linspace(places[1], places[2], 5)[1:-1], np.tile(places[2], (3, 1))])
     rng = np.random.default_rng(3)
     positions = way + rng.normal(0.0, 1e-4, way.shape)
-    table = LookUp(("propeller", "roll"), positions, way.sum(axis=1)[:, None] * np.ones(9), np.tile(np.eye(9), (19, 1, 1)))
+    notes = {"machine": "carm", "speed": [0.1, 0.2]}
+    table = LookUp(("propeller", "roll"), positions, way.sum(axis=1)[:, None] * np.ones(9), np.tile(np.eye(9), (19, 1, 1)), notes)
     grid = standing(table)
+    assert grid.notes == {"machine": "carm"}, "what stands has no speed"
     np.testing.assert_allclose(grid.positions, places, atol=2e-4)
     np.testing.assert_allclose(grid.deviation[:, 0], places.sum(axis=1), atol=1e-12)
     np.testing.assert_allclose(grid.covariance[:, 0, 0], [1 / 5, 1 / 4, 1 / 3])
