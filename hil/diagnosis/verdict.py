@@ -20,6 +20,10 @@ UNNAMED_GAIN = 2.0
 """Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
 recordings by more than the scatter of three repeats says."""
 
+UNNAMED_LEFT = 1.0
+"""What re-tuning leaves above noise, in units of the noise, from which something is there whatever any candidate gains: on 30 development
+nulls it is 0.16 at most."""
+
 NAMED = 0.5
 """Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
 
@@ -47,7 +51,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     left = max(standing.best_misfit - standing.noise, 0.0)
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
     structured = left > certain_excess(standing.noise)
-    shown = found or any(gate.gain > UNNAMED_GAIN * gate.needed * gate.scatter for gate in standing.gates)
+    shown = found or left > UNNAMED_LEFT * standing.noise or any(g.gain > UNNAMED_GAIN * g.needed * g.scatter for g in standing.gates)
     if structured and left > UNKNOWN_LEFT * explainable and shown:
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found and sum(h.confidence for h in standing.hypotheses) < confidence_of(NAMED):

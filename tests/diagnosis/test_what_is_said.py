@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from carriage import MACHINE, repeats
@@ -12,7 +14,7 @@ from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.verdict import findings_of
+from hil.diagnosis.verdict import Standing, findings_of, verdict_of
 
 NOISE = 20000.0
 
@@ -99,3 +101,12 @@ def test_a_diagnosis_says_what_its_likeliest_set_passed(friction):
     (finding,) = friction.diagnosis.findings
     best = next(c for c in friction.selection.contenders if c.fitted is friction.hypotheses[0].fitted)
     assert list(finding.evidence_for) == best.gates[0].evidence()[0]
+
+
+@pytest.mark.parametrize(
+    ("left", "said"), [(12.0, "unknown_physics"), (1.2, "retuned")], ids=["twelve times the noise", "what slow disturbances leave on nulls"]
+)
+def test_many_times_the_noise_is_never_called_retuned(left, said):
+    nothing_passed = replace(gate(0.01, passes=False), gain=30.0)  # 20 is chance
+    standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, left * NOISE, left * NOISE, NOISE, 8, "")
+    assert verdict_of(standing)[0] == said
