@@ -86,13 +86,16 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
     places = places[(np.abs(places @ volume.rotation) <= half).all(axis=1)]
     if len(places) < FEWEST_SLICES:
         raise UnusableInput(f"not in the volume, which is {1e3 * volume.spacing_m * volume.values.shape[0]:.3g} mm wide")
-    sections = volume.sample(places[:, None, None, :] + across[None])
+    points = places[:, None, None, :] + across[None]
+    held = (np.abs(points @ volume.rotation) <= half).all(axis=(0, 3))
+    sections = volume.sample(points)
     mean = sections.mean(axis=0)
     row, column = (int(index) for index in np.unravel_index(np.argmax(mean), mean.shape))
     if mean[row, column] <= 0.0:
         raise UnusableInput("nothing attenuates where it should be")
     widths = np.array([_width(mean[:, column], row), _width(mean[row, :], column)]) * step
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
+    outside &= held
     return WireQuality(
         mean_peak_1_m=float(mean[row, column]),
         peak_ratio=float(mean[row, column] / attenuation_1_m),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInput
 from hil.imaging import ConeBeam, Detector
-from hil.reconstruction.cone_beam import line_integrals, ramp_filtered, reconstruct, short_scan_weights
+from hil.reconstruction.cone_beam import Volume, line_integrals, ramp_filtered, reconstruct, short_scan_weights
 from hil.reconstruction.quality import wire_quality
 from virtual_bus.xray.objects import Ball, Rod
 from virtual_bus.xray.render import Panel, View, attenuation
@@ -123,6 +123,15 @@ def test_a_wire_is_judged_as_far_as_the_volume_holds_it():
         wire_quality(small, wire.start_m + np.array([0.0, 0.03, 0.0]), wire.end_m + np.array([0.0, 0.03, 0.0]), 20.0)
     with pytest.raises(UnusableInput, match="nothing attenuates where it should be"):
         wire_quality(replace(whole, values=np.zeros_like(whole.values)), wire.start_m, wire.end_m, 20.0)
+
+
+@pytest.mark.parametrize("size", [11, 41])
+def test_artefacts_are_looked_for_inside_of_the_volume(size):
+    values = np.ones((size, size, size), dtype=np.float32)
+    values[size // 2, :, size // 2] = 100.0
+    wire = np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.03, 0.0])
+    quality = wire_quality(Volume(values, 1e-3, np.eye(3)), *wire, 200.0)
+    assert (quality.artefact, quality.peak_ratio) == pytest.approx((0.01, 0.5))
 
 
 def test_a_shift_of_the_world_moves_the_wire_and_leaves_it_sharp():
