@@ -73,7 +73,8 @@ def find(bus_url: str) -> EmulatorCard | None:
         card = card_from_text(_card_path(bus_url).read_text(encoding="utf-8"))
         if card is None or card.bus != bus_url:
             return None
-        os.kill(card.pid, 0)
+        if os.name == "posix":  # elsewhere a signal 0 is a Ctrl-C
+            os.kill(card.pid, 0)
     except (OSError, ValueError):
         return None
     return card
