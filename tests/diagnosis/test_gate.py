@@ -147,3 +147,23 @@ def test_a_gain_that_the_simulator_s_own_error_may_be_is_none():
     one = gate(1e-6, 1e-6)
     assert one.passed
     assert not Gate(**{**vars(one), "over_simulator": 0.9}).passed
+
+
+def test_a_gain_that_a_response_run_backwards_nearly_has_is_none():
+    one = gate(1e-6, 1e-6)  # it gains 30
+    assert Gate(**{**vars(one), "placebo_gain": 19.0}).passed
+    assert not Gate(**{**vars(one), "placebo_gain": 21.0}).passed
+
+
+def test_a_first_effect_explains_a_share_and_a_further_one_need_not():
+    one = gate(1e-6, 1e-6)
+    assert Gate(**{**vars(one), "share": 0.021}).passed
+    assert not Gate(**{**vars(one), "share": 0.019}).passed
+    assert Gate(**{**vars(one), "share": 0.001, "is_first": False}).passed
+
+
+def test_of_a_gain_what_chance_gains_more_where_repeats_scatter_is_not_certain():
+    one = gate(1e-6, 1e-6)  # chance gains 20 where they do not
+    assert one.certain_gain == 30.0
+    assert Gate(**{**vars(one), "gain": 100.0, "scatter": 2.0}).certain_gain == pytest.approx(80.0)
+    assert Gate(**{**vars(one), "scatter": 2.0}).certain_gain == pytest.approx(15.0)

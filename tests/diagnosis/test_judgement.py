@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.judgement import Contender, Judgement, Tried
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -23,10 +25,10 @@ def tried(count: int = 50, shapes: float = 1.0) -> Tried:
     return Tried([Candidate(COULOMB, ()), Candidate(LOAD, ()), Candidate(VISCOUS, (), shapes), *others])
 
 
-def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = False):
+def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = False, held_out=None, scattered: float = 0.0):
     """A judgement of noise with a friction and a load of 8 in it along directions of their own, and what fits their amplitudes.
 
-    `apart`: the load shows where friction does not.
+    `apart`: the load shows where friction does not. `scattered`: what three repeats differ by along friction.
     """
     random = np.random.default_rng(2)
     drawn = random.standard_normal((ENTRIES, 3))
@@ -38,7 +40,8 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
     noise -= sum((noise @ d) * d for d in directions.values())
     measured = noise + friction * directions[found] + 8.0 * directions[LOAD]
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
-    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [[noise]])
+    repeats = [noise + scattered * a * directions[COULOMB] for a in (1.0, 0.0, -1.0)] if scattered else [noise]
+    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [repeats])
 
     def fitted(*effects: EffectAt) -> Fitted:
         predicted = sum((measured @ directions[e]) * directions[e] for e in effects)
@@ -48,7 +51,7 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
             effects, ((np.ones(1),) * len(effects)), np.zeros(0), predicted, cost, free, np.zeros((ENTRIES, len(effects))), np.ones(1)
         )
 
-    return Judgement(runs, tuning, None, float(ENTRIES)), fitted
+    return Judgement(runs, tuning, held_out, float(ENTRIES)), fitted
 
 
 def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 30.0, apart: bool = False) -> Contender:
@@ -102,3 +105,79 @@ def test_what_was_searched_for_an_effect_found_before_is_kept():
     beside = Tried([Candidate(LOAD, ())], tried(shapes=100.0))
     assert beside.searched([VISCOUS, LOAD]) == pytest.approx(math.log(100.0) + math.log(49 / 2))
     assert beside.sets([LOAD]) == pytest.approx(1.0)
+
+
+class OtherMotion:
+    """A recording of another motion: what fits of friction and load say of it, and what is in it besides."""
+
+    def __init__(self, noise: float = 1.0, **strengths: float) -> None:
+        random = np.random.default_rng(7)
+        directions = np.linalg.qr(random.standard_normal((ENTRIES, 3)))[0].T
+        self._said = {
+            e.effect: strengths[e.effect] * d for e, d in zip((COULOMB, LOAD, VISCOUS), directions, strict=True) if e.effect in strengths
+        }
+        drawn = random.standard_normal(ENTRIES)
+        drawn -= sum((drawn @ d) * d for d in directions)
+        drawn *= noise * math.sqrt(ENTRIES) / np.linalg.norm(drawn)
+        self.measured = drawn + sum(self._said.values())
+
+    def predictions(self, sets):
+        return [sum((self._said[setting.name] for setting in settings), np.zeros(ENTRIES)) for _, settings in sets]
+
+    def misfit(self, predicted):
+        return float(np.sum((self.measured - predicted) ** 2))
+
+    def deviations(self, before, after):
+        change = after - before
+        return float(change @ (self.measured - before)) / float(np.linalg.norm(change))
+
+
+def followed(fall: float, variance: float) -> float:
+    return float(scipy.stats.t.sf(math.sqrt(fall / variance) / HELD_OUT_SCALE, HELD_OUT_FREEDOM))
+
+
+def test_a_held_out_fall_counts_in_units_of_what_is_left_there():
+    for noise in (1.0, 2.0):
+        judgement, fitted = bench(held_out=OtherMotion(noise, coulomb_friction=9.0))
+        (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+        assert found.gate.held_out_gain == pytest.approx(81.0)
+        assert found.gate.followed == pytest.approx(followed(81.0, noise**2), rel=1e-3)
+
+
+def test_beside_a_large_effect_a_held_out_fall_must_exceed_what_its_equation_may_err_by():
+    chances = []
+    for friction in (6.0, 60.0):
+        judgement, fitted = bench(friction, held_out=OtherMotion(coulomb_friction=friction, constant_load=8.0))
+        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})[0])
+        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), 0.0, {})
+        assert found.gate.held_out_gain == pytest.approx(64.0)
+        chances.append(found.gate.followed)
+    assert chances[0] == pytest.approx(followed(64.0, 1.0), rel=0.5)
+    assert chances[1] > 10.0 * chances[0]
+
+
+def test_what_training_hardly_shows_may_be_more_than_the_simulator_s_error_in_another_motion():
+    judgement, fitted = bench(1.5, held_out=OtherMotion(coulomb_friction=9.0))
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    assert found.gate.over_simulator == pytest.approx(81.0 / 4.0, rel=1e-3)
+
+
+def test_held_out_recordings_are_asked_about_as_many_sets_as_were_fitted():
+    judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0, constant_load=8.0))
+    fits = [fitted(COULOMB), fitted(LOAD), fitted(COULOMB, LOAD)]
+    assert {found.gate.asked for found in judgement.contenders(judgement.nothing, fits, tried(), 0.0, {})} == {3}
+
+
+def test_what_repeats_scatter_along_a_response_widens_what_chance_gains_in_both():
+    judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0), scattered=6.0)
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    assert found.gate.scatter > 5.0
+    assert found.gate.followed == pytest.approx(followed(81.0, found.gate.scatter), rel=1e-3)
+    by_chance = 50 * scipy.stats.f.sf(900.0 / found.gate.scatter, 1, TAIL_FREEDOM)
+    assert found.gate.trained == pytest.approx(by_chance, rel=0.1)
+
+
+def test_what_numbers_of_the_machine_file_remove_counts_in_both_motions():
+    judgement, fitted = bench(found=VISCOUS, held_out=OtherMotion(viscous_friction=9.0))
+    (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), 0.0, {})
+    assert found.by_numbers == pytest.approx(900.0 + 81.0)

@@ -8,7 +8,9 @@ from effect_examples import EXAMPLES
 
 from hil.machine import load_machine
 from hil.machine.effects_file import effects_from_text, effects_text
+from virtual_bus.effects import nonlinear_stiffness
 from virtual_bus.effects.binding import bind_effects
+from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual
 from virtual_bus.errors import EffectError
@@ -26,6 +28,20 @@ def test_every_effect_is_written_and_read_back() -> None:
 def test_a_cubic_spring_needs_no_bend_in_its_file() -> None:
     text = '[[effect]]\nname = "nonlinear_stiffness"\nat = "propeller"\nk3_Nm_rad3 = 5e10\n'
     assert effects_from_text(text, CARM, "effects.toml") == (EXAMPLES["nonlinear_stiffness"],)
+
+
+@pytest.mark.parametrize("bend", [0.0, 25.0, 100.0, 1200.0])
+def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float) -> None:
+    """Its slope is K - 3 abs(k3) tanh^2(r deflection) / bend; what softens it grows no more where that would be negative."""
+    stiffness, k3 = 200.0, -1e4
+    deflections = np.linspace(0.0, 0.5, 2001)
+    softened = [nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend) for x in deflections.tolist()]
+    slopes = stiffness - np.diff(softened) / np.diff(deflections)
+    middles = 0.5 * (deflections[1:] + deflections[:-1])
+    wanted = stiffness + 3.0 * k3 * (middles**2 if bend == 0.0 else np.tanh(np.sqrt(bend) * middles) ** 2 / bend)
+    clear = np.abs(wanted) > 2.0  # of the corner
+    assert np.any(wanted < 0.0) == (bend < 150.0)
+    assert slopes[clear] == pytest.approx(np.where(wanted > 0.0, wanted, stiffness)[clear], abs=0.5)
 
 
 def residual_of(effort: np.ndarray, speed: np.ndarray, time_s: np.ndarray, imu: bool = False) -> Residual:
