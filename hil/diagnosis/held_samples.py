@@ -48,8 +48,19 @@ LEAST_EVIDENCE = 60.0
 """Logarithm of the likelihood ratio. Were the noise as assumed, 7 would do for one in a thousand; disturbances that begin and end at
 reversals have brought it to 25 where nothing is held."""
 
-TURNED_ROUND = 2.0
+TURNED_ROUND = 1.3
 """The logarithm must exceed this many times that of the bursts turned round."""
+
+RUN_BACKWARDS = 1.1
+"""And this many times that of the recordings run backwards in time: what comes later in one repeat, a disturbance or the end of sticking,
+looks held both ways."""
+
+STAYS = (0.85, 1.15)
+STAYS_AT_MOST = 1.4
+"""What bursts stay behind, as a share of what the others move on meanwhile, is one where readings are held: bounds of the median, of the
+mean weighted by energy, and of the ninth tenth. Drawn with held samples it is 0.87 to 1.04, 0.88 to 1.05 and 1.30 at most; drawn without,
+with disturbances that the repeats do not share or sticking that ends at other times in each, one of the three is outside, or the recordings
+run backwards are as likely."""
 
 PROMISING = 12.0
 """Logarithm of the likelihood ratio of the clearest burst, below which all ways to place bursts are not added up."""
@@ -86,8 +97,7 @@ def held_samples(measured: np.ndarray) -> Held | None:
     repeats, rows = measured.shape
     if repeats < LEAST_REPEATS or rows < AROUND + LONGEST or not np.isfinite(measured).all():
         return None
-    others = np.stack([np.median(np.delete(measured, r, axis=0), axis=0) for r in range(repeats)])
-    bursts = _Bursts.of(measured - others, scipy.signal.savgol_filter(others, SMOOTHED, 2, axis=1))
+    bursts = _bursts(measured)
     if bursts is None:
         return None
     ratios = bursts.logarithms(1.0)
@@ -97,7 +107,35 @@ def held_samples(measured: np.ndarray) -> Held | None:
     evidence = float(placed.max())
     if evidence < LEAST_EVIDENCE or evidence < TURNED_ROUND * _placed(bursts.logarithms(-1.0)).max():
         return None
-    return _likeliest(bursts, TRIED[int(np.argmax(placed))], evidence)
+    backwards = _bursts(measured[:, ::-1])
+    if backwards is not None and evidence < RUN_BACKWARDS * _placed(backwards.logarithms(1.0)).max():
+        return None
+    held = _likeliest(bursts, TRIED[int(np.argmax(placed))], evidence)
+    return held if _stay(bursts, held.rows) else None
+
+
+def _stay(bursts: _Bursts, rows: np.ndarray) -> bool:
+    """Whether readings in these rows (R, N) stay where they were, and not somewhere behind."""
+    along, energy = [], []
+    edges = np.diff(np.pad(rows.astype(int), ((0, 0), (1, 1))), axis=1)
+    for repeat, edge in enumerate(edges):
+        for begin, end in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True):
+            for first in range(begin, end, LONGEST):
+                if 1 <= first <= bursts.along.shape[1]:
+                    place = repeat, first - 1, min(end - first, LONGEST) - 1
+                    along.append(bursts.along[place])
+                    energy.append(bursts.energy[place])
+    if not along:
+        return False
+    shares = np.array(along) / np.maximum(energy, 1e-300)
+    middle, mean = float(np.median(shares)), float(np.sum(along) / np.sum(energy))
+    return STAYS[0] <= middle <= STAYS[1] and STAYS[0] <= mean <= STAYS[1] and float(np.percentile(shares, 90.0)) <= STAYS_AT_MOST
+
+
+def _bursts(measured: np.ndarray) -> _Bursts | None:
+    """Of every repeat (R, N) against the median of the others."""
+    others = np.stack([np.median(np.delete(measured, r, axis=0), axis=0) for r in range(len(measured))])
+    return _Bursts.of(measured - others, scipy.signal.savgol_filter(others, SMOOTHED, 2, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

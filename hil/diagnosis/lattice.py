@@ -97,7 +97,7 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     if fitted is None:
         return None
     step, error = fitted
-    windows = 2.0 * off / step + own_step / step
+    windows = (4.0 * off + own_step) / step  # `_fitted` allows 2 off to either side; both ends are points of the encoder's own step
     tries = float(np.ptp(readings)) / step
     if windows > 0.0 and len(readings) * np.log(windows) + np.log(max(tries, 1.0)) > np.log(CHANCE):
         return None
@@ -131,7 +131,7 @@ def _fitted(readings: np.ndarray, step: float, error: float, off: float) -> tupl
         left = near - step * numbers - offset
         if float(np.abs(left).max()) > 2.0 * off + 1e-12:
             return None
-        error = float(max(np.sqrt(np.mean(left**2)), 1e-3 * off) / spread)
+        error = max(float(np.sqrt(np.mean(left**2))) / spread, off / float(np.ptp(numbers)))  # rounding may lean one way all along
         if len(near) == len(centred):
             break
     else:

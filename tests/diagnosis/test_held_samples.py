@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from carriage import disturbance, reference, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -77,3 +78,15 @@ def test_held_samples_are_named_and_taken_out():
     assert set(lost) == {"current_arm"}
     assert np.isnan(kept[:, :, 0]).sum() > 0.4 * held.sum()
     assert np.isfinite(kept[:, :, 1]).all()
+
+
+@pytest.mark.parametrize("stiction_N", [0.0, 250.0], ids=["slides", "sticks, and comes free at another time in every repeat"])
+@pytest.mark.parametrize("disturbance_N", [10.0, 30.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_disturbances_that_repeats_do_not_share_are_no_held_samples(stiction_N, disturbance_N, seed):
+    wanted = reference(2.0, seed)
+    runs = [
+        run(wanted, coulomb_N=stiction_N, force_N=disturbance(len(wanted), disturbance_N, 100 * seed + k), noise_seed=k) for k in range(4)
+    ]
+    for channel in (0, 1):
+        assert held_samples(np.stack([one[channel] for one in runs])) is None
