@@ -119,7 +119,7 @@ def _stay(bursts: _Bursts, rows: np.ndarray) -> bool:
     along, energy = [], []
     edges = np.diff(np.pad(rows.astype(int), ((0, 0), (1, 1))), axis=1)
     for repeat, edge in enumerate(edges):
-        for begin, end in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True):
+        for begin, end in zip(np.flatnonzero(edge > 0).tolist(), np.flatnonzero(edge < 0).tolist(), strict=True):
             for first in range(begin, end, LONGEST):
                 if 1 <= first <= bursts.along.shape[1]:
                     place = repeat, first - 1, min(end - first, LONGEST) - 1
