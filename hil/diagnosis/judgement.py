@@ -156,7 +156,7 @@ class Judgement:
         return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
 
     def contenders(
-        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float]
+        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float], earlier: int = 0
     ) -> list[Contender]:
         """Every set with its gate: against the stand where it holds the stand's effects, against nothing where it does not.
 
@@ -169,12 +169,14 @@ class Judgement:
             Largest gain of a placebo.
         lowest : mapping
             See `form.lost_form`.
+        earlier : int
+            Sets that the held-out recordings have been asked about before these, in the same step.
         """
         found = []
         for fitted in fits:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
             (after,) = (None,) if self._judge is None else self._judge.predictions([(fitted.offset, fitted.settings)])
-            gate = replace(self._gate(before, fitted, after, tried, placebo, len(fits)), lost_form=lost_form(fitted, lowest))
+            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=lost_form(fitted, lowest))
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(
                 Contender(
@@ -205,7 +207,7 @@ class Judgement:
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
             variance, of_simulator = self._held_out_variance(before, after, scatter)
-            followed = chance_held_out(fall, variance)
+            followed = chance_held_out(fall, variance) if before.held_out is not None else 1.0  # what diverged shows no fall
             over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,

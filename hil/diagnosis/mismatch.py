@@ -16,7 +16,7 @@ import scipy.signal
 from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.lattice import Lattice, coarser_lattices, with_lattices
-from hil.diagnosis.noise import NoiseModel, noise_model
+from hil.diagnosis.noise import FILTER_ORDER, NoiseModel, noise_model
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
@@ -30,6 +30,12 @@ SILENT = 1e-12
 
 SPEED_WINDOW_s = 0.05
 """Length of the local parabola that speeds are taken from: longer than an encoder's steps, shorter than what a joint can reverse in."""
+
+LEAST_ROWS = FILTER_ORDER + 4
+"""Of a recording: fewer leave nothing behind the noise's filter to judge by."""
+
+LARGEST_READING = 1e30
+"""In whatever unit: its square is still a number."""
 
 LARGEST_MISSING_SHARE = 0.5
 """A channel that misses more of its samples than this is left out."""
@@ -186,7 +192,7 @@ def mismatch(
     channels = tuple(channels)
     for members, _ in drawn:
         for member in members:
-            _check_has(member, channels)
+            _check(member, channels)
     made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
     lattices = coarser_lattices(machine, channels, [group.measured for group in made])
     lost: dict[str, Dropout] = {}
@@ -310,13 +316,21 @@ def _channels(machine: Machine, pairs: Sequence[tuple[Recording, Mapping[str, np
     return tuple(chosen)
 
 
-def _check_has(member: _Member, channels: Sequence[str]) -> None:
-    """RecordingError where a channel that the others are judged by is not in a recording, or is mostly missing."""
+def _check(member: _Member, channels: Sequence[str]) -> None:
+    """RecordingError where a channel that the others are judged by is absent, mostly missing or holds what no sensor reads."""
+    if member.recording.rows < LEAST_ROWS:
+        raise RecordingError(f"{member.label}: {member.recording.rows} rows; {LEAST_ROWS} at least, and seconds of motion, are needed")
     for name in channels:
         share = float(member.recording.channel(name).missing.mean()) if name in member.recording else 1.0
         if share > LARGEST_MISSING_SHARE:
             has = f"misses {share:.0%} of its samples" if name in member.recording else "is not in it"
             raise RecordingError(f"{member.label}: {name} {has}; the recordings to fit to have it: hold out one that has it too")
+        values = member.recording[name]
+        senseless = np.flatnonzero(np.abs(values) > LARGEST_READING)
+        if senseless.size:
+            raise RecordingError(
+                f"{member.label}: {name} is {values[senseless[0]]:g} in row {senseless[0]}; leave a reading empty that is missing"
+            )
 
 
 def _is_silent(values: np.ndarray) -> bool:

@@ -22,6 +22,7 @@ import scipy.signal
 
 from hil.diagnosis.carried import CarriedImu
 from hil.diagnosis.result import NoiseKind
+from hil.errors import RecordingError
 from hil.machine import Machine
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ RELATIVE_WIDTH = 0.05
 LEAST_COHERENT = 1e-3
 """Floor of the eigenvalues of S(f) in units of its channels' own spectra: what one channel predicts of another is trusted to 3 %, because
 loops and drives are known no better."""
+
+NO_FLOOR = 1e-12
+"""Least noise of a channel without a resolution, in its unit."""
 
 FILL = 1e-4
 """White noise added per channel, as a share of its variance, when its autoregressive filter is fitted: bounds the filter's gain."""
@@ -178,6 +182,11 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     channels : sequence of str
     machine : Machine
         Its sensors' noise and resolution are the least a channel has.
+
+    Raises
+    ------
+    RecordingError
+        Repeats that are copies of one recording.
     """
     repeated = [group for group in groups if group.repeats > 1]
     if not repeated:
@@ -186,6 +195,11 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     recorded = [_deviations(group.complete) for group in repeated]
     deviations = [rows if group.imu is None else group.imu.without(rows) for group, rows in zip(repeated, recorded, strict=True)]
     floor = sensor_floor(channels, machine)
+    if all(np.all(group.complete == group.complete[0]) for group in repeated) and np.any(floor <= NO_FLOOR):
+        same = ", ".join(label for group in repeated for label in group.labels)
+        raise RecordingError(
+            f"{same}: the same to the last digit; repeats of an experiment differ by its noise: give recordings, not copies of one"
+        )
     std = _rms([row for group in recorded for row in group], floor)
     rows = [row for group in deviations for row in group]
     left = _rms(rows, floor)
@@ -262,7 +276,7 @@ def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:
     for drive in machine.plant.drives:
         least[f"command_{drive.axis}"] = drive.resolution
     rounding = np.array([least.get(name, 0.0) for name in channels]) / np.sqrt(12.0)
-    return np.where(rounding > 0.0, rounding, 1e-12)
+    return np.where(rounding > 0.0, rounding, NO_FLOOR)
 
 
 def _deviations(complete: np.ndarray) -> np.ndarray:

@@ -139,6 +139,8 @@ def select(
         exact = [fit for fit in fits if _needs_all(fit, stand, singles, None, tried, len(residual))]
         fits = [fit for fit in exact if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
+        if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
+            break
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
@@ -150,7 +152,7 @@ def select(
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
         rivals = [one for one in judged if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
-            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest) if one.passed]
+            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest, len(fits)) if one.passed]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break

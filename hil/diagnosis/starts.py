@@ -280,7 +280,7 @@ def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     kernel = np.ones(9) / 9.0
     effort, motion = np.convolve(effort, kernel, "same"), np.convolve(motion, kernel, "same")
     band = (frequencies > 2.0) & (frequencies < min(30.0, 0.3 / typical.sample_s))
-    ratio = np.where(band, effort / (motion + 1e-3 * motion.max()), 0.0)
+    ratio = np.where(band, effort / np.maximum(motion + 1e-3 * motion.max(), 1e-12 * effort.max() + 1e-300), 0.0)
     peak = float(frequencies[int(np.argmax(ratio))])
     inertia = FIRST_SHARE * typical.inertia
     return [{"J": inertia, "f": f, "zeta": 0.03} for f in dict.fromkeys([round(peak, 2), 5.0, 9.0, 15.0, 24.0])]

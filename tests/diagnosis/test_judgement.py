@@ -181,3 +181,28 @@ def test_what_numbers_of_the_machine_file_remove_counts_in_both_motions():
     judgement, fitted = bench(found=VISCOUS, held_out=OtherMotion(viscous_friction=9.0))
     (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), 0.0, {})
     assert found.by_numbers == pytest.approx(900.0 + 81.0)
+
+
+def test_sets_that_are_asked_about_later_in_a_step_count_those_before_them():
+    judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0))
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {}, 8)
+    (alone,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    assert found.gate.asked == 9
+    assert found.gate.chance >= alone.gate.chance
+
+
+def test_a_machine_that_diverges_on_the_held_out_motion_confirms_nothing():
+    class Diverging(OtherMotion):
+        def predictions(self, sets):
+            return [None if not effects else prediction for (_, effects), prediction in zip(sets, super().predictions(sets), strict=True)]
+
+        def misfit(self, predicted):
+            return 1e300 if predicted is None else super().misfit(predicted)
+
+        def deviations(self, before, after):
+            return -np.inf if before is None or after is None else super().deviations(before, after)
+
+    judgement, fitted = bench(held_out=Diverging(coulomb_friction=9.0))
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    assert found.gate.followed == 1.0
+    assert not found.gate.passed
