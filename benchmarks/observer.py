@@ -150,7 +150,7 @@ def two_processes(bus: str, sweeps: int, design: Path, shaper: Path, damping: fl
                 "--sweeps",
                 str(sweeps),
             ]
-            watched = ["--shaper", str(shaper), "--observer", str(design), "--damping", str(damping)]
+            watched = ["--shaper", str(shaper), "--observer", str(design), *(["--damping", str(damping)] if damping else [])]
             run = [*ISOCENTER, "run", "scan", "-m", str(machine), "-b", bus, *sweep, *watched, "-o", f"{folder}/scan.mf4"]
             subprocess.run([*run, "--json", str(answer)], check=True, stdout=sys.stderr)
             document = json.loads(answer.read_text())
@@ -181,7 +181,8 @@ def lockstep(machine: Machine, design: ObserverDesign, damping: float) -> dict[s
     """A scan with observer and damping in lockstep: the work of a tick, the emulated machine's included."""
     fitted = dataclasses.replace(design, model=dataclasses.replace(design.model, sample_rate_Hz=machine.sample_rate_Hz))
     observer = fitted.observer()
-    live = LiveObserver(observer, "", ModalDamping(observer, DampingSettings(damping)), [units.effort for units in machine.units])
+    damped = ModalDamping(observer, DampingSettings(damping)) if damping else None
+    live = LiveObserver(observer, "", damped, [units.effort for units in machine.units])
     half = np.radians(SWEEP_deg) / 2.0
     plan = Scan("roll", -half, half, np.radians(SPEED_deg_s)).plans(machine)[0]
     with tempfile.TemporaryDirectory() as folder, open_bench(machine, BenchOptions("lockstep:"), plan.start_pose, live) as bench:
@@ -194,7 +195,7 @@ def main() -> None:
     parser.add_argument("--design", type=Path, metavar="FILE", help="observer design of the C-arm: measure whole ticks as well")
     parser.add_argument("--bus", default="udp:239.74.163.90", help="of the two processes")
     parser.add_argument("--sweeps", type=int, default=20, help="of 120 degrees, 5 s each, in the two processes' run")
-    parser.add_argument("--damping", type=float, default=0.1, help="damping ratio asked for in whole ticks")
+    parser.add_argument("--damping", type=float, default=0.1, help="damping ratio asked for in whole ticks; 0 for no damping")
     arguments = parser.parse_args()
     target = arguments.json
     answer: dict = {"states": 24, "measurements": 10}

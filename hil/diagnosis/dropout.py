@@ -13,7 +13,7 @@ import numpy as np
 import scipy.stats
 
 from hil.diagnosis.held_samples import held_samples
-from hil.diagnosis.result import EffectAt, Estimate, Finding
+from hil.diagnosis.result import READ_OFF, EffectAt, Estimate, Finding
 from virtual_bus.settings import EffectSetting
 
 MOVES_BY = 6.0
@@ -27,8 +27,6 @@ BY_ITSELF = 1e-3
 
 CHANCE = 1e-6
 """Largest probability of as many repeated readings by themselves."""
-
-CERTAIN = 0.99
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class Dropout:
             "p": Estimate(self.share, "", self.ci95),
             "length": Estimate(self.length, "", (1.0, max(2.0 * self.length, 2.0))),
         }
-        return Finding(EffectAt("sample_dropout", channel), CERTAIN, parameters, evidence_for=(self.seen,))
+        return Finding(EffectAt("sample_dropout", channel), READ_OFF, parameters, evidence_for=(self.seen,))
 
     def says(self, channel: str) -> str:
         return f"{channel} loses {self.share:.1%} of its samples"

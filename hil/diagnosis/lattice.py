@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.result import EffectAt, Estimate, Finding
+from hil.diagnosis.result import READ_OFF, EffectAt, Estimate, Finding
 from hil.machine import Machine
 from virtual_bus.effects.places import is_prismatic
 from virtual_bus.settings import EffectSetting
@@ -38,8 +38,6 @@ REFINED = 8
 NEAREST = 3.0
 """Steps to either side of the middle that the first of them looks at, at least."""
 
-CERTAIN = 0.99
-
 
 @dataclass(frozen=True)
 class Lattice:
@@ -56,7 +54,7 @@ class Lattice:
     def finding(self, channel: str) -> Finding:
         seen = f"all {self.readings} distinct readings lie on steps of {self.step:.4g} {self.unit}"
         parameters = {"q": Estimate(self.step, self.unit, self.ci95)}
-        return Finding(EffectAt("encoder_quantization", channel), CERTAIN, parameters, evidence_for=(seen,))
+        return Finding(EffectAt("encoder_quantization", channel), READ_OFF, parameters, evidence_for=(seen,))
 
     def says(self, channel: str) -> str:
         return f"{channel} reads in steps of {self.step:.4g} {self.unit}"

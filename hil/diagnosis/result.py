@@ -10,6 +10,9 @@ Verdict = Literal["inconclusive", "unknown_physics", "ambiguous", "explained", "
 NoiseKind = Literal["repeats", "periods", "assumed"]
 Span = tuple[float, float]
 
+READ_OFF = 0.99
+"""Confidence of what recordings show by themselves, without a free run."""
+
 STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor")
 
 
