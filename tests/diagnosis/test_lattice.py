@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
+from carriage import MACHINE
+from carriage import repeats as carriages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.diagnosis.lattice import coarser_lattice
+from hil.diagnosis.mismatch import mismatch
+from hil.recording import Channel
 
 OWN = 1e-5
 
@@ -67,3 +73,36 @@ def test_a_lattice_holds_in_all_recordings_or_is_none():
     coarse, fine = read(motion(1, 10.0 * OWN), 10.0 * OWN), read(motion(2, 10.0 * OWN), 0.0)
     assert coarser_lattice([coarse, coarse], OWN) is not None
     assert coarser_lattice([coarse, fine], OWN) is None
+
+
+@pytest.mark.parametrize(("amplitude", "named"), [(86, False), (800, True)])
+def test_few_readings_may_lie_on_a_lattice_by_chance(amplitude, named):
+    """Three of four own steps are near enough to a lattice of four: 44 readings are with 3e-6 and 44 steps were tried, 401 with 1e-50."""
+    step = 4.0 * OWN
+    time_s = np.arange(4000) / 200.0
+    moved = amplitude * OWN * np.sin(2.0 * np.pi * 0.3 * time_s) + step * np.random.default_rng(4).standard_normal((3, 4000))
+    seen = read(np.clip(moved, -amplitude * OWN, amplitude * OWN), step)
+    assert len(np.unique(seen)) == pytest.approx(amplitude / 2.0, abs=2.0)
+    assert (coarser_lattice([seen], OWN) is not None) == named
+
+
+def test_readings_that_a_file_keeps_with_nine_digits_lie_on_their_lattice():
+    step = np.pi / 3000.0
+    written = read(1000.0 + motion(5, step), step)
+    found = coarser_lattice([written], 0.0)
+    assert found is not None
+    assert found.step == pytest.approx(step, rel=1e-4)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_repeats_of_one_motion_share_a_lattices_rounding_so_their_mean_keeps_it(count):
+    step = 2e-5
+
+    def on_steps(recording):
+        position = step * np.round(recording["position_carriage"] / step)
+        return replace(recording, channels={**recording.channels, "position_carriage": Channel("m", position)})
+
+    found = mismatch(MACHINE, {label: on_steps(run) for label, run in carriages(count, 1.5, disturbance_N=3.0).items()})
+    assert set(found.lattices) == {"position_carriage"}
+    std = dict(zip(found.channels, found.noise.std, strict=True))["position_carriage"]
+    assert std >= np.sqrt(count / 12.0) * step
