@@ -46,6 +46,10 @@ turn, whatever part of it is driven."""
 PERIODS_PER_TRAVEL = (0.6, 1.0, 1.5)
 """Of friction over position."""
 
+CORNERS = (0.06, 0.18)
+"""Shares of the drive's largest effort over the spring's stiffness at which another spring begins. The spring winds up by half of that or
+less, because the rest accelerates what is before it."""
+
 
 def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     """(parameters,) start values, the most plausible first; none where the place does not move."""
@@ -255,6 +259,15 @@ def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return found
 
 
+def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    """Hardening and softening throughout, and springs that another one comes to, stiff within a tenth of the deflection."""
+    found = [{**first, "k3": share * typical.stiffness / typical.deflection**2} for share in (0.3, -0.1)]
+    for share in CORNERS:
+        bend = (10.0 / typical.deflection) ** 2
+        found.append({**first, "k3": bend * typical.stiffness / 3.0, "bend": bend, "corner": share * typical.deflection})
+    return found
+
+
 def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """The three strongest lines of the missing effort."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
@@ -323,7 +336,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "base_motion": _lines,
     "structural_mode": _modes,
     "backlash": _several("b", lambda f, r, t: [share * t.deflection for share in (0.0015, 0.006, 0.025, 0.1, 0.4)]),
-    "nonlinear_stiffness": _several("k3", lambda f, r, t: [k * t.stiffness / t.deflection**2 for k in (0.3, -0.1)]),
+    "nonlinear_stiffness": _springs,
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
     "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s, 1.5 / t.sample_s]),
     "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),

@@ -51,13 +51,13 @@ def test_a_load_displaces_a_loop_without_an_integrator_by_load_over_its_stiffnes
 def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
     """Only its ratio to the drive's constant shows: mass, springs and constant scaled alike move in the same way."""
     command = 0.1 * np.random.default_rng(1).standard_normal(3000)
-    hidden = EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0, "bend": 0.0})
+    hidden = EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0, "bend": 0.0, "corner": 0.0})
     recording = recorded(SILVERBOX, driven(SILVERBOX, command), hidden)
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
         tuning = retune(runs)
         runs.correct(Trial(runs.nominal, (hidden,)))  # the error of the plant's steps, as it is near the end of a search
         tuning = replace(tuning, predicted=runs.run_one(Trial(tuning.values)))
-        start = ((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0, 1.0]),))
+        start = ((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0, 1.0, 0.0]),))
         (fit,) = refit(runs, tuning, runs.measured(), [start])
         fit = polish(runs, tuning, runs.measured(), fit)
     constant = tuning.at(fit.offset)[[p.quantity for p in tuning.parameters].index("constant")]
@@ -67,9 +67,9 @@ def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
 def test_a_fit_starts_from_the_strength_that_the_recordings_want():
     command = 0.1 * np.random.default_rng(1).standard_normal(3000)
     recording = recorded(
-        SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0, "bend": 0.0})
+        SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 4.0, "bend": 0.0, "corner": 0.0})
     )
-    weak = Candidate(EffectAt("nonlinear_stiffness", "oscillator"), (np.array([0.004, 1.0]),))
+    weak = Candidate(EffectAt("nonlinear_stiffness", "oscillator"), (np.array([0.004, 1.0, 0.0]),))
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
         tuning = retune(runs)
         (start,) = screen(runs, tuning, [weak], runs.measured() - tuning.predicted)
@@ -80,7 +80,7 @@ def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
     """A friction fitted to a hardening spring takes steps that bring less than expected."""
     command = 0.1 * np.random.default_rng(1).standard_normal(1500)
     recording = recorded(
-        SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 40.0, "bend": 0.0})
+        SILVERBOX, driven(SILVERBOX, command), EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 40.0, "bend": 0.0, "corner": 0.0})
     )
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"noise": recording}))}, found.noise) as runs:
         tuning, asked, run = retune(runs), [], runs.run

@@ -32,7 +32,7 @@ EXAMPLES = {
         ),
         EffectSetting("joint_compliance", "roll", {"c": 2e-6, "d": 20.0}),
         EffectSetting("load_dependent_friction", "roll", {"Kl": 0.05}),
-        EffectSetting("nonlinear_stiffness", "propeller", {"k3": 5e10, "bend": 0.0}),
+        EffectSetting("nonlinear_stiffness", "propeller", {"k3": 5e10, "bend": 0.0, "corner": 0.0}),
         EffectSetting("payload", "detector", {"dm": 5.0}),
         EffectSetting("pose_dependent_dynamics", "propeller", {"dJ": 40.0, "phi": 0.1}),
         EffectSetting("position_dependent_friction", "roll", {"Fc": 12.0, "k": 30.0, "phi": 0.1}),

@@ -67,6 +67,11 @@ def warming(t: float, x: float, v: float, z: np.ndarray) -> tuple[float, list[fl
     return -viscosity * v, [(20.0 * viscosity * v * v - z[0]) / 1.5]
 
 
+def touching(t: float, x: float, v: float, z: np.ndarray) -> tuple[float, list[float]]:
+    beyond = np.sign(x) * max(abs(x) - 0.01, 0.0)
+    return -300.0 * (beyond - np.tanh(20.0 * beyond) / 20.0), []
+
+
 CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
     "viscous_friction": ({"Fv": 5.0}, lambda t, x, v, z: (-5.0 * v, []), 0),
     "quadratic_friction": ({"Fv2": 20.0}, lambda t, x, v, z: (-20.0 * v * abs(v), []), 0),
@@ -82,7 +87,7 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
         lambda t, x, v, z: (1.5 * np.cos(60.0 * x + 0.4) + 0.5 * np.cos(120.0 * x - 0.2), []),
         0,
     ),
-    "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0}, lambda t, x, v, z: (-300.0 * (x - np.tanh(20.0 * x) / 20.0), []), 0),
+    "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0, "corner": 0.01}, touching, 0),
     "backlash": ({"b": 0.01}, lambda t, x, v, z: (STIFFNESS * np.clip(x, -0.01, 0.01), []), 0),
     "end_stop": (
         {"K": 5000.0, "D": 10.0, "at_position": 0.03, "side": 1.0},

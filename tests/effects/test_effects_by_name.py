@@ -30,14 +30,15 @@ def test_a_cubic_spring_needs_no_bend_in_its_file() -> None:
     assert effects_from_text(text, CARM, "effects.toml") == (EXAMPLES["nonlinear_stiffness"],)
 
 
+@pytest.mark.parametrize("corner", [0.0, 0.05])
 @pytest.mark.parametrize("bend", [0.0, 25.0, 100.0, 1200.0])
-def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float) -> None:
-    """Its slope is K - 3 abs(k3) tanh^2(r deflection) / bend; what softens it grows no more where that would be negative."""
+def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float, corner: float) -> None:
+    """Its slope is K - 3 abs(k3) tanh^2(r x) / bend, x beyond the corner; what softens it grows no more where that would be negative."""
     stiffness, k3 = 200.0, -1e4
     deflections = np.linspace(0.0, 0.5, 2001)
-    softened = [nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend) for x in deflections.tolist()]
+    softened = [nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend, corner) for x in deflections.tolist()]
     slopes = stiffness - np.diff(softened) / np.diff(deflections)
-    middles = 0.5 * (deflections[1:] + deflections[:-1])
+    middles = np.maximum(0.5 * (deflections[1:] + deflections[:-1]) - corner, 0.0)
     wanted = stiffness + 3.0 * k3 * (middles**2 if bend == 0.0 else np.tanh(np.sqrt(bend) * middles) ** 2 / bend)
     clear = np.abs(wanted) > 2.0  # of the corner
     assert np.any(wanted < 0.0) == (bend < 150.0)
@@ -108,3 +109,13 @@ def test_a_coupling_larger_than_what_it_couples_is_refused() -> None:
 def test_a_delay_longer_than_a_drive_remembers_is_refused() -> None:
     with pytest.raises(EffectError, match="remembers"):
         Physics(EMPS.with_effects((EffectSetting("delay", "carriage", {"Td": 0.02}),)).plant)
+
+
+def test_the_oil_of_a_small_guide_may_warm_by_kelvins_from_milliwatts() -> None:
+    """What a R is guessed to be explains a friction that halves; a bound on R that fits gearboxes would not let it."""
+    time_s = np.arange(2000) / 256.0
+    speed = 0.01 * np.sin(2.0 * np.pi * 2.0 * time_s)
+    viscous = 4.0 * 0.5 ** (time_s / time_s[-1])
+    guessed = initial_guess("temperature_dependent_friction", residual_of(-viscous * speed, speed, time_s))
+    power = guessed["Fv0"] * float(np.mean(speed**2))
+    assert guessed["a"] * guessed["R"] * power == pytest.approx(np.log(2.0) * 2.0 / 3.0, rel=0.05)  # of the first third to that of the last

@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="nonlinear_stiffness",
     kind=ELASTIC,
     parameters=(
-        Parameter("k3", unit="Nm/rad3", low=-10000000000000.0, high=10000000000000.0, description="cubic stiffness; negative softens"),
+        Parameter("k3", unit="Nm/rad3", low=-1e18, high=1e18, description="cubic stiffness; negative softens"),
         Parameter(
             "bend",
             unit="1/rad2",
@@ -24,15 +24,27 @@ EFFECT = Effect(
             is_strength=False,
             default=0.0,
         ),
+        Parameter(
+            "corner",
+            unit="rad",
+            low=0.0,
+            high=0.1,
+            description="deflection from which on the spring hardens or softens, where what is wound up comes into touch",
+            is_strength=False,
+            default=0.0,
+        ),
     ),
-    equation="K deflection + 3 k3 / bend (deflection - tanh(r deflection) / r), r = sqrt(bend); bend = 0: K deflection + k3 deflection^3",
+    equation=(
+        "K deflection + 3 k3 / bend (x - tanh(r x) / r), r = sqrt(bend), x = deflection beyond +-corner, 0 within; "
+        "bend = 0: K deflection + k3 x^3"
+    ),
     convention=(
         "effort on the spring behind the axis (or under the body) = minus what comes besides its own -K deflection, on the joint's side of "
-        "the gear; far beyond 1 / sqrt(bend) the spring is K + 3 k3 / bend stiff, as of a drive train with a corner; a negative k3 is "
-        "limited to the deflection at which the spring would stop growing, with bend = 0 sqrt(K / (3 abs(k3)))"
+        "the gear; nothing within the corner; far beyond corner + 1 / sqrt(bend) the spring is K + 3 k3 / bend stiff; a negative k3 is "
+        "limited to the x at which the spring would stop growing, with bend = 0 sqrt(K / (3 abs(k3)))"
     ),
     neighbours=("bouc_wen_hysteresis", "backlash"),
-    source="Noël and Kerschen 2017, Sec. 2.1",
+    source="Noël and Kerschen 2017, Sec. 2.1; Shaw and Holmes 1983 (a spring that another comes to at a corner)",
 )
 
 NEARLY_CUBIC = 0.01
@@ -44,9 +56,9 @@ FIRST_BEND = 9.0
 """
 
 
-def effort(motion: JointMotion, k3: float, bend: float) -> float:
+def effort(motion: JointMotion, k3: float, bend: float, corner: float) -> float:
     """Effort [Nm or N] on the sprung joint."""
-    x, r = motion.deflection, math.sqrt(bend)
+    x, r = motion.deflection - min(max(motion.deflection, -corner), corner), math.sqrt(bend)
     if k3 < 0.0:
         straight = math.sqrt(motion.stiffness / (-3.0 * k3))  # tanh(r knee) / r
         if r * straight < 1.0:
@@ -58,7 +70,7 @@ def effort(motion: JointMotion, k3: float, bend: float) -> float:
     return -3.0 * k3 / bend * (x - math.tanh(u) / r)
 
 
-def guess(residual: Residual) -> tuple[float, float]:
+def guess(residual: Residual) -> tuple[float, float, float]:
     """The cubic part of the missing effort over the spring's deflection."""
     x = residual.other_position
-    return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11)
+    return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11), 0.0
