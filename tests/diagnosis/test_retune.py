@@ -11,7 +11,7 @@ from carriage import DAMPING, GAIN, MACHINE, MASS_kg, repeats
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.retune import retune
+from hil.diagnosis.retune import linearised, retune
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +30,14 @@ def test_numbers_of_the_truth_are_within_their_intervals(runs):
     for k, name in enumerate(tuning.names):
         spread = np.sqrt(tuning.covariance[k, k]) * tuning.scale[k]
         assert abs(values[name] - truth[name]) < 3.0 * spread, name
+
+
+def test_scaling_all_numbers_alike_changes_nothing_and_sensitivities_say_so(runs):
+    tuning = linearised(runs, retune(runs))
+    alike = tuning.at(tuning.offset)[tuning.indices] / tuning.scale  # a force's gain, what it moves and what slows it
+    change = tuning.jacobian @ alike / np.linalg.norm(alike)
+    assert np.linalg.norm(tuning.jacobian, axis=0).min() > 40.0
+    assert np.linalg.norm(change) < 5e-3
 
 
 def test_what_is_left_is_noise(runs):
