@@ -121,14 +121,14 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "information": [float(f"{value:.4g}") for value in h.information],
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
-        "by_numbers": round(h.by_numbers, 3),
+        "by_numbers": [round(energy, 3) for energy in h.by_numbers],
     }
 
 
 def _evidence(row: dict[str, Any]) -> Evidence:
     def one(numbers: dict[str, Any]) -> Weighed:
         information = tuple(numbers["information"])
-        train, held_out, by_numbers = numbers["train"], numbers["held_out"], numbers.get("by_numbers", 0.0)
+        train, held_out, by_numbers = numbers["train"], numbers["held_out"], tuple(numbers.get("by_numbers", (0.0, 0.0)))
         return Weighed(None, train, held_out, information, searched=numbers["searched"], passed=numbers["passed"], by_numbers=by_numbers)
 
     return Evidence(tuple(map(one, row["sets"])), one(row["base"]), *row["entries"], row["tried"], row["found"], row["cap"])

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
+from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import covariance_of, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
@@ -19,6 +20,7 @@ from hil.diagnosis.mismatch import Mismatch, mismatch
 from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, ranking
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
+from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
@@ -144,6 +146,8 @@ def diagnose(
             noise=noise,
             shown=shown,
             missing=what_is_missing(train, selection),
+            held_out=None if judged is None else (evidence.base.held_out, hypotheses[0].held_out, evidence.entries_held_out),
+            drift=_drift(runs, tuning, judged, selection, chosen),
         )
         verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
         covariance = covariance_of(runs, tuning, chosen)
@@ -214,6 +218,15 @@ def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection:
         found=selection.chosen is not None,
         cap=_cap(runs),
     )
+
+
+def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection, chosen: Fitted | None) -> float:
+    """Chance of the values that the held-out recordings want of the chosen set's parameters; 1 where there are none."""
+    found = next((one for one in selection.contenders if one.fitted is chosen), None)
+    if judged is None or found is None:
+        return 1.0
+    removed = found.gained - found.by_numbers[0], found.gained_held_out - found.by_numbers[1]
+    return chance_of_drift(runs, tuning, judged, found.fitted, removed)
 
 
 def _cap(runs: FreeRuns) -> float:

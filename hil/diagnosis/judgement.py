@@ -66,9 +66,10 @@ class Contender:
         return self.gate.passed  # those before did, or there were no further step
 
     @property
-    def by_numbers(self) -> float:
-        """Energy that those of its effects remove which are numbers of the machine file, in training and held out."""
-        return sum(gate.gain + (gate.held_out_gain or 0.0) for gate in _steps(self.fitted.effects, self.gates, numbers=True))
+    def by_numbers(self) -> tuple[float, float]:
+        """Energies that those of its effects remove which are numbers of the machine file, in training and held out."""
+        steps = _steps(self.fitted.effects, self.gates, numbers=True)
+        return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
 
 
 @dataclass(frozen=True, eq=False)

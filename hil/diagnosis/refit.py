@@ -171,6 +171,17 @@ def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fitted: Fitted)
     return fitted
 
 
+def sensitivities_to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted, name: str) -> np.ndarray | None:
+    """(M, F) of the whitened free run with a set's free parameters, per unit of each; None where the run itself cannot be simulated."""
+    fitting, at = _Fitting(tuning, fitted.effects, fitted.values, _way(runs)), _Point(fitted.offset, fitted.values)
+    moves = fitting.moves(at)
+    base, *answers = runs.run([fitting.trial(at), *(fitting.trial(to) for to, _ in moves)], name)
+    if base is None:
+        return None
+    columns = [np.zeros_like(base) if a is None else (a - base) / by for a, (_, by) in zip(answers, moves, strict=True)]
+    return np.column_stack(columns) * fitting.slopes(at)
+
+
 def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitted | None]]) -> list[Fitted | None]:
     """Run generators that ask for trials side by side, so that every process has work."""
     done: list[Fitted | None] = [None] * len(fits)

@@ -102,8 +102,8 @@ def test_what_a_number_of_the_machine_file_removes_tempers_nothing():
     """A viscous friction a thousand times above noise, and with it a load that gains 200: the friction's equation is the machine's own."""
 
     def share_of_both(by_numbers: float) -> float:
-        one = Weighed(None, ENTRIES + 200.0, 0.0, (1e6,), by_numbers=by_numbers)
-        both = Weighed(None, ENTRIES, 0.0, (1e6, 200.0), by_numbers=by_numbers)
+        one = Weighed(None, ENTRIES + 200.0, 0.0, (1e6,), by_numbers=(by_numbers, 0.0))
+        both = Weighed(None, ENTRIES, 0.0, (1e6, 200.0), by_numbers=(by_numbers, 0.0))
         ranked, _ = weighed([one, both], Weighed(None, ENTRIES + 1e6, 0.0), (ENTRIES, 0.0), TRIED)
         return next(r.share for r in ranked if r.misfit == both.misfit)
 
@@ -122,3 +122,21 @@ def test_another_motion_s_noise_above_the_model_s_decides_no_name():
     held_out = 3.5 * ENTRIES
     one, other = shares((30.0, held_out, (9000.0,)), (0.0, held_out + 135.0, (9000.0,)), base=(9000.0, held_out + 700000.0))
     assert one == pytest.approx(other, abs=0.1)
+
+
+def test_noise_of_another_motion_hides_no_name_that_training_shows():
+    """Held out a fifth more than noise is left by every set and by none: on nulls of other motions that is not rare."""
+    (name,) = shares((0.0, 0.2 * ENTRIES, (60.0,)), base=(60.0, 0.2 * ENTRIES + 30.0))
+    assert name > CONFIDENT
+
+
+def test_what_training_leaves_above_its_repeats_noise_speaks_for_the_unknown():
+    (name,) = shares((0.2 * ENTRIES, 0.0, (60.0,)), base=(0.2 * ENTRIES + 60.0, 30.0))
+    assert name < 0.5
+
+
+def test_an_equation_errs_in_each_motion_by_a_share_of_what_it_does_there():
+    """One name leaves 200 of 2000 in training, ten times what equations err by; held out both remove a hundred times as much."""
+    one, other = shares((0.0, 0.0, (2000.0,)), (200.0, 0.0, (2000.0,)), base=(2000.0, 200000.0))
+    assert one > 0.9
+    assert other < 0.1

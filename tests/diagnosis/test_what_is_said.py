@@ -110,3 +110,29 @@ def test_many_times_the_noise_is_never_called_retuned(left, said):
     nothing_passed = replace(gate(0.01, passes=False), gain=30.0)  # 20 is chance
     standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, left * NOISE, left * NOISE, NOISE, 8, "")
     assert verdict_of(standing)[0] == said
+
+
+def named(**standing) -> str:
+    """The verdict on one set that passed and stands alone."""
+    one = contender("viscous_friction", 0.9)
+    hypotheses = (Weighed(one.fitted, NOISE, 0.0, (1.0,), 0.5, share=0.99),)
+    numbers = {"retuned_misfit": 2.0 * NOISE, "best_misfit": NOISE} | standing
+    return verdict_of(Standing(one.gates, hypotheses, 3.0 * NOISE, noise=NOISE, shown=8, missing="", **numbers))[0]
+
+
+def test_only_what_is_left_for_certain_has_no_name():
+    """The noise of a few repeats is known to a twentieth: 0.06 of it left of 0.1 is not certainly more than half."""
+    assert named() == "explained"
+    assert named(retuned_misfit=1.1 * NOISE, best_misfit=1.06 * NOISE) == "explained"
+    assert named(retuned_misfit=1.5 * NOISE, best_misfit=1.4 * NOISE) == "unknown_physics"
+
+
+def test_most_of_a_large_held_out_mismatch_left_is_no_explanation():
+    assert named(held_out=(4.0 * NOISE, 3.0 * NOISE, NOISE)) == "unknown_physics"
+    assert named(held_out=(40.0 * NOISE, 3.0 * NOISE, NOISE)) == "explained"
+    assert named(held_out=(1.6 * NOISE, 1.5 * NOISE, NOISE)) == "explained"  # another motion has other noise
+
+
+def test_a_law_whose_numbers_change_with_the_motion_is_no_explanation():
+    assert named(drift=0.01) == "explained"
+    assert named(drift=1e-6) == "unknown_physics"

@@ -1,0 +1,47 @@
+"""Whether two motions want the same values of a law's parameters: a carriage whose friction is the same in both, and one whose is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from carriage import MACHINE, MASS_kg, repeats
+from conftest import COULOMB_N, DURATION_s
+
+from hil.diagnosis.drift import DRIFTED, chance_of_drift
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.refit import refit
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import retune
+
+FRICTION = EffectAt("coulomb_friction", "carriage")
+
+
+def drift(train, held_out) -> float:
+    found = mismatch(MACHINE, train)
+    sets = {TRAIN: found, HELD_OUT: mismatch(MACHINE, held_out, channels=found.channels, noise=found.noise)}
+    with FreeRuns(sets, found.noise) as runs:
+        tuning = retune(runs)
+        judged = HeldOut(runs, tuning)
+        (fitted,) = refit(runs, tuning, runs.measured(), [((FRICTION,), (np.array([10.0]),))])
+        (predicted,) = judged.predictions([(fitted.offset, fitted.settings)])
+        removed = float(np.sum((runs.measured() - tuning.predicted) ** 2)) - fitted.cost
+        return chance_of_drift(runs, tuning, judged, fitted, (removed, judged.misfit(judged.base) - judged.misfit(predicted)))
+
+
+def test_one_friction_is_the_same_in_another_motion(with_friction):
+    assert drift(*with_friction) > 0.01
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5])
+def test_what_only_looks_like_a_friction_wants_another_one_there(with_friction, share):
+    train, _ = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=share * COULOMB_N, duration_s=DURATION_s)
+    assert drift(train, other) < DRIFTED
+
+
+def test_an_equation_may_err_by_a_part_in_either_motion(with_friction):
+    train, _ = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=1.1 * COULOMB_N, duration_s=DURATION_s)
+    assert drift(train, other) > DRIFTED
