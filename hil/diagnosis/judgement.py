@@ -12,7 +12,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
-from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.held_out import Followed, HeldOut
 from hil.diagnosis.naming import NUMBERS, NUMBERS_ERROR, WEIGHTS, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
@@ -86,7 +86,7 @@ class Stand:
         |residual|^2 + |offset|^2 on the training groups.
     response : (M,) array
         Whitened change of the free run that the effects make, the part that no re-tuning imitates.
-    held_out : (M,) array or None
+    held_out : Followed or None
         Held-out free run.
     gates : tuple of Gate
         Of every effect.
@@ -96,7 +96,7 @@ class Stand:
     tuning: Tuning
     cost: float
     response: np.ndarray
-    held_out: np.ndarray | None
+    held_out: Followed | None
     gates: tuple[Gate, ...]
 
     @property
@@ -153,7 +153,7 @@ class Judgement:
         response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]
         held_out = None
         if self._judge is not None:
-            (held_out,) = self._judge.predictions([(tuning.offset, () if fitted is None else fitted.settings)])
+            held_out = self._judge.follow(tuning.offset, () if fitted is None else fitted.settings)
         return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
 
     def contenders(
@@ -176,7 +176,7 @@ class Judgement:
         found = []
         for fitted in fits:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
-            (after,) = (None,) if self._judge is None else self._judge.predictions([(fitted.offset, fitted.settings)])
+            after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
             gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=lost_form(fitted, lowest))
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(
@@ -191,7 +191,7 @@ class Judgement:
             )
         return found
 
-    def _gate(self, before: Stand, fitted: Fitted, after: np.ndarray | None, tried: Tried, placebo: float, asked: int) -> Gate:
+    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
         entries = len(self._measured)
         added = [effect for effect in fitted.effects if effect not in before.effects]
         freedom = fitted.freedom - (0 if before.fitted is None else before.fitted.freedom)
@@ -225,15 +225,15 @@ class Judgement:
             is_first=before.fitted is None,
         )
 
-    def _held_out_variance(self, before: Stand, after: np.ndarray | None, scatter: float) -> tuple[float, float]:
+    def _held_out_variance(self, before: Stand, after: Followed | None, scatter: float) -> tuple[float, float]:
         """Along the change from a stand to a held-out free run, and the fall there that the simulator's own error may be."""
         assert self._judge is not None
         left, count = self._judge.misfit(after), max(float(len(self._judge.measured)), 1.0)
         level, form = max(1.0, left / count), 0.0
         if before.held_out is not None and after is not None and before.fitted is not None and self.nothing.held_out is not None:
-            response = before.held_out - self.nothing.held_out
+            response = before.held_out.predicted - self.nothing.held_out.predicted
             erring = before.erring(lambda gate: gate.held_out_gain or 0.0)
-            form = form_variance(response, after - before.held_out, erring, left - count)
+            form = form_variance(response, after.predicted - before.held_out.predicted, erring, left - count)
         return level * scatter + form, level * SIMULATOR_ERROR * count
 
     def _left(self, stand: Stand) -> float:

@@ -202,8 +202,10 @@ def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: t
     return jacobian
 
 
-def _bounded_step(root: np.ndarray, target: np.ndarray, offset: np.ndarray, radius: float) -> np.ndarray:
-    """Change of the tuned coordinates that minimises |target - root step|^2 within LARGEST_CHANGE and, in each of them, the radius."""
+def bounded_step(hessian: np.ndarray, gradient: np.ndarray, offset: np.ndarray, radius: float = np.inf) -> np.ndarray:
+    """Change of the tuned coordinates that lowers |residual|^2 most within LARGEST_CHANGE and, in each of them, the radius."""
+    root = np.linalg.cholesky(hessian).T
+    target = np.linalg.solve(root.T, gradient)
     bound = LARGEST_CHANGE / PRIOR
     low, high = np.maximum(-bound - offset, -radius), np.minimum(bound - offset, radius)
     return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-9), np.maximum(high, 1e-9)), method="bvls").x
@@ -227,10 +229,8 @@ def _trusted_step(
     residual = measured - tuning.predicted
     hessian = tuning.jacobian.T @ tuning.jacobian + np.eye(len(tuning.offset))
     gradient = tuning.jacobian.T @ residual - tuning.offset
-    root = np.linalg.cholesky(hessian).T
-    target = np.linalg.solve(root.T, gradient)
     for _ in range(SHRUNK_AT_MOST):
-        step = _bounded_step(root, target, tuning.offset, radius)
+        step = bounded_step(hessian, gradient, tuning.offset, radius)
         expected = float(2.0 * step @ gradient - step @ hessian @ step)
         offset = tuning.offset + step
         values = tuning.at(offset)

@@ -1,28 +1,102 @@
-"""What held-out recordings are judged with."""
+"""Held-out recordings: the machine's numbers move to where they want them, as far as the training recordings let them go."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-import scipy.linalg
 
-from hil.diagnosis.held_out import precision_of
+from hil.diagnosis.free_run import HELD_OUT
+from hil.diagnosis.held_out import OPEN, HeldOut
+from hil.diagnosis.retune import Tuning
+from virtual_bus.plant.parameters import PlantParameter
+from virtual_bus.settings import EffectSetting
 
-
-def covariance(seed: int, least: float, numbers: int = 45) -> np.ndarray:
-    """Of numbers of which some are known to a part of `least` of the others' variance, as an inverse gives it: with its rounding."""
-    random = np.random.default_rng(seed)
-    directions = np.linalg.qr(random.standard_normal((numbers, numbers)))[0]
-    return np.linalg.inv((directions / np.geomspace(least, 1.0, numbers)) @ directions.T)
-
-
-def test_a_covariance_comes_back_as_its_inverse():
-    known = covariance(1, 1e-4)
-    assert precision_of(known) @ known == pytest.approx(np.eye(45), abs=1e-8)
-    assert precision_of(np.zeros((0, 0))).shape == (0, 0)
+ROWS = 3000
+NOISE = np.random.default_rng(4).standard_normal(ROWS)
+PUSH = EffectSetting("constant_load", "axis", {"tau0": 1.0})
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_numbers_known_far_better_than_others_leave_it_positive_definite(seed):
-    assert np.linalg.eigvalsh(np.linalg.inv(covariance(seed, 1e-17))).min() < 0.0  # an inverse is not
-    scipy.linalg.cho_factor(precision_of(covariance(seed, 1e-17)))
+def held_out(answer, measured: np.ndarray, known: float | np.ndarray, numbers: int = 1) -> HeldOut:
+    """A machine that answers the held-out motion with `answer(offset, effects)` and whose numbers training sees with `known` sensitivities.
+
+    Numbers are one at nominal, and an offset of 1 is a tenth of them.
+    """
+    parameters = tuple(PlantParameter(f"body_{k}", "mass", "kg", 1.0) for k in range(numbers))
+    zeros, seen = np.zeros(numbers), known * np.eye(ROWS, numbers)
+    tuning = Tuning(parameters, np.arange(numbers), zeros + 0.1, zeros, zeros + 1.0, np.zeros(ROWS), seen, np.eye(numbers))
+
+    def run(trials, name):
+        assert name == HELD_OUT
+        return [answer(10.0 * (trial.values - 1.0), trial.effects) for trial in trials]
+
+    runs = SimpleNamespace(measured=lambda name: measured, run=run, run_one=lambda trial, name: run([trial], name)[0])
+    return HeldOut(runs, tuning)
+
+
+def wave(offset, effects=()):
+    """A lightly damped mode rings on for ten turns: half a turn less where its spring is a tenth softer."""
+    phase = np.linspace(0.0, 20.0 * np.pi, ROWS)
+    pushed = 3.0 * np.ones(ROWS) if effects else 0.0
+    return 5.0 * np.sin(phase * np.sqrt(1.0 + 0.1 * offset[0])) + pushed
+
+
+def test_what_is_left_open_follows_a_mode_that_is_far_from_linear():
+    true = np.array([-0.8])
+    measured = wave(true) + NOISE
+    judge = held_out(wave, measured, 0.0)
+    nothing = judge.follow(np.zeros(1), ())
+    assert np.sum((measured - wave(np.zeros(1))) ** 2) > 5.0 * ROWS
+    assert nothing.misfit == pytest.approx(NOISE @ NOISE + 0.64, abs=4.0)
+    assert nothing.moved == pytest.approx(true, abs=0.02)
+
+
+def test_an_effect_that_is_none_gains_nothing_by_starting_nearer():
+    true = np.array([-0.8])
+    judge = held_out(wave, wave(true) + NOISE, 0.0)
+    nothing, nearer = judge.follow(np.zeros(1), ()), judge.follow(0.9 * true, ())
+    assert nothing.misfit - nearer.misfit < 1.0  # the move's own price, of 0.64
+
+
+def test_an_effect_that_is_there_is_followed_with_the_numbers_moved_all_the_same():
+    measured = wave(np.array([-0.8]), (PUSH,)) + NOISE
+    judge = held_out(wave, measured, 0.0)
+    nothing, pushed = judge.follow(np.zeros(1), ()), judge.follow(np.zeros(1), (PUSH,))
+    assert nothing.misfit - pushed.misfit == pytest.approx(9.0 * ROWS, rel=0.05)
+    assert judge.deviations(nothing, pushed) == pytest.approx(3.0 * np.sqrt(ROWS), rel=0.05)
+    assert judge.deviations(pushed, pushed) == 0.0
+
+
+def test_what_training_knows_does_not_move():
+    measured = wave(np.array([-0.8])) + NOISE
+    loose, firm = (held_out(wave, measured, known).follow(np.zeros(1), ()) for known in (0.0, 1e5))
+    assert abs(firm.moved[0]) < 1e-3
+    assert firm.misfit > 5.0 * loose.misfit
+
+
+def test_numbers_stay_within_fifteen_percent():
+    judge = held_out(wave, wave(np.array([-1.9])) + NOISE, 0.0)
+    assert judge.follow(np.array([-1.2]), ()).moved >= -0.3 - 1e-6
+
+
+def test_the_misfit_of_a_linear_machine_is_that_under_its_prediction_s_covariance():
+    random = np.random.default_rng(5)
+    seen, known = random.standard_normal((ROWS, 3)), 4.0
+    judge = held_out(lambda offset, effects: seen @ offset, NOISE, known, 3)
+    covariance = np.eye(ROWS) + seen @ seen.T / (known**2 / OPEN + 1.0)
+    expected = NOISE @ np.linalg.solve(covariance, NOISE)
+    assert judge.follow(np.zeros(3), ()).misfit == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_cannot_be_simulated_is_no_better_than_anything():
+    judge = held_out(lambda offset, effects: None if effects else wave(offset), NOISE, 0.0)
+    failed = judge.follow(np.zeros(1), (PUSH,))
+    assert failed is None
+    assert judge.misfit(failed) > 1e200
+    assert judge.deviations(judge.follow(np.zeros(1), ()), failed) == -np.inf
+
+
+def test_a_machine_of_no_numbers_stays_as_it_is():
+    judge = held_out(lambda offset, effects: np.zeros(ROWS), NOISE, 0.0, 0)
+    assert judge.follow(np.zeros(0), ()).misfit == pytest.approx(NOISE @ NOISE)

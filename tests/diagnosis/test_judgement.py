@@ -11,6 +11,7 @@ import scipy.stats
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
+from hil.diagnosis.held_out import Followed
 from hil.diagnosis.judgement import Contender, Judgement, Tried
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -121,15 +122,16 @@ class OtherMotion:
         drawn *= noise * math.sqrt(ENTRIES) / np.linalg.norm(drawn)
         self.measured = drawn + sum(self._said.values())
 
-    def predictions(self, sets):
-        return [sum((self._said[setting.name] for setting in settings), np.zeros(ENTRIES)) for _, settings in sets]
+    def follow(self, offset, settings):
+        predicted = sum((self._said[setting.name] for setting in settings), np.zeros(ENTRIES))
+        return Followed(predicted, offset, float(np.sum((self.measured - predicted) ** 2)))
 
-    def misfit(self, predicted):
-        return float(np.sum((self.measured - predicted) ** 2))
+    def misfit(self, found):
+        return found.misfit
 
     def deviations(self, before, after):
-        change = after - before
-        return float(change @ (self.measured - before)) / float(np.linalg.norm(change))
+        change = after.predicted - before.predicted
+        return float(change @ (self.measured - before.predicted)) / float(np.linalg.norm(change))
 
 
 def followed(fall: float, variance: float) -> float:
@@ -193,11 +195,11 @@ def test_sets_that_are_asked_about_later_in_a_step_count_those_before_them():
 
 def test_a_machine_that_diverges_on_the_held_out_motion_confirms_nothing():
     class Diverging(OtherMotion):
-        def predictions(self, sets):
-            return [None if not effects else prediction for (_, effects), prediction in zip(sets, super().predictions(sets), strict=True)]
+        def follow(self, offset, settings):
+            return super().follow(offset, settings) if settings else None
 
-        def misfit(self, predicted):
-            return 1e300 if predicted is None else super().misfit(predicted)
+        def misfit(self, found):
+            return 1e300 if found is None else super().misfit(found)
 
         def deviations(self, before, after):
             return -np.inf if before is None or after is None else super().deviations(before, after)
