@@ -10,6 +10,7 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
+from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import NUMBERS, Weighed, price_of_a_parameter, temperature, temperature_of
@@ -129,6 +130,8 @@ def select(
         if not fits:
             break
         fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
+        if stand.cost - fits[0].cost > needed_gain(tried.sets(fits[0].effects[-1:]), fits[0].freedom, fits[0].cost, len(residual)):
+            fits = with_half_orders(runs, tuning, measured, fits)
         if size == 0:
             first, singles = screened, fits
             lowest = {candidate.effect: candidate.lowest for candidate in found}

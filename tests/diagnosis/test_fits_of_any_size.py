@@ -11,6 +11,7 @@ import pytest
 from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import polish, refit
 from hil.diagnosis.result import EffectAt
@@ -101,21 +102,21 @@ def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
     assert len(asked) == len(set(asked))
 
 
-@pytest.fixture(scope="module")
-def pieces():
-    """Pieces of 20 ms of a rotor at various places and speeds, with cogging 72 times a turn."""
-    cogging = EffectSetting("cogging", "rotor", {"Np": 72.0, "A1": 0.1, "phi1": 0.4, "A2": 0.0, "phi2": 0.0})
+def pieces(count=24, **cogging) -> dict[str, Recording]:
+    """Pieces of 20 ms of a rotor with this cogging, at various places and speeds."""
+    hidden = EffectSetting("cogging", "rotor", cogging)
     random = np.random.default_rng(3)
     found = {}
-    for number in range(24):
+    for number in range(count):
         inputs = driven(ROTOR, np.full(20, 0.2), speeds=[float(random.uniform(4.0, 8.0))])
         start = {"position_rotor": Channel("rad", np.full(20, random.uniform(0.0, 30.0)))}
-        found[str(number)] = recorded(ROTOR, Recording({**inputs.channels, **start}, inputs.metadata), cogging)
+        found[str(number)] = recorded(ROTOR, Recording({**inputs.channels, **start}, inputs.metadata), hidden)
     return found
 
 
-def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth(pieces):
-    with FreeRuns({TRAIN: (found := mismatch(ROTOR, pieces))}, found.noise) as runs:
+def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth():
+    recordings = pieces(Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
         tuning = retune(runs)
         guessed = next(c for c in candidates_for(runs, tuning)(None) if c.effect.effect == "cogging")
         nearest = min(guessed.starts, key=lambda start: abs(start[0] - 72.0))
@@ -123,3 +124,13 @@ def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth(pie
         (fit,) = refit(runs, tuning, runs.measured(), [((guessed.effect,), (nearest,))])
     assert fit.values[0][0] == pytest.approx(72.0, abs=0.07)
     assert fit.values[0][1] == pytest.approx(0.1, rel=0.1)
+
+
+def test_a_law_whose_second_harmonic_is_larger_is_found_from_twice_its_order():
+    recordings = pieces(8, Np=36.0, A1=0.04, phi1=-0.9, A2=0.1, phi2=0.4)
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
+        tuning = retune(runs)
+        start = ((EffectAt("cogging", "rotor"),), (np.array([72.0, 0.1, 0.4, 0.0, 0.0]),))
+        (fit,) = with_half_orders(runs, tuning, runs.measured(), refit(runs, tuning, runs.measured(), [start]))
+    order, a1, _, a2, _ = fit.values[0]
+    assert (order, a1, a2) == pytest.approx((36.0, 0.04, 0.1), rel=0.1)
