@@ -9,6 +9,8 @@ and in another way in the other, along its own response if it is unlucky: that c
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.stats
 
@@ -44,19 +46,20 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
     removed : pair of float
         Energies, in training and held out, of which its equations may err by a share.
     """
-    (predicted,) = held_out.predictions([(fitted.offset, fitted.settings)])
-    response = sensitivities_to_effects(runs, tuning, fitted, HELD_OUT)
-    if predicted is None or response is None:
+    followed = held_out.follow(fitted.offset, fitted.settings)
+    if followed is None:
+        return 1.0
+    response = sensitivities_to_effects(runs, tuning, replace(fitted, offset=fitted.offset + followed.moved), HELD_OUT)
+    if response is None:
         return 1.0
     projection = Projection.of(tuning)
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
     sizes = np.linalg.norm(left, axis=0)
     left, response = left / np.maximum(sizes, 1e-300), response / np.maximum(sizes, 1e-300)
-    residual = held_out.measured - predicted
-    there = np.array([[held_out.product(one, other) for other in response.T] for one in response.T])
-    gradient = np.array([held_out.product(one, residual) for one in response.T])
-    freed = held_out.misfit(predicted) - _in_deviations(gradient, there)[0]  # with the values that these recordings want
-    levels = fitted.cost / len(tuning.predicted), freed / len(residual)
+    there = held_out.information(response)
+    gradient = response.T @ (held_out.measured - followed.predicted)  # the numbers are where they cost least: they add nothing to it
+    freed = followed.misfit - _in_deviations(gradient, there)[0]  # with the values that these recordings want
+    levels = fitted.cost / len(tuning.predicted), freed / len(followed.predicted)
     known, level = (max(1.0, noise) + WEIGHTS.form_error * max(energy, 0.0) for noise, energy in zip(levels, removed, strict=True))
     variances, directions = np.linalg.eigh(left.T @ left)
     inverse = (directions / np.maximum(variances, SEEN * variances[-1])) @ directions.T

@@ -99,6 +99,13 @@ class HeldOut:
         """Of a run that could be simulated; else larger than any."""
         return 1e300 if followed is None else followed.misfit
 
+    def information(self, response: np.ndarray) -> np.ndarray:
+        """(F, F) on what changes held-out runs by these columns (M, F), the numbers free to follow as the linear machine has it."""
+        if self._jacobian is None:
+            return response.T @ response
+        shared = self._jacobian.T @ response
+        return response.T @ response - shared.T @ np.linalg.solve(self._jacobian.T @ self._jacobian + self._weights, shared)
+
     def deviations(self, before: Followed | None, after: Followed | None) -> float:
         """How far the residual goes along a predicted change, in standard deviations of noise, or of what is left if larger.
 

@@ -25,9 +25,9 @@ def drift(train, held_out) -> float:
         tuning = retune(runs)
         judged = HeldOut(runs, tuning)
         (fitted,) = refit(runs, tuning, runs.measured(), [((FRICTION,), (np.array([10.0]),))])
-        (predicted,) = judged.predictions([(fitted.offset, fitted.settings)])
+        nothing, friction = judged.follow(tuning.offset, ()), judged.follow(fitted.offset, fitted.settings)
         removed = float(np.sum((runs.measured() - tuning.predicted) ** 2)) - fitted.cost
-        return chance_of_drift(runs, tuning, judged, fitted, (removed, judged.misfit(judged.base) - judged.misfit(predicted)))
+        return chance_of_drift(runs, tuning, judged, fitted, (removed, judged.misfit(nothing) - judged.misfit(friction)))
 
 
 def test_one_friction_is_the_same_in_another_motion(with_friction):

@@ -87,6 +87,8 @@ def test_the_misfit_of_a_linear_machine_is_that_under_its_prediction_s_covarianc
     covariance = np.eye(ROWS) + seen @ seen.T / (known**2 / OPEN + 1.0)
     expected = NOISE @ np.linalg.solve(covariance, NOISE)
     assert judge.follow(np.zeros(3), ()).misfit == pytest.approx(expected, rel=1e-6)
+    other = random.standard_normal((ROWS, 2))
+    assert judge.information(other) == pytest.approx(other.T @ np.linalg.solve(covariance, other), rel=1e-6)
 
 
 def test_what_cannot_be_simulated_is_no_better_than_anything():
