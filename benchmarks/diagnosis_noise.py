@@ -2,11 +2,14 @@
 
 python benchmarks/concealed make --seeds development --strata null --cases 0-59 --work WORK
 python benchmarks/diagnosis_noise.py WORK/development
+python benchmarks/diagnosis_noise.py WORK/development --machine carm
 python benchmarks/diagnosis_noise.py WORK/development --along 45,48,15
 python benchmarks/diagnosis_noise.py WORK/development --gate 45,48,15
 
 For every null: |residual|^2 over its expectation at the true machine numbers, on the repeats' mean and on the held-out recording (1 is
-right), and after re-tuning. With --along, for these nulls: the variance, in units of the noise model's, of twelve fresh repeats and of the
+right), after re-tuning, and held out where the machine's numbers follow; and how far re-tuning's cost is below that of the true numbers, by
+chance about as much as there are numbers: less than nothing, and it has stopped short. With --machine, those of this machine alone. With
+--along, for these nulls: the variance, in units of the noise model's, of twelve fresh repeats and of the
 recorded ones, each about their mean, along what every candidate changes, re-tuning projected out; 1 is right. With --gate, for these nulls:
 the least expected number of tried sets that gain as much in training by chance (of independent candidates, below a in about a share a of
 them), the farthest that held-out recordings follow a set (root of the misfit's fall, in standard deviations), the least chance of both,
@@ -31,6 +34,7 @@ from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.gate import HELD_OUT_FREEDOM
+from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import retune
@@ -62,12 +66,19 @@ def judged(case: Path, truth: dict) -> dict[str, object]:
     runs = FreeRuns(sets, train.noise)
     tuning = retune(runs)
     at_truth = Trial(true_values(runs, truth["factors"]))
-    ratios = {}
+    ratios, costs = {}, {}
+    offsets = {"true": (at_truth.values - runs.nominal)[tuning.indices] / tuning.scale, "retuned": tuning.offset}
     for name, trial in (("true", at_truth), ("retuned", Trial(tuning.values))):
         for part in (TRAIN, HELD_OUT):
             answer = runs.run_one(trial, part)
-            ratios[f"{name}_{part}"] = None if answer is None else round(float(np.mean((runs.measured(part) - answer) ** 2)), 3)
-    return {"case": case.name, "machine": truth["machine"], "colour": truth["colour"], **ratios}
+            energy = np.inf if answer is None else float(np.sum((runs.measured(part) - answer) ** 2))
+            ratios[f"{name}_{part}"] = None if answer is None else round(energy / len(runs.measured(part)), 4)
+            if part == TRAIN:
+                costs[name] = energy + float(offsets[name] @ offsets[name])
+    judge = HeldOut(runs, tuning)
+    ratios["followed_held_out"] = round(judge.misfit(judge.follow(tuning.offset, ())) / len(judge.measured), 4)
+    row = {"case": case.name, "machine": truth["machine"], "colour": truth["colour"], "experiment": truth["training"]}
+    return row | ratios | {"numbers": len(tuning.offset), "below_truth": round(costs["true"] - costs["retuned"], 1)}
 
 
 def along(folder: Path, number: int) -> dict[str, object]:
@@ -135,16 +146,16 @@ def gates(folder: Path, numbers: list[int]) -> None:
     print(json.dumps({"nulls": len(rows), "sets": len(found), "scale": scale, "beyond_2.5": float(np.mean(found > 2.5)), **shares}))
 
 
-def main(folder: Path) -> None:
-    """Print a line per null of a set, then the median and range over them."""
+def main(folder: Path, machine: str = "") -> None:
+    """Print a line per null of a set, of one machine where it is named, then the median and range over them."""
     warnings.simplefilter("ignore")
     found = []
     for case in sorted((folder / "cases").iterdir()):
         truth = json.loads((folder / "truths" / f"{case.name}.json").read_text())
-        if truth["stratum"] == "null" and truth["machine"] != "carm":
+        if truth["stratum"] == "null" and truth["machine"].startswith(machine):
             found.append(judged(case, truth))
             print(json.dumps(found[-1]), flush=True)
-    for key in ("true_train", "true_held_out", "retuned_train", "retuned_held_out"):
+    for key in ("true_train", "true_held_out", "retuned_train", "retuned_held_out", "followed_held_out"):
         ratios = [entry[key] for entry in found if entry[key] is not None]
         print(json.dumps({key: {"median": float(np.median(ratios)), "least": min(ratios), "most": max(ratios), "nulls": len(ratios)}}))
 
@@ -158,4 +169,4 @@ if __name__ == "__main__":
         warnings.simplefilter("ignore")
         gates(Path(sys.argv[1]), [int(number) for number in sys.argv[sys.argv.index("--gate") + 1].split(",")])
     else:
-        main(Path(sys.argv[1]))
+        main(Path(sys.argv[1]), sys.argv[sys.argv.index("--machine") + 1] if "--machine" in sys.argv else "")
