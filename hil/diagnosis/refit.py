@@ -15,6 +15,7 @@ import scipy.optimize
 
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.information import Free, information_of
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, linearised, sensitivities_from, sensitivity_trials
 from virtual_bus.effects.effect import Parameter
@@ -103,9 +104,8 @@ class Fitted:
     jacobian : (M, F) array
         Of the prediction with the free effect parameters, in their units.
     information : (F,) array
-        Energies, in units of noise, that the recordings lose by changes of the free parameters as large as these are themselves (of phases
-        by 1 rad), along the directions in which they do so independently and with the tuned numbers free: what a parameter that the
-        recordings do not see, or a strength that may as well be zero, has none of.
+        Energies, in units of noise, that the recordings lose by changes of the free parameters as large as these may be beforehand, with
+        the tuned numbers free (`information.py`): what a parameter that the recordings do not see has none of.
     """
 
     effects: tuple[EffectAt, ...]
@@ -273,7 +273,7 @@ def _fit(
         if not is_linearised:
             jacobian = yield from _sensitivities(fitting, at, predicted)
     hessian, _ = _normal_equations(square, tuned, jacobian, measured - predicted, at.offset)
-    information = _information(hessian, len(at.offset))
+    information = information_of(hessian, len(at.offset), fitting.described(at))
     return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information)
 
 
@@ -365,6 +365,11 @@ class _Fitting:
             found.append(-1.0 / value if _is_inverse(self._parameters[e][k], value) else 1.0 / size)
         return np.array(found)
 
+    def described(self, at: _Point) -> list[Free]:
+        """The free parameters."""
+        each = zip(self.free, self._sizes(at), strict=True)
+        return [Free(e, self._parameters[e][k], float(at.values[e][k]), size) for (e, k), size in each]
+
     def _sizes(self, at: _Point) -> list[float]:
         found = []
         for (e, k), least in zip(self.free, self._least, strict=True):
@@ -403,13 +408,6 @@ def _normal_equations(
     across = jacobian.T @ added
     hessian = np.block([[tuned + np.eye(len(tuned)), across], [across.T, added.T @ added]])
     return hessian, np.concatenate([jacobian.T @ residual - offset, added.T @ residual])
-
-
-def _information(hessian: np.ndarray, tuned: int) -> np.ndarray:
-    """Eigenvalues of the effects' part of a Hessian whose first `tuned` rows are free: its Schur complement."""
-    across = hessian[:tuned, tuned:]
-    own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
-    return np.maximum(np.linalg.eigvalsh(own), 0.0)
 
 
 def _way(runs: FreeRuns) -> float:

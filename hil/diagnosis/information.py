@@ -1,0 +1,50 @@
+"""What a fit narrows its parameters by: the part of its price (`naming.py`) that depends on how large they may be beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from virtual_bus.effects.effect import Parameter
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that was fitted."""
+
+    effect: int  # which of the set
+    parameter: Parameter
+    value: float
+    size: float  # which the Hessian counts it in
+
+
+def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.ndarray:
+    """(F,) energies that recordings lose by changes of parameters as large as they may be beforehand, in independent directions.
+
+    A parameter may be as large as it is (a phase 1 rad). Of a law with several strengths each may be so large that it alone does what all
+    of them do: one that was fitted to nothing might have been as large, and a law that holds a simpler one pays for what it found to be
+    zero.
+
+    Parameters
+    ----------
+    hessian : (tuned + F, tuned + F) array
+        Of |residual|^2 + |offset|^2 over two, the first `tuned` rows those of the machine's numbers, which are free.
+    tuned : int
+    free : sequence of Free
+    """
+    across = hessian[:tuned, tuned:]
+    own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
+    scales = np.ones(len(free))
+    for effect in {one.effect for one in free}:
+        several = [n for n, one in enumerate(free) if one.effect == effect and one.parameter.is_strength]
+        if len(several) < 2:
+            continue
+        shares = np.array([(free[n].value - free[n].parameter.neutral) / free[n].size for n in several])
+        energy = float(shares @ own[np.ix_(several, several)] @ shares)
+        for n in several:
+            if 0.0 < own[n, n] < energy:
+                parameter = free[n].parameter
+                scales[n] = min(np.sqrt(energy / own[n, n]), (parameter.high - parameter.low) / free[n].size)
+    return np.maximum(np.linalg.eigvalsh(own * scales * scales[:, None]), 0.0)
