@@ -3,7 +3,8 @@
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
 motion shows less than a part of a cycle: an offset and a slope. A strength at the bound that no real machine exceeds is not that machine's
-either, and no oil is viscous one way only: a load beside dry friction looks like that.
+either, and no oil is viscous one way only: a load beside dry friction looks like that. A gap in which a spring keeps nearly all of its
+stiffness is a spring that hardens.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl
 ONE_WAY = {"asymmetric_friction": ("Fv_plus", "Fv_minus")}
 """Numbers of the two directions, of which none is zero beside another that counts."""
 
+NO_GAP = 0.9
+"""Share of the spring's stiffness within a backlash from which on there is no gap."""
+
 COUNTS = 0.01
 """Share of an effect's energy in the recordings from which a number of it counts: as much as an equation errs by (`naming.py`)."""
 
@@ -54,6 +58,8 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effect.effect in ONE_WAY and (name := _one_way(fitted, number)):
             return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
+        if effect.effect == "backlash" and (inside := _stiffness_within(*values)) > NO_GAP:
+            return f"{effect} leaves the spring {inside:.0%} of its stiffness within the gap: what fits is no longer that effect"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
@@ -63,6 +69,11 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
             if parameter.unit in WAVES and value < lowest.get(effect, 0.0):
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
+
+
+def _stiffness_within(b: float, flank: float) -> float:
+    """Of a gap, as a share of the spring's."""
+    return float(flank / (b + flank)) if b + flank > 0.0 else 0.0
 
 
 def _bound(name: str, parameter: Parameter, value: float) -> float | None:

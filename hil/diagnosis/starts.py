@@ -335,7 +335,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "end_stop": _stops,
     "base_motion": _lines,
     "structural_mode": _modes,
-    "backlash": _several("b", lambda f, r, t: [share * t.deflection for share in (0.0015, 0.006, 0.025, 0.1, 0.4)]),
+    "backlash": lambda f, r, t: [{"b": share * t.deflection, "flank": share * t.deflection} for share in (0.0015, 0.006, 0.025, 0.1, 0.4)],
     "nonlinear_stiffness": _springs,
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),
     "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s, 1.5 / t.sample_s]),

@@ -9,7 +9,7 @@ EXAMPLES = {
     for setting in (
         EffectSetting("asymmetric_friction", "roll", {"Fc_plus": 10.0, "Fc_minus": 4.0, "Fv_plus": 20.0, "Fv_minus": 5.0}),
         EffectSetting("axis_coupling", "propeller", {"J12": 20.0, "phi": 0.3}),
-        EffectSetting("backlash", "roll", {"b": 1e-4}),
+        EffectSetting("backlash", "roll", {"b": 1e-4, "flank": 0.0}),
         EffectSetting("base_motion", "ceiling_mount", {"A": 400.0, "f": 11.0, "phi": 0.4}),
         EffectSetting("bouc_wen_hysteresis", "roll", {"k": 500.0, "A": 1.0, "z_max": 0.01, "beta_share": 0.6, "n": 1.5}),
         EffectSetting("cable_spring", "propeller", {"kc": 120.0, "kc3": 300.0, "theta0": -0.2}),

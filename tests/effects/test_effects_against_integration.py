@@ -88,7 +88,7 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
         0,
     ),
     "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0, "corner": 0.01}, touching, 0),
-    "backlash": ({"b": 0.01}, lambda t, x, v, z: (STIFFNESS * np.clip(x, -0.01, 0.01), []), 0),
+    "backlash": ({"b": 0.01, "flank": 0.005}, lambda t, x, v, z: (STIFFNESS * np.clip(x / 1.5, -0.01, 0.01), []), 0),
     "end_stop": (
         {"K": 5000.0, "D": 10.0, "at_position": 0.03, "side": 1.0},
         lambda t, x, v, z: (-max(5000.0 * (x - 0.03) + 10.0 * v, 0.0) if x > 0.03 else 0.0, []),

@@ -78,7 +78,7 @@ def test_a_joint_hangs_at_the_side_of_its_gap_that_its_load_chooses() -> None:
     gap = 2e-3
     pose = np.radians([0.0, 0.0])
     without = Physics(CARM.plant, noise=False)
-    having = Physics(CARM.with_effects((EffectSetting("backlash", "roll", {"b": gap}),)).plant, noise=False)
+    having = Physics(CARM.with_effects((EffectSetting("backlash", "roll", {"b": gap, "flank": 0.0}),)).plant, noise=False)
     for physics in (without, having):
         physics.place(pose)
     joint = CARM.plant.tree.joint_index("roll_gear")

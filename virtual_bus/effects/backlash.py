@@ -1,4 +1,4 @@
-"""Backlash: a gap in the gear through which no effort passes."""
+"""Backlash: a gap in the gear through which no effort passes, or little where its flanks come into touch by and by."""
 
 from __future__ import annotations
 
@@ -13,22 +13,34 @@ EFFECT = Effect(
     kind=ELASTIC,
     parameters=(
         Parameter("b", unit="rad", low=0.0, high=0.1, description="half of the gap"),
+        Parameter(
+            "flank",
+            unit="rad",
+            low=0.0,
+            high=0.1,
+            description="deflection over which the flanks come into touch: crowned, rough or with a film between them; 0: at once",
+            is_strength=False,
+            default=0.0,
+        ),
     ),
-    equation="K deadzone(deflection, b)",
+    equation="K deflection - K b sat(deflection / (b + flank)); flank = 0: K deadzone(deflection, b)",
     convention=(
-        "the spring behind the axis pulls with -K (deflection - b) beyond +b, +K (-deflection - b) below -b, nothing between: b "
-        "is half the gap, on the joint's side of the gear; the spring's damper acts throughout"
+        "the spring behind the axis pulls with -K (deflection - b) beyond b + flank, +K (-deflection - b) below -(b + flank), between "
+        "with flank / (b + flank) of its stiffness: b is half the gap, on the joint's side of the gear; the spring's damper acts throughout"
     ),
     neighbours=("presliding_hysteresis", "joint_compliance", "delay"),
-    source="Nordin and Gutman 2002, eq. (3)",
+    source="Nordin and Gutman 2002, eq. (3); Johnson 1985, ch. 4 (flanks in contact are softer at first)",
 )
 
 
-def effort(motion: JointMotion, b: float) -> float:
+def effort(motion: JointMotion, b: float, flank: float) -> float:
     """What the gap takes off the spring's pull [Nm or N]."""
-    return motion.stiffness * min(max(motion.deflection, -b), b)
+    if b <= 0.0:
+        return 0.0
+    return motion.stiffness * min(max(motion.deflection * (b / (b + flank)), -b), b)
 
 
-def guess(residual: Residual) -> tuple[float]:
-    """A gap as wide as the missing effort over the spring's stiffness."""
-    return (0.5 * float(np.ptp(residual.effort)) / max(residual.stiffness, 1e-9),)
+def guess(residual: Residual) -> tuple[float, float]:
+    """A gap as wide as the missing effort over the spring's stiffness, half as stiff while the flanks come into touch."""
+    half = 0.5 * float(np.ptp(residual.effort)) / max(residual.stiffness, 1e-9)
+    return half, half
