@@ -126,12 +126,17 @@ def _numbers(h: Weighed) -> dict[str, Any]:
 
 
 def _evidence(row: dict[str, Any]) -> Evidence:
-    def one(numbers: dict[str, Any]) -> Weighed:
-        information = tuple(numbers["information"])
-        train, held_out, by_numbers = numbers["train"], numbers["held_out"], tuple(numbers.get("by_numbers", (0.0, 0.0)))
-        return Weighed(None, train, held_out, information, searched=numbers["searched"], passed=numbers["passed"], by_numbers=by_numbers)
+    base = row["base"]
 
-    return Evidence(tuple(map(one, row["sets"])), one(row["base"]), *row["entries"], row["tried"], row["found"], row["cap"])
+    def one(numbers: dict[str, Any]) -> Weighed:
+        information, passed = tuple(numbers["information"]), numbers["passed"]
+        train, held_out, by_numbers = numbers["train"], numbers["held_out"], numbers.get("by_numbers", (0.0, 0.0))
+        if isinstance(by_numbers, int | float):  # rows before 82fd5e2 hold the sum: shared as the misfits fall
+            falls = max(base["train"] - train, 0.0), max(base["held_out"] - held_out, 0.0)
+            by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
+        return Weighed(None, train, held_out, information, searched=numbers["searched"], passed=passed, by_numbers=tuple(by_numbers))
+
+    return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 
 
 def weighed(row: dict[str, Any], weights: Weights) -> tuple[float, bool, float]:
