@@ -6,6 +6,9 @@ The observer's model is identified from multisines on the undisturbed emulated C
 judged on others, three of each. It knows nothing of the shaking but what that tuning found. The oracle is an extended Kalman filter on the
 emulated machine's own equations with the true noise, the true spectrum of the shaking and the true places where it acts. A second oracle is
 not told the places: it takes every joint for shaken, in the true spectrum.
+
+`--own-model` reads "oracle" as the observer's own filter instead: the same modal form with all parameters the emulator's, the true noise of
+sensors, and disturbances at the true places with their true strengths in the form that the filter has (`observer_truth`).
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from observer_truth import true_model
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
@@ -28,6 +32,7 @@ from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
+from hil.observing.noise import encoder_steps
 from hil.recording import Channel, Recording
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
@@ -42,6 +47,11 @@ UNTOLD_Nm = 15.0
 BAND_Hz = (1.0, 12.0)
 SETTLE_S = 2.0
 SKIPPED_S = 1.0  # of every scan, in which the filters find their biases
+OWN_MODES = 5
+OWN_EVALUATIONS = 150  # it starts near
+OWN_DRIVES_Nm = 0.1
+"""What the tuning of the observer's own oracle starts from at the drives, which nothing disturbs: what its linear form leaves."""
+
 JUDGED_SEEDS = (7, 1007, 2007)
 TRAINING_SEED = 100
 
@@ -286,7 +296,27 @@ def scans(machine: Machine) -> dict[str, Plan]:
     }
 
 
-def judged(machine: Machine, design: ObserverDesign, plan: Plan, seed: int, with_oracle: bool) -> dict:
+def own_design(machine: Machine, design: ObserverDesign, training: list[Recording]) -> ObserverDesign:
+    """The observer with the emulator's parameters: five modes, the true places; strengths and times in the filter's form as tuned.
+
+    Tuning starts at the true strengths; the sensors' noise is the true one, and the command's is its rounding, which the filter knows.
+    """
+    model = true_model(machine, design.model, OWN_MODES, tuple(SHAKEN_Nm))
+    axes, imu = len(machine.axes), machine.plant.imus[0]
+    steps = encoder_steps(model, machine)
+    start = dataclasses.replace(
+        design.noise,
+        command=np.array([drive.resolution for drive in machine.plant.drives]) / np.sqrt(12.0),
+        disturbance=np.concatenate((np.full(axes, OWN_DRIVES_Nm), list(SHAKEN_Nm.values()))),
+        disturbance_time_s=np.full(axes + len(SHAKEN_Nm), 0.1),
+        disturbance_Hz=np.concatenate((np.zeros(axes), np.full(len(SHAKEN_Nm), BAND_Hz[0]))),
+        low_pass=np.zeros(0, dtype=bool),
+        measurement=np.concatenate((steps / np.sqrt(12.0), imu.accelerometer_noise_rms_m_s2, imu.gyro_noise_rms_rad_s)),
+    )
+    return dataclasses.replace(design, model=model, noise=tune(model, start, training, evaluations=OWN_EVALUATIONS).noise)
+
+
+def judged(machine: Machine, design: ObserverDesign, plan: Plan, seed: int, with_oracle: bool, own: ObserverDesign | None) -> dict:
     """Errors of everything over one shaken scan."""
     scan = shaken_scan(machine, plan, seed)
     first = round(SKIPPED_S * machine.sample_rate_Hz)
@@ -308,6 +338,8 @@ def judged(machine: Machine, design: ObserverDesign, plan: Plan, seed: int, with
             "share_in_band": share_in_band(nis, measured),
             "alarm_share": float(estimate["estimate_alarm"][first:].mean()),
         }
+    if own:
+        table["oracle in the observer's form"] = errors(scan, *estimated_pose(machine, observe(recording, own.observer("ukf"))), first)
     if with_oracle:
         everywhere = {joint.name: SHAKEN_Nm.get(joint.name, UNTOLD_Nm) for joint in machine.plant.tree.joints}
         for name, places in (("oracle", SHAKEN_Nm), ("oracle not told the places", everywhere)):
@@ -348,8 +380,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     parser.add_argument("--design", metavar="FILE", type=Path, help="untuned design to start from; identified unless given")
+    parser.add_argument("--tuned", action="store_true", help="that design is tuned already")
     parser.add_argument("--save-design", metavar="FILE", type=Path, help="write the tuned design")
     parser.add_argument("--no-oracle", action="store_true", help="leave the oracle out")
+    parser.add_argument("--own-model", action="store_true", help="judge the observer's own filter with all parameters true, too")
     options = parser.parse_args()
     to = Answer(options.json)
     machine = load_machine("carm")
@@ -359,15 +393,16 @@ def main() -> None:
     training = [
         shaken_scan(machine, plans[name], TRAINING_SEED + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))
     ]
-    plain = tune(design.model, design.noise, training)
-    design = dataclasses.replace(design, noise=plain.noise)
+    if not options.tuned:
+        design = dataclasses.replace(design, noise=tune(design.model, design.noise, training).noise)
     if options.save_design:
         write_design(design, options.save_design)
+    seconds = time.perf_counter() - began
+    own = own_design(machine, design, training) if options.own_model else None
     answer = {
-        "seconds_to_design": time.perf_counter() - began,
-        "tuned": {"nis_per_measurement": plain.mean_nis, "share_in_band": plain.share_in_band},
+        "seconds_to_design": seconds,
         "scans": {
-            name: together({seed + i: judged(machine, design, plan, seed + i, not options.no_oracle) for seed in JUDGED_SEEDS})
+            name: together({seed + i: judged(machine, design, plan, seed + i, not options.no_oracle, own) for seed in JUDGED_SEEDS})
             for i, (name, plan) in enumerate(plans.items())
         },
     }

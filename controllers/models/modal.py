@@ -11,7 +11,8 @@ The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
 Friction at the drives couples the modes: taken for damping of each alone, it is wrong by what disturbances at the mount bring to a drive.
 d_r and d_i are what else pushes: gravity as a function of the pose, and disturbances, friction and hands, each in a direction of its own:
 [d_r, d] = G(θ) ξ. What turning axes push, in proportion to products of their speeds, may be in it (`turning`), though Sec. 5.4.1 neglects
-it: a gear is bent by it as by gravity. What turning makes of the modes themselves is neglected.
+it: a gear is bent by it as by gravity. What an axis's speed and the modes' speeds push together, the gyroscopic part, may be in it
+(`coupling`): Σ_a θ_a' Γ_a(θ) η' on the axes, where nothing else pushes unknown. What it does to the modes is neglected.
 
 Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`): of a mode not ω² but 1/ω², and not what pushes it but
 that over ω², what it bends the mode at rest. With springs that stay the same those are an inertia and static bends, which are such
@@ -89,8 +90,14 @@ class ModalModel:
         "rad" or "m" for each axis.
     directions : (n_axes + modes, disturbances, basis) array, optional
         G(θ): accelerations that a unit of each disturbance gives axes, and modes over ω². Without it every axis and mode has its own.
+    places : tuple of str, optional
+        Of every disturbance, where it acts: "drive", "gear", "mount", or between link side and detector "turn" or "shift".
     turning : (n_axes + modes, n_axes (n_axes + 1) / 2, basis) array, optional
         What products of the axes' speeds push: accelerations of axes, and of modes over ω². Products in the order 11, 12, ..., 22, ...
+    coupling : (n_axes, n_axes, modes, basis) array, optional
+        Γ(θ): what an axis's speed times a mode's pushes: accelerations of the axes, the second index.
+    effort_step : (n_axes,) array
+        Step to which drives round their commands, half to even; 0 or empty: none.
     """
 
     axes: tuple[str, ...]
@@ -105,6 +112,9 @@ class ModalModel:
     notes: tuple[str, ...] = field(default=())
     directions: np.ndarray | None = None
     turning: np.ndarray | None = None
+    coupling: np.ndarray | None = None
+    places: tuple[str, ...] = field(default=())
+    effort_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         axes = (len(self.axes),)
@@ -126,10 +136,18 @@ class ModalModel:
             coordinates, _, basis = self.directions.shape
             if (coordinates, basis) != (len(self.axes) + self.modes, expected[1]) or not np.isfinite(self.directions).all():
                 raise DesignError(f"modal model: directions have shape {self.directions.shape}, or one of them is not finite")
+        if self.places and len(self.places) != self.disturbances:
+            raise DesignError(f"modal model: {len(self.places)} places, {self.disturbances} disturbances")
         if self.turning is not None:
             wanted = (len(self.axes) + self.modes, self.products, expected[1])
             if self.turning.shape != wanted or not np.isfinite(self.turning).all():
                 raise DesignError(f"modal model: turning has shape {self.turning.shape}, {wanted} fits; or one of it is not finite")
+        if self.coupling is not None:
+            fitting = (len(self.axes), len(self.axes), self.modes, expected[1])
+            if self.coupling.shape != fitting or not np.isfinite(self.coupling).all():
+                raise DesignError(f"modal model: coupling has shape {self.coupling.shape}, {fitting} fits; or one of it is not finite")
+        if self.effort_step.shape not in ((0,), axes) or not (self.effort_step >= 0.0).all():
+            raise DesignError(f"modal model: effort_step must be {axes[0]} numbers, none negative, or none, not {self.effort_step}")
 
     @property
     def mode_stride(self) -> int:
@@ -151,7 +169,7 @@ class ModalModel:
         return len(self.axes) * (len(self.axes) + 1) // 2
 
     def all_rows(self) -> np.ndarray:
-        """`coefficients`, below them the directions by rows and then what turning pushes, by rows: all that varies with pose."""
+        """`coefficients`, below them the directions, what turning pushes and Γ, all by rows: all that varies with pose."""
         size = len(self.axes) + self.modes
         if self.directions is None:
             directions = np.zeros((size, size, self.coefficients.shape[1]))
@@ -160,8 +178,12 @@ class ModalModel:
                 directions[len(self.axes) + i, len(self.axes) + i] = self.coefficients[i * self.mode_stride]
         else:
             directions = self.directions
-        turning = np.zeros((0, self.coefficients.shape[1])) if self.turning is None else self.turning.reshape(-1, directions.shape[2])
-        return np.vstack((self.coefficients, directions.reshape(-1, directions.shape[2]), turning))
+        basis = self.coefficients.shape[1]
+        nothing = np.zeros((0, basis))
+        turning = np.zeros((size, self.products, basis)) if self.turning is None else self.turning
+        coupling = nothing if self.coupling is None else self.coupling.reshape(-1, basis)
+        pushed = nothing if self.turning is None and self.coupling is None else turning.reshape(-1, basis)
+        return np.vstack((self.coefficients, directions.reshape(-1, basis), pushed, coupling))
 
     @property
     def _rest_rows(self) -> int:

@@ -64,6 +64,7 @@ def _parameters(constants, x, scheduled):
         looks[:, 3 * mode : 3 * mode + 3] = 0.0
     first = modes * stride
     for i in range(n):
+        scheduled.speeds[i] = x[n + i]
         for k in range(n):
             rigid[i, k] = values[first + i * n + k]
         rigid[i, n] = values[first + n * n + i]
@@ -87,7 +88,7 @@ def _parameters(constants, x, scheduled):
 
 @exactly_inlined
 def _forces(constants, scheduled):
-    """Accelerations of the axes and what forces the modes now: by inputs, by disturbances, and by the drives' friction."""
+    """Accelerations of the axes and what forces the modes now: by inputs, disturbances, the drives' friction and what turning couples."""
     n, modes, disturbances, first_input = constants.sizes[0], constants.sizes[1], constants.sizes[7], moving(constants)
     encoders, rigid, rubbing, forces = scheduled.encoders, scheduled.rigid, scheduled.rubbing, scheduled.forces
     size = n + modes
@@ -96,6 +97,7 @@ def _forces(constants, scheduled):
         for i in range(size):
             forces[first_input + k, i] = rigid[i, k] if i < n else encoders[i - n, 2 * n + k]
     rubbing[:] = 0.0
+    _couple(constants, scheduled)
     for k in range(n):  # the motor side moves with its axis and with the modes; what its friction takes acts as the command does
         for j in range(size):
             speed = (1.0 if j == k else 0.0) if j < n else encoders[j - n, k]
@@ -109,6 +111,21 @@ def _forces(constants, scheduled):
             forces[2 * n + modes + j, i] = rubbing[n + j, i]
         for j in range(disturbances):
             forces[2 * size + j, i] = scheduled.directions[i, j]
+
+
+@exactly_inlined
+def _couple(constants, scheduled):
+    """What axes turning at their speed make of the modes' speeds, on the axes."""
+    n, modes, sensors, disturbances = constants.sizes[0], constants.sizes[1], constants.sizes[2], constants.sizes[7]
+    size, values = n + modes, scheduled.values
+    row = modes * (2 + 3 * n + 6 * sensors) + n * (n + 1) + size + 6 + size * disturbances + size * n * (n + 1) // 2
+    if row >= len(values):
+        return
+    for axis in range(n):
+        for i in range(n):
+            for k in range(modes):
+                scheduled.rubbing[n + k, i] += scheduled.speeds[axis] * values[row]
+                row += 1
 
 
 @exactly_inlined

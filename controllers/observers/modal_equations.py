@@ -38,6 +38,7 @@ class Constants(NamedTuple):
     sensors: np.ndarray  # (sensors, 16): body's centre, sensor, rotation by rows, lag
     source_and_gravity: np.ndarray  # (2, 3)
     period_s: float
+    effort_step: np.ndarray  # (axes,): to which the drives round; 0: not at all
     colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; what drives the first in the second
     quadrature: np.ndarray  # (disturbances,) int: its place in the state, -1 where the disturbance is of first order
     kept: np.ndarray  # (states - moving,): share of a ratio, an offset or a bias that a sample leaves
@@ -57,8 +58,9 @@ class Scheduled(NamedTuple):
     rigid: np.ndarray  # (axes, axes + 1): B_r, friction at the drive per speed of its motor side, in the command's unit
     directions: np.ndarray  # (axes + modes, disturbances)
     pushes: np.ndarray  # (axes + modes,): what gravity and turning push
+    speeds: np.ndarray  # (axes,) at which the model is scheduled
     command: np.ndarray  # (axes,): what acts
-    rubbing: np.ndarray  # (axes + modes, axes + modes): by friction at the drives, row: per speed of a coordinate; column: on a coordinate
+    rubbing: np.ndarray  # (axes + modes, axes + modes): by drives' friction and turning, row: per speed of a coordinate; column: on one
     forces: np.ndarray  # (table rows, axes + modes): accelerations of the axes, and what forces the modes
     shapes: np.ndarray  # (sensors, modes, 6): shift at the sensor, turn
     looks: np.ndarray  # (sensors, 3 modes, SENSOR_SIGNALS): what a sensor sees of deflection, speed and force of a mode; adapted: zero

@@ -295,11 +295,13 @@ def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
 def filter_rows(constants, scheduled, memory, kind, is_first, acted, measured, summaries):  # type: ignore[no-untyped-def]
     """N samples, one after the other: one in the loop, all of a recording for tuning. One function, for compiling takes long.
 
-    `acted` (N, axes) until each; `summaries` (N, 3) get what `correct` returns. `is_first`: nothing came before the first of them.
+    `acted` (N, axes) commands until each, which drives round; `summaries` (N, 3) get what `correct` returns. `is_first`: nothing came
+    before the first of them.
     """
     for k in range(len(measured)):
         for i in range(constants.sizes[0]):
-            scheduled.command[i] = acted[k, i]
+            step = constants.effort_step[i]
+            scheduled.command[i] = step * np.rint(acted[k, i] / step) if step > 0.0 else acted[k, i]
         if is_first and k == 0:
             prepare(constants, memory.x, scheduled)
         else:

@@ -226,7 +226,8 @@ class ModalObserver:
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset,
+            [noise.disturbance[j] * np.sqrt(_quadrature_variance(noise, j)) for j in in_band(noise)],
+            np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset,
             noise.initial_bias,
         ))  # fmt: skip
         return np.diag(std)
@@ -265,6 +266,10 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         raise DesignError(f"observer noise: disturbance_Hz must be {model.disturbances} numbers or none, not {noise.disturbance_Hz}")
     if np.isinf(noise.disturbance_time_s[band]).any():
         raise DesignError("observer noise: disturbance_time_s must be finite where disturbance_Hz is above zero: a random walk has no band")
+    if len(noise.low_pass) not in (0, model.disturbances) or not np.isin(np.flatnonzero(noise.low_pass), band).all():
+        raise DesignError(
+            f"observer noise: low_pass must be {model.disturbances} times yes or no, yes only where disturbance_Hz is above zero, or none"
+        )
     colour, drive, beside = _colour(noise, period)
     root = np.sqrt(period)
     kept, offset_std = _bounded(noise, period)
@@ -292,6 +297,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         sensors=np.array([np.concatenate((s.body_end_m, s.sensor_end_m, np.ravel(s.rotation), [s.lag_s])) for s in model.sensors]),
         source_and_gravity=np.array([model.source_end_m, chain.gravity_m_s2], dtype=float),
         period_s=period,
+        effort_step=np.array(model.effort_step, dtype=float) if len(model.effort_step) else np.zeros(n),
         colour=colour,
         quadrature=quadrature,
         kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(6 * sensors))),
@@ -301,14 +307,26 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
 
 
 def in_band(noise: ObserverNoise) -> np.ndarray:
-    """Which disturbances lie in a band and so have two states."""
+    """Which disturbances lie in a band, or are low passes of second order, and so have two states."""
     return np.flatnonzero(noise.disturbance_Hz)
+
+
+def _is_low_pass(noise: ObserverNoise, j: int) -> bool:
+    return bool(len(noise.low_pass) and noise.low_pass[j])
+
+
+def _quadrature_variance(noise: ObserverNoise, j: int) -> float:
+    """Of a disturbance's quadrature in steady state, over the disturbance's own."""
+    if not _is_low_pass(noise, j):
+        return 1.0
+    return 1.0 + (2.0 / (2.0 * np.pi * noise.disturbance_Hz[j] * max(noise.disturbance_time_s[j], 1e-9))) ** 2
 
 
 def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every disturbance: `Constants.colour` (5,), the noise that drives it, and what drives its quadrature beside that.
 
-    First order: ξ' = -ξ/τ. In a band: ξ' = -2ξ/τ - ωκ, κ' = ωξ, both of the same variance in steady state, so Q = σ² (I - ΦΦᵀ).
+    First order: ξ' = -ξ/τ. With a frequency: ξ' = -2ξ/τ - ωκ, κ' = ωξ, and Q = P - ΦPΦᵀ with P of the steady state. In a band white noise
+    drives ξ, and P = σ² I; a low pass is driven at κ: P₁₁ = σ², P₁₂ = -2σ²/(ωτ), P₂₂ = σ² + P₁₂²/σ².
     """
     count = len(noise.disturbance)
     colour, drive, beside = np.zeros((count, 5)), np.zeros(count), np.zeros(count)
@@ -319,7 +337,9 @@ def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray
             continue
         omega = 2.0 * np.pi * noise.disturbance_Hz[j]
         step = expm(period * np.array([[-2.0 / time, -omega], [omega, 0.0]]))
-        spread = np.eye(2) - step @ step.T
+        slope = -2.0 / (omega * time) if _is_low_pass(noise, j) else 0.0
+        steady = np.array([[1.0, slope], [slope, _quadrature_variance(noise, j)]])
+        spread = steady - step @ steady @ step.T
         drive[j] = size * np.sqrt(spread[0, 0])
         colour[j, :4], colour[j, 4] = step.ravel(), size * spread[0, 1] / np.sqrt(spread[0, 0])
         beside[j] = size * np.sqrt(max(spread[1, 1] - spread[0, 1] ** 2 / spread[0, 0], 0.0))
@@ -344,6 +364,7 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         rigid=np.zeros((n, n + 1)),
         directions=np.zeros((n + modes, disturbances)),
         pushes=np.zeros(n + modes),
+        speeds=np.zeros(n),
         command=np.zeros(n),
         rubbing=np.zeros((n + modes, n + modes)),
         forces=np.zeros((rows, n + modes)),

@@ -22,6 +22,9 @@ class ObserverNoise:
         Their correlation time: first-order coloured noise. Infinite: a random walk, with `disturbance` per sqrt(s).
     disturbance_Hz : (disturbances,) array
         Middle of the band in which one lies, with nothing at rest; 0: first order, strongest at rest. Empty: all are.
+    low_pass : (disturbances,) array of bool
+        Of those with a frequency, which are flat below it and fall with its square above: of second order, their damping ratio 1 / (ω τ).
+        Empty: none.
     bias_walk : (6 sensors,) array
         Of the sensors' biases, per sqrt(s).
     adapted_walk : float
@@ -49,6 +52,7 @@ class ObserverNoise:
     adapted_walk: float = 0.0
     initial_adapted: float = 0.1
     disturbance_Hz: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    low_pass: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     bias: np.ndarray = field(default_factory=lambda: np.zeros(0))
     offset_walk: np.ndarray = field(default_factory=lambda: np.zeros(0))
     initial_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))

@@ -20,8 +20,9 @@ from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model
-from hil.observing.sag import with_sag
+from hil.observing.sag import sagging, with_sag
 from hil.observing.standing import standing_mean, with_gravity
+from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
 from hil.recording import Recording
@@ -110,19 +111,29 @@ def design_observer(
     if sweeps and not standing:
         raise UnusableInput("what turning pushes is told from gravity by standing records; give some beside the sweeps")
     model, fits = fit_observed_model(machine, responses, modes)
-    model = with_directions(model, [fit.pose for fit in fits], effort_gain(machine))
+    poses, gain = [fit.pose for fit in fits], effort_gain(machine)
+    model = with_directions(with_inertia(model, poses, gain), poses, gain)
     notes = list(model.notes)
     biases: tuple[np.ndarray, np.ndarray] | None = None
+    structure: Structure | None = None
     if standing:
         at_rest = [standing_mean(recording, model) for recording in standing]
         model, *found = with_gravity(model, at_rest)
         biases = found[0], found[1]
         notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases[0])}")
-        model, mount = with_sag(model, [fit.pose for fit in fits], [each.motor for each in at_rest], effort_gain(machine))
-        notes.append(mount.note if mount else "the mount's sag is left out: the first axis is not a horizontal one that turns")
+        stood = [each.motor for each in at_rest]
+        model, mount = with_sag(model, poses, stood, gain)
+        structure = found_structure(model, poses, gain, mount)
+        if structure:
+            model = with_places(sagging(model, structure.mount, stood, gain), structure)
+            notes.append(structure.note)
+        else:
+            notes.append(mount.note if mount else "the mount's sag is left out: the first axis is not a horizontal one that turns")
     if sweeps:
-        model = with_turning(model, found[0], sweeps, effort_gain(machine))
+        model = with_turning(model, found[0], sweeps, gain)
         notes.append(f"what turning pushes from {len(sweeps)} sweeps")
+    if structure:
+        model = with_coupling(model, structure, gain)
     noise = starting_noise(model, machine, responses, standing, biases)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)

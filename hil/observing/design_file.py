@@ -27,12 +27,15 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays: dict[str, Any] = {"observer_format": FORMAT}
     arrays |= {f"chain_{name}": getattr(model.chain, name) for name in _CHAIN}
     arrays |= {f"sensor_{name}": np.array([getattr(sensor, name) for sensor in model.sensors]) for name in _SENSOR}
-    for name in ("axes", "source_end_m", "harmonics", "coefficients", "sample_rate_Hz", "effort_limit", "position_unit"):
+    for name in ("axes", "source_end_m", "harmonics", "coefficients", "sample_rate_Hz", "effort_limit", "effort_step", "position_unit"):
         arrays[name] = np.array(getattr(model, name))
     if model.directions is not None:
         arrays["directions"] = model.directions
     if model.turning is not None:
         arrays["turning"] = model.turning
+    if model.coupling is not None:
+        arrays["coupling"] = model.coupling
+    arrays["places"] = np.array(model.places, dtype=np.str_)
     arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
@@ -85,6 +88,9 @@ def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
         position_unit=tuple(str(unit) for unit in arrays["position_unit"]),
         directions=arrays.get("directions"),
         turning=arrays.get("turning"),
+        coupling=arrays.get("coupling"),
+        places=tuple(str(place) for place in arrays.get("places", ())),
+        effort_step=arrays.get("effort_step", np.zeros(0)),
     )
     optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
     given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]

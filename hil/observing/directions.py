@@ -79,7 +79,7 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
     n, modes = len(model.axes), model.modes
     seen = [shapes_at(model, pose) for pose in poses]
     masses = _inverse_masses(model, seen, effort_gain)
-    turns, shifts = _soft_directions(seen, masses)
+    turns, shifts = soft_directions(seen, masses)
     rows = []
     for here, inverse in zip(seen, masses, strict=True):
         columns = [np.concatenate((here.rigid[:, k], here.inputs[:, k] / here.stiffness)) for k in range(n)]
@@ -90,7 +90,8 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
     table = np.array(rows)
     basis = _basis(model.harmonics, seen)
     directions = np.linalg.lstsq(basis, table.reshape(len(seen), -1), rcond=1e-8)[0].T
-    return replace(model, directions=np.ascontiguousarray(directions.reshape(n + modes, -1, basis.shape[1])))
+    places = ("drive",) * n + ("gear",) * n + ("turn",) * len(turns) + ("shift",) * len(shifts)
+    return replace(model, directions=np.ascontiguousarray(directions.reshape(n + modes, -1, basis.shape[1])), places=places)
 
 
 def _basis(harmonics: tuple[int, ...], seen: Sequence[Shapes]) -> np.ndarray:
@@ -98,6 +99,12 @@ def _basis(harmonics: tuple[int, ...], seen: Sequence[Shapes]) -> np.ndarray:
     for row, here in zip(basis, seen, strict=True):
         basis_values(np.array(harmonics, dtype=np.int64), here.pose, row)
     return basis
+
+
+def drives_masses(seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
+    """(poses, modes) as `_inverse_masses`, of every pose by itself: exact but for modes that hardly move a drive."""
+    push, given = np.array([here.motor * effort_gain for here in seen]), np.array([here.inputs for here in seen])
+    return np.sum(push * given, axis=2) / np.sum(push**2, axis=2)
 
 
 def _inverse_masses(model: ModalModel, seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
@@ -114,7 +121,7 @@ def _inverse_masses(model: ModalModel, seen: Sequence[Shapes], effort_gain: np.n
     return masses
 
 
-def _soft_directions(seen: Sequence[Shapes], masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def soft_directions(seen: Sequence[Shapes], masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit turns (k, 3) and shifts (l, 3) of the detector against the link side, in its frame: the softest ones over all poses."""
     compliance = np.zeros((6, 6))
     for here, inverse in zip(seen, masses, strict=True):

@@ -59,6 +59,7 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
         coefficients=np.ascontiguousarray(coefficients),
         sample_rate_Hz=machine.sample_rate_Hz,
         effort_limit=np.array([drive.limit for drive in machine.plant.drives]),
+        effort_step=np.array([drive.resolution for drive in machine.plant.drives]),
         position_unit=tuple(units.position for units in machine.units),
         notes=_notes(fits, left, modes),
     )

@@ -59,12 +59,14 @@ class Mount:
     lever : m, of that axis above the driven one.
     deviation : of the compliance.
     share_left : rms of what is not explained over rms of the detector's motion against the link sides.
+    vertical : m, of the vertical axis about which it turns, along the first driven one.
     """
 
     compliance: float
     lever: float
     deviation: float
     share_left: float
+    vertical: float = 0.0
 
     @property
     def is_clear(self) -> bool:
@@ -100,23 +102,28 @@ def with_sag(
     Mount or None
         None where the first axis is not horizontal or does not turn.
     """
-    frame = _frame(model.chain)
+    frame = first_axis_frame(model.chain)
     if frame is None:
         return model, None
     mount = _mount(model, np.asarray(poses, float), effort_gain, frame)
-    if not mount.is_clear:
-        return model, mount
+    return (sagging(model, mount, standing, effort_gain) if mount.is_clear else model), mount
+
+
+def sagging(model: ModalModel, mount: Mount, standing: Sequence[np.ndarray], effort_gain: np.ndarray) -> ModalModel:
+    """The model with the detector's shift by what gravity does to this mount."""
+    frame = first_axis_frame(model.chain)
+    assert frame is not None, "a mount has a horizontal first axis"
     at_rest = np.asarray(standing, float)
-    place, turn = _detector(model, at_rest, frame)
+    place, turn = detector_places(model, at_rest, frame)
     angle = -mount.compliance * np.array([_holding(model, pose, effort_gain)[0] for pose in at_rest])
     shift = np.column_stack((np.zeros(len(at_rest)), (mount.lever - place[:, 2]) * angle, place[:, 1] * angle))
     rows = np.einsum("pij,pi->pj", turn, shift)
     coefficients = model.coefficients.copy()
     coefficients[-6:-3] = np.linalg.lstsq(_basis(model.harmonics, at_rest), rows, rcond=1e-8)[0].T
-    return replace(model, coefficients=coefficients), mount
+    return replace(model, coefficients=coefficients)
 
 
-def _frame(chain: Chain) -> np.ndarray | None:
+def first_axis_frame(chain: Chain) -> np.ndarray | None:
     """(3, 3) rows: the first axis, the horizontal beside it, up; None where that axis slides or is not horizontal."""
     up = -chain.gravity_m_s2 / max(float(np.linalg.norm(chain.gravity_m_s2)), 1e-12)
     axis = chain.axes[0] / np.linalg.norm(chain.axes[0])
@@ -128,7 +135,7 @@ def _frame(chain: Chain) -> np.ndarray | None:
 def _mount(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray, frame: np.ndarray) -> Mount:
     """Least squares over compliance, lever, rotor's inertia and the vertical axis's place; turns about that one are solved for within."""
     n, gravity = len(model.axes), float(np.linalg.norm(model.chain.gravity_m_s2))
-    place, turn = _detector(model, poses, frame)
+    place, turn = detector_places(model, poses, frame)
     harmonics = tuple(min(order, TURN_HARMONIC) for order in model.harmonics)
     basis = _basis(harmonics, poses)
     moved, rigid, slopes = np.zeros((len(poses), 3, n)), np.zeros((len(poses), n, n)), np.zeros((len(poses), n))
@@ -160,7 +167,7 @@ def _mount(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray, frame:
     spread = np.sqrt(variance * np.linalg.pinv(solved.jac.T @ solved.jac)[0, 0])
     unit = SHIFT_UNIT_m / effort_gain[0]
     share = float(np.sqrt(solved.fun @ solved.fun / max(float(np.sum(moved**2)), 1e-300)))
-    return Mount(float(solved.x[0]) * unit, float(solved.x[1]), float(spread) * unit, share)
+    return Mount(float(solved.x[0]) * unit, float(solved.x[1]), float(spread) * unit, share, float(solved.x[3]))
 
 
 def _holding(model: ModalModel, pose: np.ndarray, effort_gain: np.ndarray) -> np.ndarray:
@@ -169,7 +176,7 @@ def _holding(model: ModalModel, pose: np.ndarray, effort_gain: np.ndarray) -> np
     return -np.linalg.solve(rest[: n * n].reshape(n, n), rest[n * (n + 1) :][:n]) * effort_gain
 
 
-def _detector(model: ModalModel, poses: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def detector_places(model: ModalModel, poses: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The detector's centre from a point of the first axis (poses, 3) and its rotation (poses, 3, 3), in the frame's directions."""
     chain = model.chain
     places, turns = np.zeros((len(poses), 3)), np.zeros((len(poses), 3, 3))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from controllers.observers.consistency import share_in_band
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
 from hil.errors import RecordingError
+from hil.observing.noise import LATTICE, SLOWEST_Hz, START_TIME_s
 from hil.recording import Recording
 
 LARGEST_FACTOR = 1e4
@@ -34,6 +36,26 @@ DRIVES_TIME_s = 1.0
 
 ROWS = 1280
 """Of each recording that tuning looks at: five seconds at 256 Hz."""
+
+LOW_PASSED = ("gear", "mount", "shift")
+"""Places whose disturbances may be low passes of second order, all with one corner and one damping ratio, where that is more likely. A turn
+between link side and detector must leave nothing at rest: only that tells the tilt it makes from an accelerometer's bias."""
+
+CORNERS_Hz, DAMPING_RATIOS, STRENGTHS = (6.0, 12.0), (0.4, 0.8), (0.6, 1.0)
+"""Low passes to begin with: corner, damping ratio, strength beside the band's. The likelihood has more than one maximum."""
+
+SHARED_Hz3 = 0.5 * 10.0**3
+"""Damping ratio times the cube of the corner at which a strength is the standard deviation itself."""
+
+CORNER_Hz, DAMPING_RATIO = (0.5, 50.0), (0.1, 5.0)
+"""Between which a low pass is tuned."""
+
+TOLD_APART = 0.05
+"""By how much low passes must be more likely, in the logarithm per measurement. Where nothing pushes, a model's own errors made them
+likelier by 0.03 (the emulated C-arm, undisturbed), where 1 to 12 Hz were shaken by 0.09."""
+
+REFINED_STEP = 0.4
+"""First step where what is tuned starts near."""
 
 SETTLED_ROWS = 128
 """Rows after a start that consistency does not count."""
@@ -55,13 +77,20 @@ class Tuning:
     share_in_band: float
 
 
-def _compass(cost: Callable[[np.ndarray], float], start: np.ndarray, low: np.ndarray, high: np.ndarray, evaluations: int) -> np.ndarray:
+def _compass(
+    cost: Callable[[np.ndarray], float],
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    evaluations: int,
+    first_step: float = FIRST_STEP,
+) -> np.ndarray:
     """Minimum by steps along one parameter at a time, each with a step of its own that grows with success and shrinks without.
 
     Slower near the end than a gradient method, but it never jumps into a far corner where the likelihood is flat.
     """
     best, best_cost = start.copy(), cost(start)
-    steps = np.full(len(start), FIRST_STEP)
+    steps = np.full(len(start), first_step)
     used = 1
     while used < evaluations and np.abs(steps).max() > LAST_STEP:
         for i in np.flatnonzero(np.abs(steps) > LAST_STEP):
@@ -107,31 +136,52 @@ def tune(
 ) -> Tuning:
     """Maximum likelihood of the innovations over the disturbances' strengths and correlation times and the command's noise.
 
+    Then, whether low passes of second order are more likely at the places in `LOW_PASSED`; where they are, all is tuned again.
+
     Parameters
     ----------
     model, start
     recordings : sequence of Recording
         Ordinary operation: the first `ROWS` rows of each count.
     kind : filter to tune with; EKF and UKF agree so closely here that one serves the other.
-    evaluations : how often the filter may run over the recordings.
+    evaluations : how often the filter may run over the recordings, and half as often again once low passes are found.
     """
+    if len(start.low_pass):  # tuned before: bands to begin with, as without
+        start = replace(
+            start,
+            disturbance_Hz=np.where(start.low_pass, SLOWEST_Hz, start.disturbance_Hz),
+            disturbance_time_s=np.where(start.low_pass, START_TIME_s, start.disturbance_time_s),
+            low_pass=np.zeros(0, dtype=bool),
+        )
     n, others, sensors = len(model.axes), model.disturbances - len(model.axes), len(model.sensors)
     data = [tuple(part[:ROWS] for part in rows_of(recording, model)) for recording in recordings]
+    # at rest a motor side's own rounding stands as long as a command's: where the model rounds commands, as much is left to the drives
+    least = np.minimum(start.command, model.effort_step * LATTICE) if len(model.effort_step) else start.command
     # command; strengths; times of the drives' disturbances and of the others; excess of motor sides, link sides, forces, rates
     sizes = (1, n + others, 2, 4)
 
+    low_passed = np.array([j for j, place in enumerate(model.places) if place in LOW_PASSED], dtype=int)
+
     def noise(p: np.ndarray) -> ObserverNoise:
-        command, strength, time, excess = np.split(np.exp(p), np.cumsum(sizes)[:-1])
+        command, strength, time, excess, low_pass = np.split(np.exp(p), np.cumsum(sizes))
         factor = np.repeat(time, (n, others))
         per_channel = np.concatenate((np.repeat(excess[:2], n), np.tile(np.repeat(excess[2:], 3), sensors)))
         disturbance = start.disturbance * strength * np.sqrt(factor)  # at one strength the times share their high frequencies
         times = np.clip(start.disturbance_time_s * factor, *TIME_s)
-        disturbance[:n], times[:n] = np.maximum(disturbance[:n], start.command), np.maximum(times[:n], DRIVES_TIME_s)
+        disturbance[:n], times[:n] = np.maximum(disturbance[:n], least), np.maximum(times[:n], DRIVES_TIME_s)
+        middle = start.disturbance_Hz.copy() if len(start.disturbance_Hz) else np.zeros(n + others)
+        if len(low_pass):
+            corner, damping = low_pass
+            beyond = np.sqrt(SHARED_Hz3 / (damping * corner**3))  # at one strength low passes, too, share their high frequencies
+            disturbance[low_passed], middle[low_passed] = (start.disturbance * strength)[low_passed] * beyond, corner
+            times[low_passed] = 1.0 / (2.0 * np.pi * corner * damping)
         return replace(
             start,
             command=start.command * command,
             disturbance=disturbance,
             disturbance_time_s=times,
+            disturbance_Hz=middle,
+            low_pass=np.isin(np.arange(n + others), low_passed) & (len(low_pass) > 0),
             measurement=start.measurement * np.maximum(per_channel, 1.0),
         )
 
@@ -144,9 +194,21 @@ def tune(
     edge = np.log(LARGEST_FACTOR)
     low = np.concatenate((np.full(size - sizes[-1], -edge), np.zeros(sizes[-1])))
     high = np.concatenate((np.full(size - sizes[-1], edge), np.full(sizes[-1], np.log(LARGEST_EXCESS))))
-    low[0] = 0.0  # a drive's rounding is known, whatever a recording makes of it
+    low[0] = max(-edge, float(np.log(np.max(least / start.command))))  # no less, whatever a recording makes of it
     first = np.concatenate((np.zeros(size - sizes[-1]), np.full(sizes[-1], np.log(2.0))))
     found = _compass(cost, first, low, high, evaluations)
+    if len(low_passed):
+        in_band = np.log(noise(found).disturbance[low_passed] / start.disturbance[low_passed])
+        tried = []
+        for corner, damping, strength in product(CORNERS_Hz, DAMPING_RATIOS, STRENGTHS):
+            tried.append(np.concatenate((found, np.log([corner, damping]))))
+            tried[-1][1 + low_passed] = in_band + np.log(strength)
+        costs = [cost(p) for p in tried]
+        told = sum(int(np.isfinite(measured).sum()) for measured, _ in data)
+        if min(costs) < cost(found) - TOLD_APART * told:
+            limits = np.log([CORNER_Hz, DAMPING_RATIO])
+            bounds = np.concatenate((low, limits[:, 0])), np.concatenate((high, limits[:, 1]))
+            found = _compass(cost, tried[int(np.argmin(costs))], *bounds, evaluations // 2, REFINED_STEP)
     tuned = noise(found)
     observer = ModalObserver(model, tuned, kind)
     summaries = [observer.likelihood(measured, commands)[1][SETTLED_ROWS:] for measured, commands in data]

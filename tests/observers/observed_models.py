@@ -185,11 +185,14 @@ def colour_of(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarr
     for j in range(count):
         in_band = j in band
         rates[j, j] = -(2.0 if in_band else 1.0) / noise.disturbance_time_s[j]
-        density[j, j] = -2.0 * rates[j, j] * noise.disturbance[j] ** 2
+        driven = -2.0 * rates[j, j] * noise.disturbance[j] ** 2
+        is_low_pass = len(noise.low_pass) > 0 and noise.low_pass[j]
+        density[j, j] = 0.0 if is_low_pass else driven
         if in_band:
             k = count + band.index(j)
             rates[k, j] = 2.0 * np.pi * noise.disturbance_Hz[j]
             rates[j, k] = -rates[k, j]
+            density[k, k] = driven if is_low_pass else 0.0
     size = len(rates)
     whole = expm(period * np.block([[-rates, density], [np.zeros((size, size)), rates.T]]))
     step = whole[size:, size:].T

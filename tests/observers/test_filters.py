@@ -44,11 +44,12 @@ def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measure
 @pytest.mark.parametrize("kind", ["kf", "ekf", "ukf"])
 def test_every_filter_is_filterpys_kalman_filter_on_a_linear_machine(kind: str, has_places: bool) -> None:
     model, noise = small_model(revolute=False, gravity=np.zeros(3)), small_noise()
-    if has_places:  # three disturbances, of which two lie in a band, each pushing axes and modes together
+    if has_places:  # three disturbances, of which one lies in a band and one is a low pass, each pushing axes and modes together
         over_stiffness = np.append([1.0, 1.0], (2.0 * np.pi * FREQUENCIES_Hz) ** -2)[:, None, None]
         model = replace(model, directions=over_stiffness * np.random.default_rng(4).normal(size=(6, 3, 1)))
         time, middle, biases = np.array([0.1, 0.05, 0.2]), np.array([0.0, 4.0, 9.0]), np.full(6, 1e-3)
         noise = replace(noise, disturbance=np.full(3, 0.5), disturbance_time_s=time, disturbance_Hz=middle, bias=biases)
+        noise = replace(noise, low_pass=np.array([False, False, True]))
     model.coefficients[[14 * i + j for i in range(4) for j in (9, 10, 11)]] = 0.0  # shapes that do not turn: nothing is tilted
     dense = DenseModel(model, noise)
     measured, commands, _ = drawn_rows(dense, noise, ROWS, seed=1)

@@ -28,6 +28,7 @@ def test_a_sample_and_its_readings_are_those_of_the_equations_written_with_matri
         model = replace(model, directions=over_stiffness * np.random.default_rng(4).normal(size=(6, 3, 1)))
         time, middle = np.array([0.1, 0.05, 0.2]), np.array([0.0, 4.0, 9.0])
         noise = replace(noise, disturbance=np.full(3, 0.5), disturbance_time_s=time, disturbance_Hz=middle)
+        noise = replace(noise, low_pass=np.array([False, False, True]))
     observer, dense = ModalObserver(model, noise), DenseModel(model, noise)
     observer.linearised(np.zeros(2))  # prepares the model
     generator = np.random.default_rng(8)

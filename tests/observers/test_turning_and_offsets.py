@@ -84,7 +84,7 @@ def test_sweeps_that_tell_nothing_are_refused_in_one_line(machine: Machine, desi
     with pytest.raises(RecordingError, match="no axis moves"):
         with_turning(design.model, design.noise.bias, [sweep.part(slice(0, 200))], gain)
     with pytest.raises(RecordingError, match="the model has none"):
-        with_turning(replace(design.model, directions=None), design.noise.bias, [sweep], gain)
+        with_turning(replace(design.model, directions=None, places=()), design.noise.bias, [sweep], gain)
     with pytest.raises(UnusableInput, match="standing records"):
         design_observer(machine, [None], sweeps=[sweep])  # type: ignore[list-item]
 

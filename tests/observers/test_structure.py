@@ -1,0 +1,114 @@
+"""Springs and what turning couples are found from the modes of all poses together: against the emulated C-arm's numbers and equations."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controllers.models.modal import ModalModel, basis_values
+from hil.machine import Machine, load_machine
+from hil.observing.design import axis_grid
+from hil.observing.geometry import observed_chain
+from hil.observing.noise import effort_gain
+from hil.observing.sag import with_sag
+from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from observer_truth import Emulated, true_model
+
+COUNTS = (5, 11)
+GRAVITY_POSES = [np.array([propeller, roll]) for propeller in (-1.5, -0.7, 0.0, 0.7, 1.5) for roll in (-1.0, 0.0, 1.0)]
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("carm")
+
+
+@pytest.fixture(scope="module")
+def exact(machine: Machine) -> ModalModel:
+    """Modes and shapes of the emulator's equations, which the springs stand in."""
+    chain, sensors, source, _ = observed_chain(machine)
+    rows = 4 * (2 + 3 * 2 + 6 + 1) + 2 * 3 + 2 + 6
+    empty = ModalModel(
+        axes=machine.axes, chain=chain, sensors=sensors, source_end_m=source, harmonics=(0, 0), coefficients=np.zeros((rows, 1)),
+        sample_rate_Hz=256.0, effort_limit=np.full(2, 8.0), position_unit=("rad", "rad"),
+    )  # fmt: skip
+    return true_model(machine, empty, 4, ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw"), COUNTS)
+
+
+@pytest.fixture(scope="module")
+def poses(machine: Machine) -> list[np.ndarray]:
+    return [np.array([p, r]) for p in axis_grid(machine, 0, COUNTS[0]) for r in axis_grid(machine, 1, COUNTS[1])]
+
+
+@pytest.fixture(scope="module")
+def structure(machine: Machine, exact: ModalModel, poses: list[np.ndarray]) -> Structure:
+    gain = effort_gain(machine)
+    _, mount = with_sag(exact, poses, GRAVITY_POSES, gain)
+    found = found_structure(exact, poses, gain, mount)
+    assert found is not None
+    return found
+
+
+def at(table: np.ndarray, model: ModalModel, pose: np.ndarray) -> np.ndarray:
+    basis = np.zeros(table.shape[-1])
+    basis_values(np.array(model.harmonics, dtype=np.int64), pose, basis)
+    return table @ basis
+
+
+def test_springs_and_the_mounts_axis_are_the_machines(machine: Machine, structure: Structure) -> None:
+    joints = {joint.name: joint for joint in machine.plant.tree.joints}
+    names = ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw")
+    assert structure.springs == pytest.approx([joints[name].stiffness for name in names], rel=0.06)
+    assert structure.springs[:3] == pytest.approx([joints[name].stiffness for name in names[:3]], rel=0.01)
+    assert structure.mount.lever == pytest.approx(1.5, abs=0.08)  # the machine file: the sway's axis above the propeller's
+
+
+def test_modal_masses_are_found_also_where_a_drive_hardly_moves(structure: Structure) -> None:
+    assert structure.inverse_masses == pytest.approx(1.0, rel=0.05)  # the exact model's modes have unit mass
+
+
+def test_disturbances_at_the_mount_push_the_modes_as_its_joints_do(exact: ModalModel, structure: Structure) -> None:
+    placed = with_places(exact, structure)
+    for pose in (np.array([0.4, 0.5]), np.array([-1.1, -0.9])):
+        found, true = (at(model.directions, model, pose)[2:, 5] for model in (placed, exact))
+        assert found @ true / (np.linalg.norm(found) * np.linalg.norm(true)) > 0.99
+        assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(true), rel=0.1)
+
+
+def test_what_turning_couples_is_that_of_the_equations_of_motion(machine: Machine, exact: ModalModel, structure: Structure) -> None:
+    gain = effort_gain(machine)
+    alone = replace(exact, coupling=None, turning=None)
+    coupled = with_coupling(alone, structure, gain)
+    wanted, found, wanted_alone, found_alone = [], [], [], []
+    for pose in structure.poses[12:43]:
+        wanted.append(at(exact.coupling, exact, pose))
+        found.append(at(coupled.coupling, coupled, pose))
+        wanted_alone.append(at(exact.turning, exact, pose)[:2])
+        found_alone.append(at(coupled.turning, coupled, pose)[:2])
+    assert np.linalg.norm(np.subtract(found, wanted)) < 0.25 * np.linalg.norm(wanted)
+    assert np.linalg.norm(np.subtract(found_alone, wanted_alone)) < 0.02 * np.linalg.norm(wanted_alone)
+
+
+def test_inertias_told_wrong_with_the_sign_of_the_first_axis_come_out_right(
+    machine: Machine, exact: ModalModel, poses: list[np.ndarray]
+) -> None:
+    first = exact.modes * exact.mode_stride
+    wrong = exact.coefficients.copy()
+    place = 2 * (2 * exact.harmonics[1] + 1)  # sin of the first axis
+    wrong[first : first + 4, place] += 0.02 * wrong[first : first + 4, 0]
+    mended = with_inertia(replace(exact, coefficients=wrong), poses, effort_gain(machine))
+    emulated = Emulated(machine)
+    pose = np.array([0.9, -0.6])
+    _, inertia, _, _ = emulated.modes_at(pose, 4)
+    true = np.linalg.inv(emulated.rigid.T @ inertia @ emulated.rigid) * effort_gain(machine)
+    assert mended.at(pose)[first : first + 4].reshape(2, 2) == pytest.approx(true, rel=2e-3, abs=2e-3 * true.max())
+
+
+def test_without_a_mount_there_is_no_structure(machine: Machine, exact: ModalModel, poses: list[np.ndarray]) -> None:
+    assert found_structure(exact, poses, effort_gain(machine), None) is None
