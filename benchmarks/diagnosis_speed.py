@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import time
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does: --jobs are processes, and threads of small products only wait
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 

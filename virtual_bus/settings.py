@@ -6,6 +6,7 @@ Frames, symbols and signs: docs/notation.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ class Tree:
     bodies: tuple[Body, ...]
     gravity_m_s2: np.ndarray  # (3,)
 
-    @property
+    @cached_property
     def joints(self) -> tuple[Joint, ...]:
         return tuple(body.joint for body in self.bodies if body.joint is not None)
 

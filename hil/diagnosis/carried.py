@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+import scipy.ndimage
 import scipy.signal
 
 from hil.machine import Machine
@@ -106,8 +108,26 @@ def _gradients(plant: CompiledPlant, moved: Sequence[int], actuated: Sequence[in
 
 
 def _derivatives(values: np.ndarray, rate_Hz: float) -> list[np.ndarray]:
-    """Values (..., N, k), their speeds and their accelerations; zeros in a record too short for them."""
+    """Values (..., N, k), their speeds and their accelerations; zeros in a record too short for them.
+
+    A polynomial of third degree through the window around every row (Savitzky and Golay 1964), and through the first or last window near
+    the ends.
+    """
     window = max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
     if values.shape[-2] < window:
         return [values, np.zeros_like(values), np.zeros_like(values)]
-    return [scipy.signal.savgol_filter(values, window, 3, deriv=order, delta=1.0 / rate_Hz, axis=-2) for order in range(3)]
+    half = window // 2
+    found = []
+    for order in range(3):
+        weights = _weights(window, order, rate_Hz)
+        slopes = scipy.ndimage.correlate1d(values, weights[half], axis=-2, mode="constant")
+        slopes[..., :half, :] = weights[:half] @ values[..., :window, :]
+        slopes[..., -half:, :] = weights[half + 1 :] @ values[..., -window:, :]
+        found.append(slopes)
+    return found
+
+
+@lru_cache(maxsize=16)
+def _weights(window: int, order: int, rate_Hz: float) -> np.ndarray:
+    """(window, window) of the values in a window, for this derivative of their polynomial at each of its rows."""
+    return np.stack([scipy.signal.savgol_coeffs(window, 3, order, 1.0 / rate_Hz, row, "dot") for row in range(window)])

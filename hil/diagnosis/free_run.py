@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -177,14 +177,20 @@ class FreeRuns:
 
     def run(self, trials: Sequence[Trial], name: str = TRAIN) -> list[np.ndarray | None]:
         """(M,) simulated channels of every trial; None where it cannot be simulated."""
+        return self.begin(trials, name)()
+
+    def begin(self, trials: Sequence[Trial], name: str = TRAIN) -> Callable[[], list[np.ndarray | None]]:
+        """Start these trials on the other processes, where there are any, and return what waits for their answers: see `run`."""
         self.count += len(trials)
-        if self._pool is None or len(trials) < 2:
-            answers = [self._local.whitened(name, trial) for trial in trials]
-        else:
-            chunk = max(1, len(trials) // (4 * self._jobs))
-            answers = list(self._pool.map(_run_in_worker, [(name, trial) for trial in trials], chunksize=chunk))
+        if self._pool is None:
+            return lambda: self._corrected((self._local.whitened(name, trial) for trial in trials), name)
+        chunk = max(1, len(trials) // (4 * self._jobs))
+        answers = self._pool.map(_run_in_worker, [(name, trial) for trial in trials], chunksize=chunk)
+        return lambda: self._corrected(answers, name)
+
+    def _corrected(self, answers: Iterable[np.ndarray | None], name: str) -> list[np.ndarray | None]:
         correction = self._whitened_correction.get(name)
-        return answers if correction is None else [None if answer is None else answer + correction for answer in answers]
+        return list(answers) if correction is None else [None if answer is None else answer + correction for answer in answers]
 
     def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
         return self.run([trial], name)[0]

@@ -59,4 +59,4 @@ def with_half_orders(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits:
     closest = min(again, key=lambda fit: fit.cost, default=best)
     if closest.cost > best.cost - POLISHED_GAIN:
         return list(fits)
-    return [polish(runs, tuning, measured, closest), *others]
+    return [*polish(runs, tuning, measured, [closest]), *others]

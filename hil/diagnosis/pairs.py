@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.diagnosis.coordinates import fitted_parameters
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import Fitted, fitted_parameters
+from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, scaled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -10,6 +11,9 @@ import scipy.linalg
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
 
 AT_BOUND = 1e-6
+
+KEPT = 2
+"""Projections that are asked for again and again: without effects, and beside those found last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +29,10 @@ class Projection:
     factor: tuple[np.ndarray, bool]  # of J'J + 1
 
     @classmethod
+    @lru_cache(maxsize=KEPT)
     def of(cls, tuning: Tuning) -> Projection:
         free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - AT_BOUND
-        jacobian = np.asfortranarray(tuning.jacobian[:, free])
+        jacobian = np.asfortranarray(tuning.jacobian if free.all() else tuning.jacobian[:, free])
         hessian = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
         return cls(jacobian, tuning.offset[free], scipy.linalg.cho_factor(hessian))
 

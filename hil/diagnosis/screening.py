@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.coordinates import INVERSE
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.refit import INVERSE
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.effect import PHASE
@@ -40,7 +40,7 @@ SAME_STRENGTH = 1e-6
 """Share of its energy by which a response must differ from the others to be told from them."""
 
 SOME = 32
-"""Free runs whose answers are kept at a time."""
+"""Free runs whose answers are worked on at a time; as many more are under way meanwhile."""
 
 UNLIKE = 0.9
 """Squared cosine with every better response below which a candidate is another kind of mismatch."""
@@ -125,8 +125,10 @@ def _responses(runs: FreeRuns, tuning: Tuning, projection: Projection, trials: S
 
     Some at a time: the answers of all would take a gigabyte where recordings are a minute long.
     """
+    following = runs.begin(trials[:SOME])
     for first in range(0, len(trials), SOME):
-        answers = runs.run(trials[first : first + SOME])
+        waiting, following = following, runs.begin(trials[first + SOME : first + 2 * SOME])
+        answers = waiting()
         changes = [answer - tuning.predicted for answer in answers if answer is not None]
         left = iter(projection.left(np.stack(changes)) if changes else ())
         yield from (None if answer is None else next(left) for answer in answers)

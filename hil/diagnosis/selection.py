@@ -15,7 +15,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import NUMBERS, Weighed, price_of_a_parameter, temperature, temperature_of
 from hil.diagnosis.pairs import Pair, Start, pairs
-from hil.diagnosis.refit import Fitted, polish, refit
+from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, screen, shortlist
@@ -30,10 +30,9 @@ POLISHED = 3
 """Fits that are continued with sensitivities taken where they are, and as many again of those that gain nearly as much (NEARLY): an
 unfinished fit of a law that holds another is no evidence against it."""
 
-NEARLY = 0.9
-
-FINISHING_RUNS = 600
-"""Free runs of polishing after which no more than POLISHED are: a machine of 59 numbers takes 1000 for each, one of 11 takes 20 to 200."""
+FINISHING_RUNS = 450
+"""Free runs of polishing after which no more than POLISHED go on: a machine of 49 numbers takes 60 to 150 for each that is near its end,
+600 for one that is far from it."""
 
 PAIRED = 3
 """Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
@@ -138,7 +137,7 @@ def select(
             ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
-            fits = [*fits, *(polish(runs, tuning, measured, fit) for fit in twos[:1]), *twos[1:]]
+            fits = [*fits, *polish(runs, tuning, measured, twos[:1]), *twos[1:]]
         exact = [fit for fit in fits if _needs_all(fit, stand, singles, None, tried, len(residual))]
         fits = [fit for fit in exact if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
@@ -172,12 +171,17 @@ def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int
 
 def _finished(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], unfinished: int) -> list[Fitted]:
     """The fits with the first of them polished."""
-    done, began = list(fits), runs.count
-    for number, fit in enumerate(fits[:unfinished]):
-        if number >= POLISHED and runs.count - began > FINISHING_RUNS:
-            break
-        done[number] = polish(runs, tuning, measured, fit)
-    return done
+    began = runs.count
+    done = polish(runs, tuning, measured, fits[: min(unfinished, POLISHED)])
+    for fit in fits[len(done) : unfinished]:
+        before = None
+        for _ in range(POLISHING_ROUNDS):
+            if runs.count - began > FINISHING_RUNS or (before is not None and before.cost - fit.cost < POLISHED_GAIN):
+                break
+            before = fit
+            (fit,) = polish(runs, tuning, measured, [fit], 1)
+        done.append(fit)
+    return [*done, *fits[len(done) :]]
 
 
 def _pairs_worth_a_fit(

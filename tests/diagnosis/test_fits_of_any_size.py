@@ -64,7 +64,7 @@ def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
         tuning = replace(tuning, predicted=runs.run_one(Trial(tuning.values)))
         start = ((EffectAt("nonlinear_stiffness", "oscillator"),), (np.array([1.0, 1.0, 0.0]),))
         (fit,) = refit(runs, tuning, runs.measured(), [start])
-        fit = polish(runs, tuning, runs.measured(), fit)
+        (fit,) = polish(runs, tuning, runs.measured(), [fit])
     constant = tuning.at(fit.offset)[[p.quantity for p in tuning.parameters].index("constant")]
     farthest = float(np.abs(recording["position_mass"]).max())
     force = effort(SimpleNamespace(deflection=farthest), *fit.values[0])

@@ -23,8 +23,8 @@ class Linear:
         self._names = [p.name for p in effects()[name].parameters]
         self.columns = np.random.default_rng(2).standard_normal((ENTRIES, len(self._names)))
 
-    def run(self, trials):
-        return [sum(self.columns @ [one.parameters[name] for name in self._names] for one in trial.effects) for trial in trials]
+    def begin(self, trials):
+        return lambda: [sum(self.columns @ [one.parameters[name] for name in self._names] for one in trial.effects) for trial in trials]
 
 
 def test_strengths_that_act_against_each_other_are_found_together():

@@ -60,7 +60,7 @@ class CompiledPlant:
     module: ModuleType
     constant_count: int
 
-    @property
+    @cached_property
     def joints(self) -> int:
         """Degrees of freedom."""
         return len(self.settings.tree.joints)

@@ -1,0 +1,188 @@
+"""Coordinates of a fit: tuned numbers in units of their prior, and effects' free parameters in units of their size where the fit is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.candidates import setting_of
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.information import Free
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
+
+STEP_SHARE = 0.01
+"""Difference for sensitivities, as a share of a parameter's size."""
+
+SMALLEST_SHARE = 1e-7
+"""Of a parameter's range: the size of one that starts at zero is never taken for less."""
+
+SMALLEST_OF_START = 0.01
+"""The same for other parameters, of their start: a range made for machines of tonnes says nothing about a spring of milligrammes."""
+
+NOT_FITTED = ("seed", "side", "sign", "length")
+"""Parameters that only take some values: they stay where screening put them."""
+
+LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
+INVERSE = ("fc",)
+"""Corner frequencies: what they do is in proportion to one over them."""
+
+ORDER_UNIT = "cycles/turn"
+PHASE_STEP = 0.02
+
+WEAKER = (0.3, 0.1, 0.03)
+"""Shares of a start's strength that are tried where the start is worse than no effect."""
+
+TUNED_REACH = 1.0
+"""Of a first step in the tuned numbers, in units of their prior."""
+
+HELD = 0.99
+"""Of the largest step, from which a parameter's step was held by the region; it is at least the parameter's own size there."""
+
+
+def fitted_parameters(effect: EffectAt) -> int:
+    """How many of an effect's parameters are fitted."""
+    return sum(parameter.name not in NOT_FITTED for parameter in effects()[effect.effect].parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Tuned coordinates and the effects' parameters."""
+
+    offset: np.ndarray
+    values: tuple[np.ndarray, ...]
+
+
+class Coordinates:
+    """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
+
+    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], way: float) -> None:
+        self._tuning, self._names = tuning, names
+        self._parameters = [effects()[name.effect].parameters for name in names]
+        self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
+        self._least = [_least_size(self._parameters[e][k], starts[e][k], way) for e, k in self.free]
+
+    def settings(self, at: Point) -> tuple[EffectSetting, ...]:
+        return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
+
+    def trial(self, at: Point) -> Trial:
+        return Trial(self._tuning.at(at.offset), self.settings(at))
+
+    def moves(self, at: Point) -> list[tuple[Point, float]]:
+        """Neighbours in every free parameter, and how far they are in units of its size."""
+        found = []
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            step = PHASE_STEP if _is_phase(parameter) else STEP_SHARE
+            if _is_inverse(parameter, value):
+                found.append((Point(at.offset, _with(at.values, e, k, value / (1.0 + step))), step))
+                continue
+            neighbour = value + step * size
+            if neighbour > parameter.high:
+                neighbour = value - step * size
+            found.append((Point(at.offset, _with(at.values, e, k, neighbour)), (neighbour - value) / size))
+        return found
+
+    def reach(self, at: Point, radius: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest step of all coordinates: to their bounds, and not further than they are trusted."""
+        bound = LARGEST_CHANGE / PRIOR
+        low, high = list(np.maximum(-bound - at.offset, -TUNED_REACH * radius)), list(np.minimum(bound - at.offset, TUNED_REACH * radius))
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            up = 1.0 if _is_phase(parameter) else 3.0
+            down = 0.6 if parameter.name in LOGARITHMIC else up
+            if _is_inverse(parameter, value):
+                low.append(max(value / parameter.high - 1.0, -0.8 * min(radius, 1.0)))
+                high.append(up * radius)
+            else:
+                low.append(max((parameter.low - value) / size, -down * min(radius, 1.0) if down < 1.0 else -down * radius))
+                high.append(min((parameter.high - value) / size, up * radius))
+        return np.array(low), np.array(high)
+
+    def was_held(self, step: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Whether a step of the effects' parameters was as large as it may be in the region: much weaker than it should be, an effect gains
+        nothing at first.
+        """
+        own = step[-len(self.free) :]
+        return bool(np.any((own >= HELD * reach[1][-len(own) :]) & (own >= HELD)))
+
+    def moved(self, at: Point, step: np.ndarray) -> Point:
+        """The point a step leads to."""
+        offset, values = at.offset + step[: len(at.offset)], at.values
+        for (e, k), size, change in zip(self.free, self._sizes(at), step[len(at.offset) :], strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            to = value / (1.0 + change) if _is_inverse(parameter, value) else value + change * size
+            values = _with(values, e, k, float(np.clip(to, parameter.low, parameter.high)))
+        return Point(offset, values)
+
+    def slopes(self, at: Point) -> np.ndarray:
+        """(F,) factors from sensitivities per size to sensitivities per unit of the parameter."""
+        found = []
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            value = at.values[e][k]
+            found.append(-1.0 / value if _is_inverse(self._parameters[e][k], value) else 1.0 / size)
+        return np.array(found)
+
+    def described(self, at: Point) -> list[Free]:
+        """The free parameters."""
+        each = zip(self.free, self._sizes(at), strict=True)
+        return [Free(e, self._parameters[e][k], float(at.values[e][k]), size) for (e, k), size in each]
+
+    def _sizes(self, at: Point) -> list[float]:
+        found = []
+        for (e, k), least in zip(self.free, self._least, strict=True):
+            fixed = _is_phase(self._parameters[e][k]) or _is_order(self._parameters[e][k])
+            found.append(least if fixed else max(abs(at.values[e][k]), least))
+        return found
+
+
+def weaker(name: EffectAt, values: tuple[np.ndarray, ...], share: float) -> tuple[np.ndarray, ...]:
+    """The last effect with this share of its strengths."""
+    last = values[-1].copy()
+    for k, parameter in enumerate(effects()[name.effect].parameters):
+        if parameter.is_strength and parameter.name not in NOT_FITTED:
+            last[k] = last[k] / share if _is_inverse(parameter, last[k]) else parameter.neutral + share * (last[k] - parameter.neutral)
+            last[k] = np.clip(last[k], parameter.low, parameter.high)
+    return (*values[:-1], last)
+
+
+def _is_phase(parameter: Parameter) -> bool:
+    return parameter.unit == "phase" and not parameter.is_strength
+
+
+def _is_order(parameter: Parameter) -> bool:
+    return parameter.unit == ORDER_UNIT and not parameter.is_strength
+
+
+def _is_inverse(parameter: Parameter, value: float) -> bool:
+    """Whether a parameter is fitted as one over itself, in which its effect is closer to linear."""
+    return parameter.name in INVERSE and value > 0.0
+
+
+def way_of(runs: FreeRuns) -> float:
+    """Longest way of any motor over all training recordings [rad or m of its own coordinate]."""
+    positions = np.concatenate([group.position for group in runs.sets[TRAIN].groups])
+    return float((np.ptp(positions, axis=0) * [drive.ratio for drive in runs.machine.plant.drives]).max())
+
+
+def _least_size(parameter: Parameter, start: float, way: float) -> float:
+    """What a parameter's size, a large change of it, is never taken for less than; of phases and orders it is the size itself.
+
+    An order over position turns a phase by one radian over the motor's way when it changes by one over that way.
+    """
+    if _is_phase(parameter):
+        return 1.0
+    if _is_order(parameter):
+        return 1.0 / max(way, 1e-12)
+    return max(SMALLEST_OF_START * abs(start) if start != 0.0 else SMALLEST_SHARE * (parameter.high - parameter.low), 1e-12)
+
+
+def _with(values: Sequence[np.ndarray], effect: int, number: int, value: float) -> tuple[np.ndarray, ...]:
+    changed = [np.array(v) for v in values]
+    changed[effect][number] = value
+    return tuple(changed)

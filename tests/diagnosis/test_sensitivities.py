@@ -1,0 +1,44 @@
+"""Sensitivities of tuned numbers, mended by the steps of a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.tuned_sensitivities import TunedSensitivities
+
+ROWS, COUNT = 200, 12
+
+
+@pytest.fixture()
+def jacobian():
+    return np.random.default_rng(5).standard_normal((ROWS, COUNT))
+
+
+def test_mended_sensitivities_say_of_a_step_what_it_did_and_nothing_new_across_it(jacobian):
+    random = np.random.default_rng(6)
+    tuned = TunedSensitivities.of(jacobian)
+    for _ in range(3):
+        move, missed = random.standard_normal(COUNT), random.standard_normal(ROWS)
+        across = np.linalg.qr(np.column_stack([move, random.standard_normal(COUNT)]))[0][:, 1]
+        before = tuned.along(move), tuned.along(across)
+        tuned = tuned.after(move, 0.0, missed)
+        assert tuned.along(move) == pytest.approx(before[0] + missed)
+        assert tuned.along(across) == pytest.approx(before[1])
+
+
+def test_products_are_those_of_the_mended_matrix(jacobian):
+    random = np.random.default_rng(7)
+    tuned = TunedSensitivities.of(jacobian)
+    for _ in range(3):
+        tuned = tuned.after(random.standard_normal(COUNT), 1.0, random.standard_normal(ROWS))
+    whole = np.column_stack([tuned.along(unit) for unit in np.eye(COUNT)])
+    vectors = random.standard_normal((ROWS, 2))
+    assert tuned.across(vectors) == pytest.approx(whole.T @ vectors)
+    assert tuned.square == pytest.approx(whole.T @ whole)
+
+
+def test_of_what_a_step_missed_the_other_parameters_have_their_share(jacobian):
+    move, missed = np.eye(COUNT)[0], np.ones(ROWS)
+    tuned = TunedSensitivities.of(jacobian).after(move, 3.0, missed)
+    assert tuned.along(move) == pytest.approx(jacobian @ move + 0.25 * missed)
