@@ -129,9 +129,9 @@ def test_only_what_is_left_for_certain_has_no_name():
 
 
 def test_most_of_a_large_held_out_mismatch_left_is_no_explanation():
-    assert named(held_out=(4.0 * NOISE, 3.0 * NOISE, NOISE)) == "unknown_physics"
-    assert named(held_out=(40.0 * NOISE, 3.0 * NOISE, NOISE)) == "explained"
-    assert named(held_out=(1.6 * NOISE, 1.5 * NOISE, NOISE)) == "explained"  # another motion has other noise
+    assert named(held_out=(40.0 * NOISE, 30.0 * NOISE, NOISE)) == "unknown_physics"
+    assert named(held_out=(40.0 * NOISE, 10.0 * NOISE, NOISE)) == "explained"
+    assert named(held_out=(4.6 * NOISE, 4.5 * NOISE, NOISE)) == "explained"  # another motion has other noise
 
 
 def test_a_law_whose_numbers_change_with_the_motion_is_no_explanation():
