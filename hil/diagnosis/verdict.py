@@ -19,8 +19,8 @@ UNKNOWN_LEFT = 0.5
 
 OTHER_MOTION = 5.0
 """Excess of the held-out misfit over its noise, as a share of it, that another motion's disturbances reach: a narrow line at a frequency of
-its own is 3.5 in development case 12, measured beside the truth itself; 31 nulls have 0.57 at most. Only beyond it is what a set leaves held
-out anything else."""
+its own is 3.5 in development case 12, measured beside the truth itself; 31 nulls have 0.57 at most. Only beyond it is what a set leaves
+held out anything else."""
 
 UNNAMED_GAIN = 2.0
 """Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
