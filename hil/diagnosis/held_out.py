@@ -139,7 +139,7 @@ class HeldOut:
             return None, 1.0
         hessian = jacobian.T @ jacobian + self._weights
         gradient = jacobian.T @ (self.measured - at.predicted) - self._weights @ at.moved
-        step = bounded_step(hessian, gradient, offset + at.moved)
+        step = bounded_step(self._tuning, hessian, gradient, offset + at.moved)
         expected = float(2.0 * step @ gradient - step @ hessian @ step)
         if expected < SETTLED:
             return None, 1.0

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.rigid_bodies import rigid
+from hil.diagnosis.rigid_bodies import Shortage, rigid, shortages
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
@@ -53,6 +53,9 @@ ITERATIONS = 30
 SETTLED = 1e-4
 SETTLED_GAIN = 0.1
 """Decrease of the cost, as a share of it and in units of noise, below which re-tuning has ended."""
+
+HELD_BY, HELD_AT_MOST = 1e3, 8
+"""Weight of what holds a body rigid in a step, over the largest of the others, and times at most that a step is held."""
 
 LARGE_STEP = 0.05
 """In units of PRIOR: a larger step asks for new sensitivities."""
@@ -92,9 +95,16 @@ class Tuning:
 
     def at(self, offset: np.ndarray) -> np.ndarray:
         """Plant parameters at these tuned coordinates, every body a rigid one."""
+        return rigid(self.parameters, self._said(offset))
+
+    def shortages(self, offset: np.ndarray) -> list[Shortage]:
+        """Of bodies that are none at these tuned coordinates."""
+        return shortages(self.parameters, self._said(offset))
+
+    def _said(self, offset: np.ndarray) -> np.ndarray:
         values = np.array([parameter.value for parameter in self.parameters])
         values[self.indices] += offset * self.scale
-        return rigid(self.parameters, values)
+        return values
 
     @property
     def names(self) -> list[str]:
@@ -132,7 +142,7 @@ def retune(runs: FreeRuns) -> Tuning:
     runs.correct(Trial(tuning.values))
     predicted = runs.run_one(Trial(tuning.values))
     if predicted is not None:
-        tuning = descend(runs, replace(tuning, predicted=predicted), measured)
+        tuning = descend(runs, linearised(runs, replace(tuning, predicted=predicted)), measured)
     return with_covariance(tuning)
 
 
@@ -175,6 +185,9 @@ def quick_sensitivities(
 def sensitivity_trials(tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> tuple[list[Trial], np.ndarray]:
     """A trial for every tuned coordinate, and (P,) how far each is moved."""
     differences = np.where(offset > 0.0, -DIFFERENCE, DIFFERENCE)
+    for k, move in enumerate(np.diag(differences)):
+        if tuning.shortages(offset + move):  # what keeps the body a rigid one would be taken for the machine's answer
+            differences[k] *= -1.0
     return [Trial(tuning.at(offset + move), effects) for move in np.diag(differences)], differences
 
 
@@ -202,13 +215,32 @@ def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: t
     return jacobian
 
 
-def bounded_step(hessian: np.ndarray, gradient: np.ndarray, offset: np.ndarray, radius: float = np.inf) -> np.ndarray:
-    """Change of the tuned coordinates that lowers |residual|^2 most within LARGEST_CHANGE and, in each of them, the radius."""
-    root = np.linalg.cholesky(hessian).T
-    target = np.linalg.solve(root.T, gradient)
+def bounded_step(tuning: Tuning, hessian: np.ndarray, gradient: np.ndarray, offset: np.ndarray, radius: float = np.inf) -> np.ndarray:
+    """Change of the tuned coordinates that lowers |residual|^2 most within LARGEST_CHANGE, in each of them the radius, and rigid bodies.
+
+    A step that ends where a body is none is taken again with that body's least second moment held at its end.
+    """
+    rows = np.linalg.cholesky(hessian).T
+    wanted = np.linalg.solve(rows.T, gradient)
+    heavy = HELD_BY * float(np.sqrt(hessian.diagonal().max()))
     bound = LARGEST_CHANGE / PRIOR
-    low, high = np.maximum(-bound - offset, -radius), np.minimum(bound - offset, radius)
-    return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-9), np.maximum(high, 1e-9)), method="bvls").x
+    low, high = np.minimum(np.maximum(-bound - offset, -radius), -1e-9), np.maximum(np.minimum(bound - offset, radius), 1e-9)
+    place = {int(index): k for k, index in enumerate(tuning.indices)}
+    for _ in range(HELD_AT_MOST):
+        step = scipy.optimize.lsq_linear(rows, wanted, bounds=(low, high), method="bvls").x
+        found = tuning.shortages(offset + step)
+        if not found:
+            break
+        for short in found:
+            slopes = np.zeros(len(step))
+            for index, slope in zip(short.places, short.slopes, strict=True):
+                if int(index) in place:
+                    slopes[place[int(index)]] = slope * tuning.scale[place[int(index)]]
+            size = float(np.linalg.norm(slopes))
+            if size > 0.0:
+                rows = np.vstack([rows, heavy / size * slopes])
+                wanted = np.append(wanted, heavy / size * (slopes @ step + short.missing))
+    return step
 
 
 def with_covariance(tuning: Tuning) -> Tuning:
@@ -230,7 +262,7 @@ def _trusted_step(
     hessian = tuning.jacobian.T @ tuning.jacobian + np.eye(len(tuning.offset))
     gradient = tuning.jacobian.T @ residual - tuning.offset
     for _ in range(SHRUNK_AT_MOST):
-        step = bounded_step(hessian, gradient, tuning.offset, radius)
+        step = bounded_step(tuning, hessian, gradient, tuning.offset, radius)
         expected = float(2.0 * step @ gradient - step @ hessian @ step)
         offset = tuning.offset + step
         values = tuning.at(offset)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.diagnosis.machine_file import retuned_text
-from hil.diagnosis.retune import PRIOR, Tuning, tunable
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, sensitivity_trials, tunable
 from hil.machine import load_machine, machine_from_text
 from virtual_bus.plant.parameters import plant_parameters
 
@@ -62,3 +63,46 @@ def test_moments_of_a_rigid_body_are_left_as_they_are_and_others_are_raised_alik
     assert low + middle >= high * (1.0 - 1e-9)
     short = 2.0 * wanted.max() - wanted.sum()
     assert found - wanted == pytest.approx(np.full(3, max(short, 0.0)), abs=1e-9 * wanted.max())
+
+
+def test_a_step_ends_at_the_best_rigid_body_on_its_way():
+    """Against a minimisation under the same three conditions by another method (sequential quadratic programming)."""
+    count, random = len(INDICES), np.random.default_rng(3)
+    places = [list(INDICES).index(NAMES.index(name)) for name in MOMENTS]
+    mixed = random.standard_normal((3, 3)) * 40.0
+    hessian = np.eye(count)
+    hessian[np.ix_(places, places)] += mixed.T @ mixed
+    offset, wanted = moved(xx=-0.02, yy=0.04, zz=-0.01), np.zeros(count)
+    wanted[places] = [-0.9, 0.8, -0.7]  # no rigid body's
+    step = bounded_step(tuning(), hessian, hessian @ wanted, offset)
+    nominal, start, small = moments(NOMINAL), offset[places], hessian[np.ix_(places, places)]
+
+    def short(change: np.ndarray) -> float:
+        xx, yy, zz = nominal * (1.0 + PRIOR * (start + change))
+        return float(xx + zz - yy)
+
+    found = scipy.optimize.minimize(
+        lambda change: (change - wanted[places]) @ small @ (change - wanted[places]),
+        np.zeros(3),
+        jac=lambda change: 2.0 * small @ (change - wanted[places]),
+        bounds=[(-LARGEST_CHANGE / PRIOR - at, LARGEST_CHANGE / PRIOR - at) for at in start],
+        constraints={"type": "ineq", "fun": short},
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    assert short(wanted[places]) < -1.0
+    assert short(step[places]) > 0.0
+    assert step[places] == pytest.approx(found.x, abs=1e-3)
+    assert np.delete(step, places) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_sensitivities_are_not_taken_across_the_end_of_rigid_bodies():
+    xx, yy, zz = moments(NOMINAL)
+    offset = moved(xx=0.05, yy=(1.05 * xx + zz) / yy - 1.0 - 1e-9)  # towards nominal, xx alone is too small
+    trials, differences = sensitivity_trials(tuning(), offset, ())
+    alone = [NOMINAL.copy() for _ in trials]
+    for k, (values, trial) in enumerate(zip(alone, trials, strict=True)):
+        moving = offset.copy()
+        moving[k] += differences[k]
+        values[INDICES] += moving * tuning().scale
+        assert trial.values == pytest.approx(values, rel=1e-12), "another moment was raised with it"
