@@ -79,7 +79,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)
         if not also and left > UNKNOWN_LEFT * explainable:
-            also = f"more than it: {left / explainable:.0%} of what re-tuning leaves above noise is left, if the noise is what repeats say"
+            return "ambiguous", f"{names}, which leaves {left / explainable:.0%} of what is above noise, if the noise is what repeats say"
         return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
