@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from carriage import MACHINE, MASS_kg, repeats
-from conftest import COULOMB_N, DURATION_s
 
 from hil.diagnosis.drift import DRIFTED, chance_of_drift
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
@@ -16,6 +15,8 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 
 FRICTION = EffectAt("coulomb_friction", "carriage")
+COULOMB_N, DURATION_s = 20.0, 2.0
+"""Of `with_friction`."""
 
 
 def drift(train, held_out) -> float:
