@@ -194,7 +194,8 @@ def tune(
     edge = np.log(LARGEST_FACTOR)
     low = np.concatenate((np.full(size - sizes[-1], -edge), np.zeros(sizes[-1])))
     high = np.concatenate((np.full(size - sizes[-1], edge), np.full(sizes[-1], np.log(LARGEST_EXCESS))))
-    low[0] = max(-edge, float(np.log(np.max(least / np.maximum(start.command, 1e-12)))))  # no less, whatever a recording makes of it
+    share = np.max(least / np.maximum(start.command, 1e-12))
+    low[0] = np.log(max(float(share), 1.0 / LARGEST_FACTOR))  # no less, whatever a recording makes of it
     first = np.concatenate((np.zeros(size - sizes[-1]), np.full(sizes[-1], np.log(2.0))))
     found = _compass(cost, first, low, high, evaluations)
     if len(low_passed):
