@@ -23,8 +23,9 @@ WAVES = {
 }
 """Order, and amplitude and phase of either harmonic."""
 
-NO_SECOND = 0.1
-"""Amplitude of the second harmonic, as a share of the first's, from which on the order is no other one's second harmonic."""
+NO_SECOND = 0.5
+"""Amplitude of the second harmonic, as a share of the first's, from which on the order is no other one's second harmonic. Where it is one,
+a second harmonic of its own is fitted to what the missing first leaves: to a quarter, in the test."""
 
 FIRST = 0.3
 """The same of a first harmonic that a fit starts with."""
