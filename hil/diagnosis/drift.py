@@ -54,7 +54,7 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
         return 1.0
     projection = Projection.of(tuning)
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
-    sizes = np.linalg.norm(left, axis=0)
+    sizes = np.maximum(np.linalg.norm(left, axis=0), SEEN * np.linalg.norm(response, axis=0))  # training may not see one at all
     left, response = left / np.maximum(sizes, 1e-300), response / np.maximum(sizes, 1e-300)
     there = held_out.information(response)
     gradient = response.T @ (held_out.measured - followed.predicted)  # the numbers are where they cost least: they add nothing to it
@@ -62,7 +62,7 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
     levels = fitted.cost / len(tuning.predicted), freed / len(followed.predicted)
     known, level = (max(1.0, noise) + WEIGHTS.form_error * max(energy, 0.0) for noise, energy in zip(levels, removed, strict=True))
     variances, directions = np.linalg.eigh(left.T @ left)
-    inverse = (directions / np.maximum(variances, SEEN * variances[-1])) @ directions.T
+    inverse = (directions / np.maximum(variances, SEEN * max(variances[-1], 1.0))) @ directions.T
     squared, freedom = _in_deviations(gradient, known * there @ inverse @ there + level * there)
     return float(scipy.stats.chi2.sf(squared, freedom)) if freedom else 1.0
 
