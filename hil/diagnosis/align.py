@@ -52,7 +52,7 @@ def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Record
         rate = recording.sample_rate_Hz
     except RecordingError as problem:
         if recording.rows < 2:
-            raise
+            raise RecordingError(f"{label}: {problem}") from None
         reason = str(problem)
     else:
         if abs(rate / machine.sample_rate_Hz - 1.0) <= RATE_TOLERANCE:

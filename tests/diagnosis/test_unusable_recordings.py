@@ -43,6 +43,12 @@ def test_a_record_of_fewer_rows_than_the_noise_s_filter_leaves_is_refused(runs):
         diagnose(MACHINE, runs, short)
 
 
+def test_a_record_of_one_row_is_refused_by_its_name(runs):
+    label, one = next(iter(runs.items()))
+    with pytest.raises(RecordingError, match=rf"{label}: 1 rows have no sample rate"):
+        diagnose(MACHINE, runs | {label: cut(one, 1)})
+
+
 def test_copies_are_no_repeats(runs):
     label, one = next(iter(runs.items()))
     with pytest.raises(RecordingError, match=r"the same to the last digit.*not copies of one"):
