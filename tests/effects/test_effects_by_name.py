@@ -25,9 +25,15 @@ def test_every_effect_is_written_and_read_back() -> None:
     assert effects_from_text(effects_text(chosen, CARM), CARM, "effects.toml") == chosen
 
 
-def test_a_cubic_spring_needs_no_bend_in_its_file() -> None:
-    text = '[[effect]]\nname = "nonlinear_stiffness"\nat = "propeller"\nk3_Nm_rad3 = 5e10\n'
-    assert effects_from_text(text, CARM, "effects.toml") == (EXAMPLES["nonlinear_stiffness"],)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("nonlinear_stiffness", 'name = "nonlinear_stiffness"\nat = "propeller"\nk3_Nm_rad3 = 5e10\n'),
+        ("backlash", 'name = "backlash"\nat = "roll"\nb_rad = 1e-4\n'),
+    ],
+)
+def test_what_refines_a_spring_or_a_gap_may_be_left_out_of_its_file(name: str, text: str) -> None:
+    assert effects_from_text(f"[[effect]]\n{text}", CARM, "effects.toml") == (EXAMPLES[name],)
 
 
 @pytest.mark.parametrize("corner", [0.0, 0.05])
