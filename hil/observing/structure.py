@@ -20,6 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from controllers.models.modal import ModalModel, basis_size, basis_values
+from hil.errors import BadAnswer
 from hil.observing.directions import Shapes, drives_masses, shapes_at, soft_directions
 from hil.observing.modal_fit import TURN_LENGTH_m
 from hil.observing.over_poses import embedded, harmonics_for
@@ -72,7 +73,7 @@ class Structure:
 
 
 def found_structure(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np.ndarray, mount: Mount | None) -> Structure | None:
-    """The springs, begun at a mount that was found from slow motions (`sag`); None where the modes do not tell them.
+    """The springs, begun at a mount that was found from slow motions (`sag`); None where modes or poses do not tell them, or inertias.
 
     Parameters
     ----------
@@ -87,6 +88,8 @@ def found_structure(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
     if mount is None or not mount.is_clear or frame is None:
         return None
     at = np.asarray(poses, float)
+    if min(harmonics_for(at)[1:], default=INERTIA_HARMONIC) < INERTIA_HARMONIC:
+        return None
     seen = tuple(shapes_at(model, pose) for pose in at)
     masses = drives_masses(seen, effort_gain)
     turns, _ = soft_directions(seen, masses)
@@ -136,10 +139,24 @@ def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np
     """The model with inertias of the axes, B_r = M_r⁻¹ T, that are symmetric and do not change with the first axis, which turns all of it.
 
     Responses tell them a little wrong, for gravity is a spring there that turns its sign with the pose.
+
+    Raises
+    ------
+    BadAnswer
+        At a pose the responses make an inertia that is not positive definite: a command that moves nothing, or the wrong way.
     """
     n, first = len(model.axes), model.modes * model.mode_stride
     at = np.asarray(poses, float)
-    inertia = np.array([effort_gain[:, None] * np.linalg.inv(model.at(pose)[first : first + n * n].reshape(n, n)) for pose in at])
+    mobility = np.array([model.at(pose)[first : first + n * n].reshape(n, n) / effort_gain for pose in at])
+    for pose, given in zip(at, mobility, strict=True):
+        least, directions = np.linalg.eigh(given + given.T)
+        if least[0] <= 0.0:
+            axis = model.axes[int(np.argmax(np.abs(directions[:, 0])))]
+            raise BadAnswer(
+                f"at {np.round(pose, 3).tolist()} (rad or m) the command does not move {axis} as a mass would be moved: check that it was"
+                " excited, and the signs of its constant, ratio and encoders"
+            )
+    inertia = np.linalg.inv(mobility)
     smooth = _Inertia(0.5 * (inertia + inertia.transpose(0, 2, 1)), at)
     rigid = np.array([np.linalg.solve(smooth.at(pose), np.diag(effort_gain)) for pose in at])
     coefficients = model.coefficients.copy()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from controllers.models.modal import ModalModel, basis_values
+from hil.errors import BadAnswer
 from hil.machine import Machine, load_machine
 from hil.observing.design import axis_grid
 from hil.observing.geometry import observed_chain
@@ -112,3 +113,21 @@ def test_inertias_told_wrong_with_the_sign_of_the_first_axis_come_out_right(
 
 def test_without_a_mount_there_is_no_structure(machine: Machine, exact: ModalModel, poses: list[np.ndarray]) -> None:
     assert found_structure(exact, poses, effort_gain(machine), None) is None
+
+
+def test_poses_that_do_not_tell_inertias_give_no_structure(machine: Machine, exact: ModalModel) -> None:
+    gain = effort_gain(machine)
+    few = [np.array([p, r]) for p in axis_grid(machine, 0, COUNTS[0]) for r in (-0.8, 0.0, 0.8)]
+    _, mount = with_sag(exact, few, GRAVITY_POSES, gain)
+    assert mount is not None
+    assert found_structure(exact, few, gain, replace(mount, deviation=0.0)) is None
+
+
+@pytest.mark.parametrize("column", [np.zeros(2), np.array([0.0, -0.2])])
+def test_a_command_that_moves_nothing_or_backwards_is_refused(machine: Machine, exact: ModalModel, column: np.ndarray) -> None:
+    first = exact.modes * exact.mode_stride
+    wrong = exact.coefficients.copy()
+    wrong[[first + 1, first + 3]] = 0.0
+    wrong[[first + 1, first + 3], 0] = column
+    with pytest.raises(BadAnswer, match=r"at \[.*\] \(rad or m\) the command does not move roll"):
+        with_inertia(replace(exact, coefficients=wrong), [np.zeros(2)], effort_gain(machine))
