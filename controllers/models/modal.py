@@ -146,8 +146,9 @@ class ModalModel:
             fitting = (len(self.axes), len(self.axes), self.modes, expected[1])
             if self.coupling.shape != fitting or not np.isfinite(self.coupling).all():
                 raise DesignError(f"modal model: coupling has shape {self.coupling.shape}, {fitting} fits; or one of it is not finite")
-        if self.effort_step.shape not in ((0,), axes) or not (self.effort_step >= 0.0).all():
-            raise DesignError(f"modal model: effort_step must be {axes[0]} numbers, none negative, or none, not {self.effort_step}")
+        is_step = np.isfinite(self.effort_step) & (self.effort_step >= 0.0)
+        if self.effort_step.shape not in ((0,), axes) or not is_step.all():
+            raise DesignError(f"modal model: effort_step must be {axes[0]} finite numbers, none negative, or none, not {self.effort_step}")
 
     @property
     def mode_stride(self) -> int:

@@ -340,6 +340,11 @@ def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray
         slope = -2.0 / (omega * time) if _is_low_pass(noise, j) else 0.0
         steady = np.array([[1.0, slope], [slope, _quadrature_variance(noise, j)]])
         spread = steady - step @ steady @ step.T
+        if not spread[0, 0] > 0.0:
+            raise DesignError(
+                f"observer noise: disturbance {j + 1}, disturbance_Hz = {noise.disturbance_Hz[j]:g}, disturbance_time_s = {time:g}:"
+                f" does not change within a sample of {period:g} s; 0 Hz makes it one of first order"
+            )
         drive[j] = size * np.sqrt(spread[0, 0])
         colour[j, :4], colour[j, 4] = step.ravel(), size * spread[0, 1] / np.sqrt(spread[0, 0])
         beside[j] = size * np.sqrt(max(spread[1, 1] - spread[0, 1] ** 2 / spread[0, 0], 0.0))

@@ -65,5 +65,6 @@ def test_a_command_acts_as_the_drive_rounds_it(kind: str) -> None:
 def test_tables_that_do_not_fit_are_refused_in_a_line() -> None:
     with pytest.raises(DesignError, match=r"coupling has shape \(2, 2, 3, 1\), \(2, 2, 4, 1\) fits"):
         replace(small_model(), coupling=np.ones((2, 2, 3, 1)))
-    with pytest.raises(DesignError, match="effort_step must be 2 numbers"):
-        replace(small_model(), effort_step=np.array([0.005, -1.0]))
+    for step in (-1.0, np.inf, np.nan):
+        with pytest.raises(DesignError, match="effort_step must be 2 finite numbers"):
+            replace(small_model(), effort_step=np.array([0.005, step]))

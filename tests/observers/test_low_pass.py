@@ -76,3 +76,5 @@ def test_a_design_keeps_low_passes_and_one_without_frequencies_is_refused(tmp_pa
     assert kept.model.places == model.places and list(kept.noise.low_pass) == [False, False, True]
     with pytest.raises(DesignError, match="low_pass must be 3 times yes or no"):
         ModalObserver(model, replace(noise, disturbance_Hz=np.zeros(3)))
+    with pytest.raises(DesignError, match=r"disturbance 3, disturbance_Hz = 1e-05.*does not change within a sample"):
+        ModalObserver(model, replace(noise, disturbance_Hz=np.array([0.0, 0.0, 1e-5]), disturbance_time_s=np.array([1.0, 1.0, 3e4])))
