@@ -17,7 +17,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, ranking
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, erring, ranking
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -225,8 +225,8 @@ def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     found = next((one for one in selection.contenders if one.fitted is chosen), None)
     if judged is None or found is None:
         return 1.0
-    removed = found.gained - found.by_numbers[0], found.gained_held_out - found.by_numbers[1]
-    return chance_of_drift(runs, tuning, judged, found.fitted, removed)
+    energies = erring(found.gained, found.by_numbers[0]), erring(found.gained_held_out, found.by_numbers[1])
+    return chance_of_drift(runs, tuning, judged, found.fitted, energies)
 
 
 def _cap(runs: FreeRuns) -> float:

@@ -3,8 +3,8 @@
 A right law keeps its numbers from motion to motion, an imitation of something else bends them anew. Chow's test (1960) of two sets of
 coefficients: with A the information on the set's parameters in training and B held out (the machine's numbers free within what training
 leaves open) and g the gradient there at training's values, the values differ by d = B^-1 g, of covariance T A^-1 + T' B^-1, and
-g' (T B A^-1 B + T' B)^-1 g is chi-squared where one law holds in both. An equation errs by `form_error` of what it removes in one motion
-and in another way in the other, along its own response if it is unlucky: that counts in T beside the level of the noise.
+g' (T B A^-1 B + T' B)^-1 g is chi-squared where one law holds in both. An equation errs by a share of what it removes in one motion
+and in another way in the other, along its own response if it is unlucky (`naming.erring`): that counts in T beside the level of the noise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import scipy.stats
 
 from hil.diagnosis.free_run import HELD_OUT, FreeRuns
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.naming import WEIGHTS
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, sensitivities_to_effects
 from hil.diagnosis.retune import Tuning
@@ -32,7 +31,7 @@ APART = 1e-6
 """The same of what is compared: directions that neither shows say nothing."""
 
 
-def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: Fitted, removed: tuple[float, float]) -> float:
+def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: Fitted, erring: tuple[float, float]) -> float:
     """Probability of values that differ by as much between training and held-out recordings where one law holds.
 
     Parameters
@@ -43,8 +42,8 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
     held_out : HeldOut
     fitted : Fitted
         The probability is 1 where its held-out run cannot be simulated.
-    removed : pair of float
-        Energies, in training and held out, of which its equations may err by a share.
+    erring : pair of float
+        Energies, in training and held out, by which its equations may err.
     """
     followed = held_out.follow(fitted.offset, fitted.settings)
     if followed is None:
@@ -57,10 +56,10 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
     sizes = np.maximum(np.linalg.norm(left, axis=0), SEEN * np.linalg.norm(response, axis=0))  # training may not see one at all
     left, response = left / np.maximum(sizes, 1e-300), response / np.maximum(sizes, 1e-300)
     there = held_out.information(response)
-    gradient = response.T @ (held_out.measured - followed.predicted)  # the numbers are where they cost least: they add nothing to it
+    gradient = response.T @ (held_out.measured - followed.predicted)  # the numbers are nearly where they cost least
     freed = followed.misfit - _in_deviations(gradient, there)[0]  # with the values that these recordings want
     levels = fitted.cost / len(tuning.predicted), freed / len(followed.predicted)
-    known, level = (max(1.0, noise) + WEIGHTS.form_error * max(energy, 0.0) for noise, energy in zip(levels, removed, strict=True))
+    known, level = (max(1.0, noise) + energy for noise, energy in zip(levels, erring, strict=True))
     variances, directions = np.linalg.eigh(left.T @ left)
     inverse = (directions / np.maximum(variances, SEEN * max(variances[-1], 1.0))) @ directions.T
     squared, freedom = _in_deviations(gradient, known * there @ inverse @ there + level * there)

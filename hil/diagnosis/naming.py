@@ -272,6 +272,11 @@ def temperature_of(sets: Sequence[tuple[float, float]], base: float, noise: floa
     return temperature(base - best - by_numbers, best - noise, weights) + NUMBERS_ERROR * by_numbers
 
 
+def erring(removed: float, by_numbers: float) -> float:
+    """Energy by which a set's equations may err that removes so much, so much of it by NUMBERS."""
+    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
+
+
 def temperature(removed: float, left: float, weights: Weights = WEIGHTS) -> float:
     """T, from the energies that the best set removes and leaves above noise."""
     return 1.0 + weights.form_error * max(removed, 0.0) + weights.left_weight * max(left, 0.0)
