@@ -37,18 +37,22 @@ DRIVES_TIME_s = 1.0
 ROWS = 1280
 """Of each recording that tuning looks at: five seconds at 256 Hz."""
 
-LOW_PASSED = ("gear", "mount", "shift")
+LOW_PASSED = ("mount", "shift")
 """Places whose disturbances may be low passes of second order, all with one corner and one damping ratio, where that is more likely. A turn
-between link side and detector must leave nothing at rest: only that tells the tilt it makes from an accelerometer's bias."""
+between link side and detector must leave nothing at rest: only that tells the tilt it makes from an accelerometer's bias. A gear keeps its
+band: a slow push in a gear is its spring's slow bend, by which a mode's frequency is followed."""
 
-CORNERS_Hz, DAMPING_RATIOS, STRENGTHS = (6.0, 12.0), (0.4, 0.8), (0.6, 1.0)
+TELLING = ("gear", *LOW_PASSED)
+"""Places that say what the low passes are: gears, which encoders see, tell the corner better than the mount does."""
+
+CORNERS_Hz, DAMPING_RATIOS, STRENGTHS = (6.0, 12.0), (0.8, 1.6), (0.6, 1.0)
 """Low passes to begin with: corner, damping ratio, strength beside the band's. The likelihood has more than one maximum."""
 
 SHARED_Hz3 = 0.5 * 10.0**3
 """Damping ratio times the cube of the corner at which a strength is the standard deviation itself."""
 
-CORNER_Hz, DAMPING_RATIO = (0.5, 50.0), (0.1, 5.0)
-"""Between which a low pass is tuned."""
+CORNER_Hz, DAMPING_RATIO = (0.5, 50.0), (0.7, 5.0)
+"""Between which a low pass is tuned. Duller ones only: a spectrum with a peak of its own beside a mode is hard to tell from the mode."""
 
 TOLD_APART = 0.05
 """By how much low passes must be more likely, in the logarithm per measurement. Where nothing pushes, a model's own errors made them
@@ -75,6 +79,17 @@ class Tuning:
     noise: ObserverNoise
     mean_nis: float
     share_in_band: float
+
+
+def _in_bands_but(at: np.ndarray, low_passes: ObserverNoise, bands: ObserverNoise) -> ObserverNoise:
+    """The noise with low passes, with disturbances in bands but for those at these places (a mask)."""
+    return replace(
+        low_passes,
+        disturbance=np.where(at, low_passes.disturbance, bands.disturbance),
+        disturbance_time_s=np.where(at, low_passes.disturbance_time_s, bands.disturbance_time_s),
+        disturbance_Hz=np.where(at, low_passes.disturbance_Hz, bands.disturbance_Hz),
+        low_pass=at & low_passes.low_pass,
+    )
 
 
 def _compass(
@@ -160,7 +175,8 @@ def tune(
     # command; strengths; times of the drives' disturbances and of the others; excess of motor sides, link sides, forces, rates
     sizes = (1, n + others, 2, 4)
 
-    low_passed = np.array([j for j, place in enumerate(model.places) if place in LOW_PASSED], dtype=int)
+    telling = [j for j, place in enumerate(model.places) if place in TELLING] if set(model.places) & set(LOW_PASSED) else []
+    low_passed = np.array(telling, dtype=int)
 
     def noise(p: np.ndarray) -> ObserverNoise:
         command, strength, time, excess, low_pass = np.split(np.exp(p), np.cumsum(sizes))
@@ -198,6 +214,7 @@ def tune(
     low[0] = np.log(max(float(share), 1.0 / LARGEST_FACTOR))  # no less, whatever a recording makes of it
     first = np.concatenate((np.zeros(size - sizes[-1]), np.full(sizes[-1], np.log(2.0))))
     found = _compass(cost, first, low, high, evaluations)
+    tuned = noise(found)
     if len(low_passed):
         in_band = np.log(noise(found).disturbance[low_passed] / start.disturbance[low_passed])
         tried = []
@@ -210,7 +227,7 @@ def tune(
             limits = np.log([CORNER_Hz, DAMPING_RATIO])
             bounds = np.concatenate((low, limits[:, 0])), np.concatenate((high, limits[:, 1]))
             found = _compass(cost, tried[int(np.argmin(costs))], *bounds, evaluations // 2, REFINED_STEP)
-    tuned = noise(found)
+            tuned = _in_bands_but(np.isin(model.places, LOW_PASSED), noise(found), tuned)
     observer = ModalObserver(model, tuned, kind)
     summaries = [observer.likelihood(measured, commands)[1][SETTLED_ROWS:] for measured, commands in data]
     together = np.concatenate(summaries)

@@ -17,7 +17,7 @@ from controllers.observers.settings import ObserverNoise
 from hil.observing import ObserverDesign, read_design, tune, write_design
 from hil.recording import Channel, Recording
 
-CORNER_Hz, DAMPING_RATIO, STRENGTH = 9.0, 0.5, 0.5
+CORNER_Hz, DAMPING_RATIO, STRENGTH = 9.0, 0.7, 0.5
 
 
 def pushed_at_a_shift(is_low_pass: bool) -> tuple[ModalModel, ObserverNoise]:
