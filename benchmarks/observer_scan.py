@@ -385,6 +385,8 @@ def main() -> None:
     parser.add_argument("--no-oracle", action="store_true", help="leave the oracle out")
     parser.add_argument("--own-model", action="store_true", help="judge the observer's own filter with all parameters true, too")
     options = parser.parse_args()
+    if options.tuned and options.design is None:
+        parser.error("--tuned says that --design is tuned: give --design")
     to = Answer(options.json)
     machine = load_machine("carm")
     began = time.perf_counter()

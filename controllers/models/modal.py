@@ -21,6 +21,7 @@ polynomials; ω² is none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -294,6 +295,14 @@ def chain_reading(chain: Chain, sensor: InertialSensor, motion: np.ndarray) -> n
 def _motion(axes, points, revolute, gravity, motion, end):  # type: ignore[no-untyped-def]
     omega, _, force = chain_motion(axes, points, revolute, gravity, motion, end)
     return omega, force
+
+
+def basis_at(harmonics: Sequence[int], poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """Values (poses, basis) of the scheduling functions at poses (n_axes,)."""
+    basis = np.zeros((len(poses), basis_size(tuple(harmonics))))
+    for row, pose in zip(basis, poses, strict=True):
+        basis_values(np.array(harmonics, dtype=np.int64), pose, row)
+    return basis
 
 
 def basis_size(harmonics: tuple[int, ...]) -> int:

@@ -16,7 +16,9 @@ from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
 from hil.observing.design import ObserverDesign
 
-FORMAT = 2
+FORMAT, WITHOUT_COUPLING = 3, 2
+"""The format that is written, and the one before it, which is read as well: without coupling, steps of drives, places and low passes."""
+
 _CHAIN = ("axes", "points", "revolute", "gravity_m_s2")
 _SENSOR = ("body_end_m", "sensor_end_m", "rotation", "lag_s", "channels")
 
@@ -51,8 +53,10 @@ def read_design(path: str | Path) -> ObserverDesign:
         The file is missing, is no design, or does not fit together.
     """
     arrays = read_arrays(path, "an observer design, which `isocenter observe --save-design` writes")
-    if str(arrays.get("observer_format")) != str(FORMAT):
-        raise UnusableInput(f"{path}: not an observer design of format {FORMAT}; `isocenter observe --save-design` writes one")
+    if str(arrays.get("observer_format")) not in (str(FORMAT), str(WITHOUT_COUPLING)):
+        raise UnusableInput(
+            f"{path}: not an observer design of format {FORMAT} or {WITHOUT_COUPLING}; `isocenter observe --save-design` writes one"
+        )
     try:
         design = _design(arrays)
         design.observer()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controllers.models.modal import ModalModel, basis_size, basis_values, chain_at_rest
+from controllers.models.modal import ModalModel, basis_at, chain_at_rest
 
 MASS_HARMONICS = 1
 """Modal masses vary with pose as inertias do, but weak modes tell theirs at few poses only."""
@@ -88,17 +88,11 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
         columns += [np.concatenate((np.zeros(n), inverse * push / here.stiffness)) for push in pushes]
         rows.append(np.column_stack(columns))
     table = np.array(rows)
-    basis = _basis(model.harmonics, seen)
+    basis = basis_at(model.harmonics, [here.pose for here in seen])
     directions = np.linalg.lstsq(basis, table.reshape(len(seen), -1), rcond=1e-8)[0].T
     places = ("drive",) * n + ("gear",) * n + ("turn",) * len(turns) + ("shift",) * len(shifts)
     return replace(model, directions=np.ascontiguousarray(directions.reshape(n + modes, -1, basis.shape[1])), places=places)
 
-
-def _basis(harmonics: tuple[int, ...], seen: Sequence[Shapes]) -> np.ndarray:
-    basis = np.zeros((len(seen), basis_size(harmonics)))
-    for row, here in zip(basis, seen, strict=True):
-        basis_values(np.array(harmonics, dtype=np.int64), here.pose, row)
-    return basis
 
 
 def drives_masses(seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
@@ -111,7 +105,7 @@ def _inverse_masses(model: ModalModel, seen: Sequence[Shapes], effort_gain: np.n
     """(poses, modes): a drive's push on a mode is its gain times the mode's motion at the drive over the modal mass."""
     push = np.array([here.motor * effort_gain for here in seen])
     given = np.array([here.inputs for here in seen])
-    basis = _basis(tuple(min(order, MASS_HARMONICS) for order in model.harmonics), seen)
+    basis = basis_at([min(order, MASS_HARMONICS) for order in model.harmonics], [here.pose for here in seen])
     masses = np.zeros(push.shape[:2])
     for i in range(push.shape[1]):
         system = (push[:, i, :, None] * basis[:, None, :]).reshape(-1, basis.shape[1])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from controllers.models.chain import Chain
-from controllers.models.modal import InertialSensor, ModalModel, basis_size, basis_values
+from controllers.models.modal import InertialSensor, ModalModel, basis_at, basis_size
 from hil.errors import BadAnswer
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
@@ -44,9 +44,7 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
     chain, sensors, source_end, _ = observed_chain(machine)
     fits = _fits(responses, chain, sensors, modes)
     harmonics = harmonics_for(np.array([fit.pose for fit in fits]))
-    basis = np.zeros((len(fits), basis_size(harmonics)))
-    for row, fit in zip(basis, fits, strict=True):
-        basis_values(np.array(harmonics, dtype=np.int64), fit.pose, row)
+    basis = basis_at(harmonics, [fit.pose for fit in fits])
     rows = np.array([_rows(fit) for fit in fits])
     coefficients = np.linalg.lstsq(basis, rows, rcond=1e-8)[0].T
     left = rows - basis @ coefficients.T

@@ -25,7 +25,7 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from controllers.models.chain import Chain
-from controllers.models.modal import ModalModel, basis_size, basis_values
+from controllers.models.modal import ModalModel, basis_at
 from hil.observing.directions import shapes_at
 
 TURN_HARMONIC = 2
@@ -119,7 +119,7 @@ def sagging(model: ModalModel, mount: Mount, standing: Sequence[np.ndarray], eff
     shift = np.column_stack((np.zeros(len(at_rest)), (mount.lever - place[:, 2]) * angle, place[:, 1] * angle))
     rows = np.einsum("pij,pi->pj", turn, shift)
     coefficients = model.coefficients.copy()
-    coefficients[-6:-3] = np.linalg.lstsq(_basis(model.harmonics, at_rest), rows, rcond=1e-8)[0].T
+    coefficients[-6:-3] = np.linalg.lstsq(basis_at(model.harmonics, at_rest), rows, rcond=1e-8)[0].T
     return replace(model, coefficients=coefficients)
 
 
@@ -137,7 +137,7 @@ def _mount(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray, frame:
     n, gravity = len(model.axes), float(np.linalg.norm(model.chain.gravity_m_s2))
     place, turn = detector_places(model, poses, frame)
     harmonics = tuple(min(order, TURN_HARMONIC) for order in model.harmonics)
-    basis = _basis(harmonics, poses)
+    basis = basis_at(harmonics, poses)
     moved, rigid, slopes = np.zeros((len(poses), 3, n)), np.zeros((len(poses), n, n)), np.zeros((len(poses), n))
     for i, pose in enumerate(poses):
         here = shapes_at(model, pose)
@@ -190,11 +190,3 @@ def detector_places(model: ModalModel, poses: np.ndarray, frame: np.ndarray) -> 
                 place = place + turn @ chain.axes[k] * angle
         places[i], turns[i] = frame @ (place + turn @ model.sensors[0].body_end_m), frame @ turn
     return places, turns
-
-
-def _basis(harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
-    """Values (poses, basis)."""
-    basis = np.zeros((len(poses), basis_size(harmonics)))
-    for row, pose in zip(basis, poses, strict=True):
-        basis_values(np.array(harmonics, dtype=np.int64), pose, row)
-    return basis

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
-from controllers.models.modal import ModalModel, basis_size, basis_values
+from controllers.models.modal import ModalModel, basis_at, basis_size
 from hil.errors import BadAnswer
 from hil.observing.directions import Shapes, drives_masses, shapes_at, soft_directions
 from hil.observing.modal_fit import TURN_LENGTH_m
@@ -171,10 +171,10 @@ class _Inertia:
         told = harmonics_for(poses)
         self.harmonics = tuple(min(order, INERTIA_HARMONIC) if k or with_first else 0 for k, order in enumerate(told))
         self.shape, self.axes = values.shape[1:], poses.shape[1]
-        self.table = np.linalg.lstsq(_basis(self.harmonics, poses), values.reshape(len(poses), -1), rcond=1e-8)[0]
+        self.table = np.linalg.lstsq(basis_at(self.harmonics, poses), values.reshape(len(poses), -1), rcond=1e-8)[0]
 
     def at(self, pose: np.ndarray) -> np.ndarray:
-        return (_basis(self.harmonics, pose[None])[0] @ self.table).reshape(self.shape)
+        return (basis_at(self.harmonics, pose[None])[0] @ self.table).reshape(self.shape)
 
     def slopes(self, pose: np.ndarray) -> np.ndarray:
         """(n_axes, ...) over the axes' positions."""
@@ -241,13 +241,5 @@ def _moves(seen: Sequence[Shapes], places: tuple[np.ndarray, np.ndarray], turns:
 def _over_poses(table: np.ndarray, poses: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     """Coefficients (rows, basis) of what varies over the poses (P, ...), of the order that these can tell, in the model's basis."""
     told = tuple(min(pair) for pair in zip(harmonics_for(poses), harmonics, strict=True))
-    found = np.linalg.lstsq(_basis(told, poses), table.reshape(len(poses), -1), rcond=1e-8)[0].T
+    found = np.linalg.lstsq(basis_at(told, poses), table.reshape(len(poses), -1), rcond=1e-8)[0].T
     return np.ascontiguousarray(embedded(found, told, harmonics))
-
-
-def _basis(harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
-    """Values (P, basis)."""
-    basis = np.zeros((len(poses), basis_size(harmonics)))
-    for row, pose in zip(basis, poses, strict=True):
-        basis_values(np.array(harmonics, dtype=np.int64), pose, row)
-    return basis

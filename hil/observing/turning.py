@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from scipy.signal import savgol_filter
 
-from controllers.models.modal import ModalModel, basis_size, basis_values, chain_at_rest, chain_reading
+from controllers.models.modal import ModalModel, basis_at, basis_size, chain_at_rest, chain_reading
 from hil.errors import RecordingError
 from hil.observing.over_poses import embedded
 from hil.observing.standing import ENCODER_TRUST_rad, TILT_TRUST_m_s2
@@ -107,7 +107,7 @@ def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording
 
     places = [*range(n, 2 * n), _tilting(model, directions, poses)]
     orders = [of_gears] * n + [of_tilt]
-    pushed = np.einsum("cdb,mb->mcd", directions[n:], _basis(model.harmonics, poses))  # bends of modes per unit at a place
+    pushed = np.einsum("cdb,mb->mcd", directions[n:], basis_at(model.harmonics, poses))  # bends of modes per unit at a place
     trust = np.concatenate((np.full(n, ENCODER_TRUST_rad), np.full(3, TILT_TRUST_m_s2)))
     by_modes = np.array([moment.by_modes for moment in moments]) / trust[:, None]
     columns, expectations = [], []
@@ -120,12 +120,12 @@ def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording
     torques = np.split(_told(system, target.ravel(), np.concatenate(expectations)), np.cumsum([len(part) for part in expectations])[:-1])
 
     grid = _grid(model, poses)
-    at_grid = np.einsum("cdb,gb->gcd", directions[n:], _basis(model.harmonics, grid))
+    at_grid = np.einsum("cdb,gb->gcd", directions[n:], basis_at(model.harmonics, grid))
     of_modes = np.zeros((len(grid), modes, len(pairs)))
     for place, order, torque in zip(places, orders, torques, strict=True):
-        by_pair = _basis(order, grid) @ torque.reshape(len(pairs), -1).T
+        by_pair = basis_at(order, grid) @ torque.reshape(len(pairs), -1).T
         of_modes += at_grid[:, :, place, None] * by_pair[:, None, :]
-    written = np.linalg.lstsq(_basis(model.harmonics, grid), of_modes.reshape(len(grid), -1), rcond=1e-8)[0].T
+    written = np.linalg.lstsq(basis_at(model.harmonics, grid), of_modes.reshape(len(grid), -1), rcond=1e-8)[0].T
     turning = np.concatenate((of_axes, written.reshape(modes, len(pairs), -1)))
     return replace(model, turning=np.ascontiguousarray(turning))
 
@@ -134,7 +134,7 @@ def _tilting(model: ModalModel, directions: np.ndarray, poses: np.ndarray) -> in
     """The place behind the gears that tilts the first sensor's body most."""
     n, modes, middle = len(model.axes), model.modes, np.median(poses, axis=0)
     turns = model.at(middle)[: modes * model.mode_stride].reshape(modes, model.mode_stride)[:, 5 + 2 * n : 8 + 2 * n]
-    bends = directions[n:, 2 * n :] @ _basis(model.harmonics, middle[None])[0]
+    bends = directions[n:, 2 * n :] @ basis_at(model.harmonics, middle[None])[0]
     return 2 * n + int(np.argmax(np.linalg.norm(turns.T @ bends, axis=0)))
 
 
@@ -174,15 +174,8 @@ def moments_of(sweep: Recording, model: ModalModel, bias: np.ndarray) -> list[Mo
 
 def _factors(products: np.ndarray, harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
     """Products of speeds times functions of the pose: (moments, pairs x basis)."""
-    return (products[:, :, None] * _basis(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
+    return (products[:, :, None] * basis_at(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
 
-
-def _basis(harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
-    """Values (poses, basis)."""
-    basis = np.zeros((len(poses), basis_size(harmonics)))
-    for row, pose in zip(basis, poses, strict=True):
-        basis_values(np.array(harmonics, dtype=np.int64), pose, row)
-    return basis
 
 
 def _grid(model: ModalModel, poses: np.ndarray) -> np.ndarray:

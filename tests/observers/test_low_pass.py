@@ -14,6 +14,7 @@ from controllers.errors import DesignError
 from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import ModalObserver
 from controllers.observers.settings import ObserverNoise
+from hil.errors import UnusableInput
 from hil.observing import ObserverDesign, read_design, tune, write_design
 from hil.recording import Channel, Recording
 
@@ -69,11 +70,19 @@ def test_tuning_takes_a_low_pass_where_one_pushes_and_a_band_where_that_does(is_
         assert tuned.disturbance_Hz[2] == pytest.approx(CORNER_Hz, rel=0.2)
 
 
-def test_a_design_keeps_low_passes_and_one_without_frequencies_is_refused(tmp_path: Path) -> None:
+def test_a_design_keeps_low_passes_an_earlier_one_has_none_and_one_without_frequencies_is_refused(tmp_path: Path) -> None:
     model, noise = pushed_at_a_shift(True)
     write_design(ObserverDesign(model, noise, np.zeros(3), "small", ""), tmp_path / "small.npz")
     kept = read_design(tmp_path / "small.npz")
     assert kept.model.places == model.places and list(kept.noise.low_pass) == [False, False, True]
+    with np.load(tmp_path / "small.npz") as file:
+        later = dict(file)
+    new = ("effort_step", "places", "noise_low_pass")
+    np.savez(tmp_path / "earlier.npz", **{**{name: later[name] for name in later if name not in new}, "observer_format": 2})
+    assert not len(read_design(tmp_path / "earlier.npz").noise.low_pass)
+    np.savez(tmp_path / "future.npz", **{**later, "observer_format": 4})
+    with pytest.raises(UnusableInput, match="not an observer design of format 3 or 2"):
+        read_design(tmp_path / "future.npz")
     with pytest.raises(DesignError, match="low_pass must be 3 times yes or no"):
         ModalObserver(model, replace(noise, disturbance_Hz=np.zeros(3)))
     with pytest.raises(DesignError, match=r"disturbance 3, disturbance_Hz = 1e-05.*does not change within a sample"):
