@@ -117,7 +117,7 @@ def test_the_tail_of_a_gain_is_that_of_a_variance_known_with_few_degrees_of_free
 
 
 def test_three_deviations_held_out_come_five_times_as_often_as_of_a_normal_law():
-    """As fitted sets' did on nulls: 0.5 % of them beyond 2.5, the farthest of 185 at 3.5 (docs/diagnosis.md)."""
+    """As fitted sets' did on nulls: 0.5 % of them beyond 2.5, the farthest of 185 at 3.5 (docs/diagnosis-method.md)."""
     assert chance_held_out(9.0, 1.0) == pytest.approx(5.0 * scipy.stats.norm.sf(3.0), rel=0.2)
 
 
