@@ -17,7 +17,7 @@ import numpy as np
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.observers.linear_part import transition
-from controllers.observers.modal_equations import moving
+from controllers.observers.modal_equations import moving, rounded
 from controllers.observers.modal_observer import ModalObserver
 
 RAMP_s = 0.5
@@ -68,6 +68,11 @@ def _against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # typ
         effort[k] = -missing * speed * scheduled.encoders[mode, 2 * n + k] / given
 
 
+@exactly_compiled
+def _as_it_acts(constants, command, out):  # type: ignore[no-untyped-def]
+    rounded(constants, command, out)
+
+
 class ModalDamping:
     """Active damping for the loop.
 
@@ -102,7 +107,7 @@ class ModalDamping:
         self._slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * self._limit
         self._step = 1.0 / max(round(RAMP_s * model.sample_rate_Hz), 1)
         self._proven_rows = round(PROVEN_s * model.sample_rate_Hz)
-        self._wanted = np.zeros(n)
+        self._wanted, self._acting = np.zeros(n), np.zeros(n)
         self._good = np.zeros(n)  # the last wanted effort that was a number
         self.effort = np.zeros(n)
         self.restart(0)
@@ -121,7 +126,7 @@ class ModalDamping:
         self._rows = rows
 
     def law(self, state: np.ndarray, acting: np.ndarray, out: np.ndarray) -> None:
-        """The command itself (n_axes,), neither limited nor ramped, from an observer's state and the command (n_axes,) on the wire."""
+        """The command itself (n_axes,), neither limited nor ramped, from an observer's state and the command (n_axes,) that acts."""
         _against_speed(self._observer.constants, self._observer.scheduled, self.settings.mode, self.settings.ratio, state, acting, out)
 
     def step(self, state: np.ndarray, acting: np.ndarray, is_good: bool, tick: int) -> None:
@@ -132,7 +137,7 @@ class ModalDamping:
         state : (states,) array
             The observer's.
         acting : (n_axes,) array
-            The command of the row before, on the wire now.
+            The command of the row before, on the wire now; drives round it.
         is_good : bool
             Whether the estimate is to be acted upon. When it is not, damping ramps out and comes back a second after it is again.
         tick : int
@@ -143,7 +148,8 @@ class ModalDamping:
         goal = 1.0 if self._proven > self._proven_rows and left > self.ramp_rows else 0.0
         self.share = min(self.share + self._step, goal) if goal > self.share else max(self.share - self._step, goal)
         self.share = min(self.share, max(left, 0) * self._step)
-        self.law(state, acting, self._wanted)
+        _as_it_acts(self._observer.constants, acting, self._acting)
+        self.law(state, self._acting, self._wanted)
         largest = 0.0
         for wanted, limit in zip(self._wanted, self._limit, strict=True):
             largest = max(largest, abs(wanted) / limit) if wanted == wanted else np.inf

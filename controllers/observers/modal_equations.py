@@ -95,6 +95,14 @@ def adapted_signals(constants):
 
 
 @exactly_inlined
+def rounded(constants, command, out):
+    """Commands (axes,) as the drives round them, into out (axes,)."""
+    for i in range(constants.sizes[0]):
+        step = constants.effort_step[i]
+        out[i] = step * np.rint(command[i] / step) if step > 0.0 else command[i]
+
+
+@exactly_inlined
 def mode_step(stiffness, damping, duration):
     """Exact discretisation of η'' = -stiffness η - damping η' + f, f held: Φ11, Φ12, Φ21, Φ22, Γ1, Γ2. Backwards for duration < 0."""
     half = 0.5 * damping

@@ -1,7 +1,8 @@
 """One step of the observer, compiled: schedule, prediction, measurement update, and the estimate that is published.
 
 One skeleton serves the three filters of Sec. 5.3; they differ in where the model is asked:
-KF (Sec. 5.3.1)   output rows from the machine at rest in the estimated pose;
+KF (Sec. 5.3.1)   output rows about the rigid machine, unbent, at the pose and speeds at which the model is scheduled: what its motion
+                  makes the sensors read is a known input, all else linear;
 EKF (Sec. 5.3.2)  differences over one deviation either way, about the estimate (5.12);
 UKF (Sec. 5.3.3)  sigma points at √n deviations with equal weights: (5.15)-(5.26) with κ = 0, and with the Q that (5.19) omits.
 With n + κ = 3 and 24 states the centre's weight would be -7 and the covariance indefinite.
@@ -15,12 +16,12 @@ import numpy as np
 
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.linear_part import arrived, carried, heading, others_seen, others_stepped, prepare, signals, stays, transition
-from controllers.observers.modal_equations import MODE_SIGNALS, adapted_step, first_bias, moving, readings
+from controllers.observers.modal_equations import MODE_SIGNALS, adapted_step, first_bias, moving, readings, rounded
 from controllers.observers.square_root import triangularise, update
 
 KALMAN, EXTENDED, UNSCENTED = 0, 1, 2
 
-REST_STEP = 1e-4
+SLOPE_STEP = 1e-4
 """Difference step of the KF's output rows, in units of the states: the outputs are at most sines of a pose, so the error is 1e-9."""
 
 
@@ -137,16 +138,19 @@ def bent(constants, memory, distance):
 
 
 @exactly_called
-def look_at_rest(constants, scheduled, memory):
-    """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both from the machine at rest in the estimated pose."""
+def look_at_rigid(constants, scheduled, memory):
+    """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both about the rigid machine as it moves.
+
+    Gravity, centripetal and Coriolis accelerations, and rates seen from a tilted sensor, are those of the axes' pose and speeds.
+    """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.command
-    rest, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
+    rigid, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
     biases = first_bias(constants)
-    rest[:] = 0.0
-    for k in range(n):
-        rest[k] = x[k]
-    signals(constants, scheduled, rest, u, sensed)
+    rigid[:] = 0.0
+    for k in range(2 * n):
+        rigid[k] = x[k]
+    signals(constants, scheduled, rigid, u, sensed)
     readings(constants, scheduled, sensed, mean)
     for i in range(states):
         for j in range(measurements):
@@ -154,16 +158,16 @@ def look_at_rest(constants, scheduled, memory):
     for j in range(2 * n, measurements):
         mean[j] += x[biases + j - 2 * n]
     for k in range(biases):
-        kept = rest[k]
-        rest[k] = kept + REST_STEP
-        signals(constants, scheduled, rest, u, sensed)
+        kept = rigid[k]
+        rigid[k] = kept + SLOPE_STEP
+        signals(constants, scheduled, rigid, u, sensed)
         readings(constants, scheduled, sensed, upper)
-        rest[k] = kept - REST_STEP
-        signals(constants, scheduled, rest, u, sensed)
+        rigid[k] = kept - SLOPE_STEP
+        signals(constants, scheduled, rigid, u, sensed)
         readings(constants, scheduled, sensed, lower)
-        rest[k] = kept
+        rigid[k] = kept
         for j in range(measurements):
-            slopes[j] = (upper[j] - lower[j]) / (2.0 * REST_STEP)
+            slopes[j] = (upper[j] - lower[j]) / (2.0 * SLOPE_STEP)
             mean[j] += slopes[j] * (x[k] - kept)
         for i in range(k + 1):
             for j in range(measurements):
@@ -227,7 +231,7 @@ def correct(constants, scheduled, memory, kind, z):
     states, measurements = constants.sizes[4], constants.sizes[5]
     factor, seen, array, mean, whitened = memory.factor, memory.seen, memory.array, memory.lines[5], memory.lines[0]
     if kind == KALMAN:
-        look_at_rest(constants, scheduled, memory)
+        look_at_rigid(constants, scheduled, memory)
     else:
         look_around(constants, scheduled, memory, kind)
     measured = 0
@@ -278,7 +282,7 @@ def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
     after, read = np.zeros((2, states)), np.zeros((2, measurements))
     for k in range(states):
         for sign in range(2):
-            shifted[k] = x[k] + (REST_STEP if sign == 0 else -REST_STEP)
+            shifted[k] = x[k] + (SLOPE_STEP if sign == 0 else -SLOPE_STEP)
             transition(constants, scheduled, shifted, u, after[sign])
             signals(constants, scheduled, shifted, u, sensed)
             readings(constants, scheduled, sensed, read[sign])
@@ -286,9 +290,9 @@ def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
                 read[sign, j] += shifted[biases + j - 2 * n]
         shifted[k] = x[k]
         for i in range(states):
-            F[i, k] = (after[0, i] - after[1, i]) / (2.0 * REST_STEP)
+            F[i, k] = (after[0, i] - after[1, i]) / (2.0 * SLOPE_STEP)
         for j in range(measurements):
-            H[j, k] = (read[0, j] - read[1, j]) / (2.0 * REST_STEP)
+            H[j, k] = (read[0, j] - read[1, j]) / (2.0 * SLOPE_STEP)
 
 
 @exactly_compiled
@@ -299,9 +303,7 @@ def filter_rows(constants, scheduled, memory, kind, is_first, acted, measured, s
     before the first of them.
     """
     for k in range(len(measured)):
-        for i in range(constants.sizes[0]):
-            step = constants.effort_step[i]
-            scheduled.command[i] = step * np.rint(acted[k, i] / step) if step > 0.0 else acted[k, i]
+        rounded(constants, acted[k], scheduled.command)
         if is_first and k == 0:
             prepare(constants, memory.x, scheduled)
         else:

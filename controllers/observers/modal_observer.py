@@ -205,7 +205,7 @@ class ModalObserver:
     @property
     def initial_std(self) -> np.ndarray:
         """(states,) what is believed before the first measurement."""
-        return np.diag(self._start).copy()
+        return np.sqrt(np.sum(self._start**2, axis=0))
 
     def _stand_at(self, z: np.ndarray) -> None:
         n = len(self.model.axes)
@@ -226,11 +226,14 @@ class ModalObserver:
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            [noise.disturbance[j] * np.sqrt(_quadrature_variance(noise, j)) for j in in_band(noise)],
-            np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset,
-            noise.initial_bias,
+            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset, noise.initial_bias,
         ))  # fmt: skip
-        return np.diag(std)
+        factor, constants = np.diag(std), self.constants
+        for j in in_band(noise):  # as in steady state: P = UᵀU with P₁₁ = σ², P₁₂, P₂₂ of `_steady`
+            disturbance, quadrature = 2 * (n + model.modes) + j, int(constants.quadrature[j])
+            factor[disturbance, disturbance] = noise.disturbance[j]
+            factor[disturbance, quadrature] = noise.disturbance[j] * _steady(noise, j)[0, 1]
+        return factor
 
 
 def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]) -> Constants:
@@ -315,18 +318,22 @@ def _is_low_pass(noise: ObserverNoise, j: int) -> bool:
     return bool(len(noise.low_pass) and noise.low_pass[j])
 
 
-def _quadrature_variance(noise: ObserverNoise, j: int) -> float:
-    """Of a disturbance's quadrature in steady state, over the disturbance's own."""
+def _steady(noise: ObserverNoise, j: int) -> np.ndarray:
+    """Covariance (2, 2) of a disturbance and its quadrature in steady state, over the disturbance's variance; its determinant is 1.
+
+    A low pass is driven at its quadrature: P₁₂ = -2/(ωτ), P₂₂ = 1 + P₁₂².
+    """
     if not _is_low_pass(noise, j):
-        return 1.0
-    return 1.0 + (2.0 / (2.0 * np.pi * noise.disturbance_Hz[j] * max(noise.disturbance_time_s[j], 1e-9))) ** 2
+        return np.eye(2)
+    slope = -2.0 / (2.0 * np.pi * noise.disturbance_Hz[j] * max(noise.disturbance_time_s[j], 1e-9))
+    return np.array([[1.0, slope], [slope, 1.0 + slope**2]])
 
 
 def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every disturbance: `Constants.colour` (5,), the noise that drives it, and what drives its quadrature beside that.
 
     First order: ξ' = -ξ/τ. With a frequency: ξ' = -2ξ/τ - ωκ, κ' = ωξ, and Q = P - ΦPΦᵀ with P of the steady state. In a band white noise
-    drives ξ, and P = σ² I; a low pass is driven at κ: P₁₁ = σ², P₁₂ = -2σ²/(ωτ), P₂₂ = σ² + P₁₂²/σ².
+    drives ξ; a low pass is driven at κ.
     """
     count = len(noise.disturbance)
     colour, drive, beside = np.zeros((count, 5)), np.zeros(count), np.zeros(count)
@@ -337,8 +344,7 @@ def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray
             continue
         omega = 2.0 * np.pi * noise.disturbance_Hz[j]
         step = expm(period * np.array([[-2.0 / time, -omega], [omega, 0.0]]))
-        slope = -2.0 / (omega * time) if _is_low_pass(noise, j) else 0.0
-        steady = np.array([[1.0, slope], [slope, _quadrature_variance(noise, j)]])
+        steady = _steady(noise, j)
         spread = steady - step @ steady @ step.T
         if not spread[0, 0] > 0.0:
             raise DesignError(

@@ -19,7 +19,7 @@ from hil.observing.directions import with_directions
 from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import effort_gain, starting_noise
-from hil.observing.over_poses import fit_observed_model
+from hil.observing.over_poses import fit_observed_model, harmonics_for, untold_note
 from hil.observing.sag import sagging, with_sag
 from hil.observing.standing import standing_mean, with_gravity
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
@@ -122,6 +122,7 @@ def design_observer(
         biases = found[0], found[1]
         notes.append(f"gravity and biases from {len(standing)} standing records: {', '.join(f'{bias:.2g}' for bias in biases[0])}")
         stood = [each.motor for each in at_rest]
+        notes += untold_note(stood, harmonics_for(np.array(stood)), "standing records")
         model, mount = with_sag(model, poses, stood, gain)
         structure = found_structure(model, poses, gain, mount)
         if structure:

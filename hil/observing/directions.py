@@ -94,7 +94,6 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
     return replace(model, directions=np.ascontiguousarray(directions.reshape(n + modes, -1, basis.shape[1])), places=places)
 
 
-
 def drives_masses(seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
     """(poses, modes) as `_inverse_masses`, of every pose by itself: exact but for modes that hardly move a drive."""
     push, given = np.array([here.motor * effort_gain for here in seen]), np.array([here.inputs for here in seen])

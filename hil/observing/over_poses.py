@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +21,15 @@ HIGHEST_HARMONIC = 5
 
 APART_rad = np.radians(2.0)
 """Positions closer than this are one position."""
+
+NEGLIGIBLE = 1e-8
+"""Of the largest singular value, below which a combination of functions of the pose is not told."""
+
+MISSED = 1e-6
+"""Of a function between the poses, that they leave untold."""
+
+LARGEST_SWING = 100.0
+"""Between poses the parameters may be so many times as wrong as at them: 11 evenly spaced ones of one axis make 13, 5 of another 2."""
 
 LEAST_LIKENESS = 0.3
 """Cosine between a mode's shapes at neighbouring poses below which it is not taken for the same mode."""
@@ -46,7 +56,7 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
     harmonics = harmonics_for(np.array([fit.pose for fit in fits]))
     basis = basis_at(harmonics, [fit.pose for fit in fits])
     rows = np.array([_rows(fit) for fit in fits])
-    coefficients = np.linalg.lstsq(basis, rows, rcond=1e-8)[0].T
+    coefficients = np.linalg.lstsq(basis, rows, rcond=NEGLIGIBLE)[0].T
     left = rows - basis @ coefficients.T
     model = ModalModel(
         axes=machine.axes,
@@ -59,7 +69,7 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
         effort_limit=np.array([drive.limit for drive in machine.plant.drives]),
         effort_step=np.array([drive.resolution for drive in machine.plant.drives]),
         position_unit=tuple(units.position for units in machine.units),
-        notes=_notes(fits, left, modes),
+        notes=_notes(fits, left, modes) + untold_note([fit.pose for fit in fits], harmonics, "responses"),
     )
     return model, fits
 
@@ -80,6 +90,27 @@ def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
     while basis_size(tuple(orders)) > len(poses):
         orders[int(np.argmax(orders))] -= 1
     return tuple(orders)
+
+
+def untold_note(poses: Sequence[np.ndarray] | np.ndarray, harmonics: tuple[int, ...], measured: str) -> tuple[str, ...]:
+    """A line for a design where functions of the pose are not told all over the poses' range: of poses along a line, or a cross, nothing
+    tells how the axes act together, though each axis has positions enough."""
+    if sum(order > 0 for order in harmonics) < 2:
+        return ()
+    at = np.array(poses, dtype=float)
+    ends = zip(at.min(axis=0), at.max(axis=0), harmonics, strict=True)
+    between = np.array(list(product(*(np.linspace(low, high, 4 * order + 1) for low, high, order in ends))))
+    basis, wanted = basis_at(harmonics, at), basis_at(harmonics, between)
+    weights = wanted @ np.linalg.pinv(basis, rcond=NEGLIGIBLE)
+    missed = np.abs(wanted - weights @ basis).max(axis=1)
+    swing = np.where(missed > MISSED, np.inf, np.abs(weights).sum(axis=1))
+    if swing.max() < LARGEST_SWING:
+        return ()
+    worst = np.round(between[int(np.argmax(swing))], 2).tolist()
+    return (
+        f"WARNING: the {len(at)} poses of {measured} do not tell how the axes act together: around {worst} (rad or m) the model is a guess;"
+        " add poses away from the line or cross on which they lie",
+    )
 
 
 def embedded(coefficients: np.ndarray, known: tuple[int, ...], wanted: tuple[int, ...]) -> np.ndarray:

@@ -47,7 +47,8 @@ class Structure:
     seen : (P,) the modes' shapes there.
     mount : with its axes' places and compliance.
     turns : (k, 3) about which the detector yields against the link side, in its frame.
-    springs : (n_axes + k + 2,) of gears [Nm/rad], turns, and the mount about the first axis and about the vertical.
+    springs, deviations : (n_axes + k + 2,) of gears [Nm/rad], turns, and the mount about the first axis and about the vertical.
+    lever_deviation : of the height of the mount's axis [m].
     moves : (P, modes, n_axes + k + 2) by the modes.
     inverse_masses : (P, modes)
     misfit : median of the energies'.
@@ -58,6 +59,8 @@ class Structure:
     mount: Mount
     turns: np.ndarray
     springs: np.ndarray
+    deviations: np.ndarray
+    lever_deviation: float
     moves: np.ndarray
     inverse_masses: np.ndarray
     misfit: float
@@ -65,10 +68,10 @@ class Structure:
     @property
     def note(self) -> str:
         """One line for a design."""
-        values = ", ".join(f"{value:.3g}" for value in self.springs)
+        values = ", ".join(f"{value:.3g} ± {spread:.1g}" for value, spread in zip(self.springs, self.deviations, strict=True))
         return (
-            f"springs of gears, detector and mount: {values} Nm/rad; the mount turns {self.mount.lever:.2f} m above the first axis;"
-            f" energies are met to {100.0 * self.misfit:.1f} %"
+            f"springs of gears, detector and mount: {values} Nm/rad; the mount turns {self.mount.lever:.2f} ± {self.lever_deviation:.1g} m"
+            f" above the first axis; energies are met to {100.0 * self.misfit:.1f} %"
         )
 
 
@@ -114,13 +117,27 @@ def found_structure(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
         loss="soft_l1", f_scale=TRUSTED, x_scale="jac",
     )  # fmt: skip
     lever, springs = float(solved.x[0]), solved.x[1:] * unit
+    spread = _spread(solved, len(at)) * np.concatenate(([1.0], unit))
     misfit = float(np.median(np.abs(solved.fun)))
     if misfit > LARGEST_MISFIT or not (springs > 0.0).all():
         return None
     moves = _moves(seen, places, turns, lever, mount.vertical)
     energy = np.einsum("pmc,c->pm", moves**2, springs)
     found = replace(mount, compliance=float(1.0 / springs[-2]), lever=lever)
-    return Structure(at, seen, found, turns, springs, moves, stiffness / energy, misfit)
+    return Structure(at, seen, found, turns, springs, spread[1:], float(spread[0]), moves, stiffness / energy, misfit)
+
+
+def _spread(solved: optimize.OptimizeResult, poses: int) -> np.ndarray:
+    """Deviations of what a soft-L1 fit found, from how what is left pulls at it pose by pose: within a pose it is not independent.
+
+    H⁻¹ (Σ_p s_p s_pᵀ) H⁻¹ with s_p the gradient of a pose's cost (Huber 1967; clusters: Liang, Zeger 1986), H by Gauss and Newton. SciPy
+    returns the Jacobian scaled by (1 + z)^-3/4, z = (r / scale)²: with r (1 + z)^1/4 it gives the gradient.
+    """
+    pulled = solved.jac * (solved.fun * (1.0 + (solved.fun / TRUSTED) ** 2) ** 0.25)[:, None]
+    by_pose = pulled.reshape(-1, poses, len(solved.x)).sum(axis=0)
+    inverse = np.linalg.pinv(solved.jac.T @ solved.jac)
+    free = poses / max(poses - len(solved.x), 1)
+    return np.sqrt(free * np.sum((by_pose @ inverse) ** 2, axis=0))
 
 
 def with_places(model: ModalModel, structure: Structure) -> ModalModel:

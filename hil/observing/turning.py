@@ -177,7 +177,6 @@ def _factors(products: np.ndarray, harmonics: tuple[int, ...], poses: np.ndarray
     return (products[:, :, None] * basis_at(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
 
 
-
 def _grid(model: ModalModel, poses: np.ndarray) -> np.ndarray:
     """Poses (grid, n_axes) over the range that was swept."""
     ends = zip(poses.min(axis=0), poses.max(axis=0), model.harmonics, strict=True)

@@ -206,13 +206,13 @@ def _rotation(axis: int, angle: float) -> np.ndarray:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def drawn_rows(dense: DenseModel, noise: ObserverNoise, rows: int, seed: int, start_std: np.ndarray | None = None) -> tuple:
+def drawn_rows(dense: DenseModel, noise: ObserverNoise, rows: int, seed: int, commands: np.ndarray | None = None) -> tuple:
     """Rows (N, 10) and commands (N, 2) drawn from the model itself, and its states (N, states): what a filter is consistent with."""
     generator = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(dense.process_covariance())
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    x = np.zeros(dense.states) if start_std is None else start_std * generator.standard_normal(dense.states)
-    commands = 0.5 * np.sin(np.arange(rows)[:, None] / np.array([17.0, 29.0]))
+    x = np.zeros(dense.states)
+    commands = 0.5 * np.sin(np.arange(rows)[:, None] / np.array([17.0, 29.0])) if commands is None else commands
     measured, states = np.zeros((rows, 10)), np.zeros((rows, dense.states))
     for k in range(rows):
         u = commands[max(k - 2, 0)] if k else np.zeros(2)

@@ -69,6 +69,19 @@ def test_at_rest_under_gravity_it_asks_for_nothing() -> None:
     assert np.abs(out).max() < 1e-12
 
 
+def test_it_predicts_with_the_command_as_the_drives_round_it() -> None:
+    observer = ModalObserver(dataclasses.replace(small_model(), effort_step=np.array([0.1, 0.0])), small_noise())
+    observer.linearised(REST)
+    efforts = []
+    for acting in (np.array([0.46, 0.02]), np.array([0.5, 0.02])):
+        law = ModalDamping(observer, DampingSettings(0.1))
+        law.restart(10_000)
+        for k in range(300):
+            law.step(np.zeros(STATES), acting, True, k)
+        efforts.append(law.effort.copy())
+    assert np.abs(efforts[0]).max() > 0.0 and np.array_equal(*efforts)
+
+
 def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, design: ObserverDesign) -> None:
     pose = np.array([0.0, 0.3])
     physics = Physics(machine.plant, noise=False)

@@ -26,7 +26,7 @@ def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measure
     silent = dense.outputs(zero, nothing)
     reference.H = np.array([dense.outputs(unit, nothing) - silent for unit in np.eye(states)]).T
     reference.Q, reference.R = dense.process_covariance(), np.diag(noise.measurement**2)
-    reference.P, reference.x = np.diag(observer.initial_std**2), zero.copy()
+    reference.P, reference.x = observer.covariance, zero.copy()
     reference.x[:2] = measured[0, :2]
     reference.x[-len(noise.bias) or states :] = noise.bias
     found = np.zeros((len(measured), states))
@@ -77,7 +77,7 @@ def test_the_ukf_is_filterpys_with_equal_weights_on_turning_axes() -> None:
         points=points,
     )
     reference.Q, reference.R = dense.process_covariance(), np.diag(noise.measurement**2)
-    reference.P, reference.x = np.diag(observer.initial_std**2), np.zeros(dense.states)
+    reference.P, reference.x = observer.covariance, np.zeros(dense.states)
     reference.x[:2] = measured[0, :2]
     reference.sigmas_f = points.sigma_points(reference.x, reference.P)
     for k in range(len(measured)):
@@ -101,6 +101,25 @@ def test_nis_is_in_its_band_when_noise_is_as_modelled(kind: str) -> None:
     observer = ModalObserver(model, noise, kind)  # type: ignore[arg-type]
     _, nis = observer.likelihood(measured, commands)
     assert 0.93 <= share_in_band(nis[100:, 0], nis[100:, 1]) <= 0.97
+
+
+def test_the_linear_filter_knows_what_the_axes_motion_makes_the_sensors_feel() -> None:
+    """At 1 rad/s the sensor's turning pulls by 0.5 m/s^2, a hundred times its noise, and a tilt of 1 mrad turns rates by twice theirs."""
+    model, noise = small_model(), small_noise()
+    dense = DenseModel(model, noise)
+    measured, commands, states = drawn_rows(dense, noise, 400, seed=8, commands=np.tile([3.0, -2.0], (400, 1)))
+    assert np.abs(states[-1, 2:4]).min() > 0.5
+    errors = {}
+    for kind in ("kf", "ekf"):
+        observer = ModalObserver(model, noise, kind)  # type: ignore[arg-type]
+        _, nis = observer.likelihood(measured, commands)
+        assert 0.9 < nis[100:, 0].mean() / 10.0 < 1.1, kind
+        found = []
+        for k in range(400):
+            observer.step_measured(measured[k], commands[max(k - 1, 0)])
+            found.append(observer.state.copy())
+        errors[kind] = np.sqrt(np.mean((np.array(found)[100:, 4:8] - states[100:, 4:8]) ** 2))
+    assert errors["kf"] == pytest.approx(errors["ekf"], rel=0.02)
 
 
 def test_the_covariance_says_how_wrong_the_state_is() -> None:

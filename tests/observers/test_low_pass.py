@@ -39,9 +39,13 @@ def pushed_at_a_shift(is_low_pass: bool) -> tuple[ModalModel, ObserverNoise]:
 
 
 def test_a_low_pass_is_flat_below_its_corner_and_falls_with_the_square_of_frequency() -> None:
-    _, noise = pushed_at_a_shift(True)
+    model, noise = pushed_at_a_shift(True)
     step, added = colour_of(noise, 1.0 / 256.0)
-    assert np.sqrt(solve_discrete_lyapunov(step, added)[2, 2]) == pytest.approx(STRENGTH, rel=1e-9)
+    steady = solve_discrete_lyapunov(step, added)
+    assert np.sqrt(steady[2, 2]) == pytest.approx(STRENGTH, rel=1e-9)
+    observer = ModalObserver(model, noise)
+    states = [observer.state_names.index(name) for name in ("disturbance_3", "disturbance_3_quadrature")]
+    assert observer.covariance[np.ix_(states, states)] == pytest.approx(steady[2:, 2:], rel=1e-9)  # as it starts
 
     def density(frequency_Hz: float) -> float:
         resolvent = np.linalg.inv(np.exp(2j * np.pi * frequency_Hz / 256.0) * np.eye(len(step)) - step)

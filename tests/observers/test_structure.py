@@ -70,6 +70,20 @@ def test_springs_and_the_mounts_axis_are_the_machines(machine: Machine, structur
     assert structure.mount.lever == pytest.approx(1.5, abs=0.08)  # the machine file: the sway's axis above the propeller's
 
 
+def test_deviations_of_springs_are_those_of_the_fit_without_some_poses_each_time(
+    machine: Machine, exact: ModalModel, poses: list[np.ndarray], structure: Structure
+) -> None:
+    """Delete-a-group jackknife, eleven groups of five poses."""
+    order, found = np.random.default_rng(0).permutation(len(poses)), []
+    for group in np.split(order, 11):
+        fitted = found_structure(exact, [poses[i] for i in np.setdiff1d(order, group)], effort_gain(machine), structure.mount)
+        assert fitted is not None
+        found.append([*fitted.springs, fitted.mount.lever])
+    jackknife = np.sqrt(10.0) * np.std(found, axis=0)
+    ratio = np.append(structure.deviations, structure.lever_deviation) / jackknife
+    assert (ratio > 0.5).all() and (ratio < 2.0).all(), ratio
+
+
 def test_modal_masses_are_found_also_where_a_drive_hardly_moves(structure: Structure) -> None:
     assert structure.inverse_masses == pytest.approx(1.0, rel=0.05)  # the exact model's modes have unit mass
 

@@ -21,6 +21,7 @@ from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.modal_fit import drive_friction
 from hil.observing.noise import effort_gain
 from hil.observing.observability import observability
+from hil.observing.over_poses import harmonics_for, untold_note
 from hil.observing.turning import moments_of, with_turning
 from hil.recording import Recording
 
@@ -144,6 +145,17 @@ def test_positions_to_measure_at_are_those_between_which_polynomials_do_not_swin
         between = np.linspace(positions[0], positions[-1], 1001)
         weights = _functions(between, count) @ np.linalg.inv(_functions(positions, count))
         assert np.abs(weights).sum(axis=1).max() < 2.5  # Lebesgue's constant
+
+
+def test_poses_along_a_line_or_a_cross_are_warned_of_and_a_grid_is_not() -> None:
+    along = np.linspace(-1.0, 1.0, 9)
+    line = np.column_stack((along, along + 1e-4 * np.sin(40.0 * along)))  # as exactly as a machine is placed
+    cross = np.concatenate((np.outer(along[::2], [1.0, 0.0]), np.outer(along[::2], [0.0, 1.0])))
+    grid = np.array([[first, second] for first in along[::4] for second in along[::4]])
+    for poses in (line, cross):
+        (warning,) = untold_note(poses, harmonics_for(poses), "responses")
+        assert warning.startswith("WARNING") and "do not tell how the axes act together" in warning and "\n" not in warning
+    assert untold_note(grid, harmonics_for(grid), "responses") == ()
 
 
 def _functions(positions: np.ndarray, count: int) -> np.ndarray:
