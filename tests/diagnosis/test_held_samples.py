@@ -60,6 +60,28 @@ def test_a_disturbance_near_reversals_is_no_held_sample(seed):
     assert held_samples(readings + 40.0 * NOISE * near * pushed) is None
 
 
+@pytest.mark.parametrize("seed", [0, 1, 4, 5])
+@pytest.mark.parametrize("strength", [20.0, 40.0])
+def test_a_machine_that_rings_when_recordings_begin_loses_no_samples(seed, strength):
+    """At rest, under a disturbance that the first motion ends: louder than elsewhere from the first row on."""
+    readings, _ = repeats(seed, 0.0)
+    resonance = scipy.signal.butter(1, [0.14, 0.18], btype="bandpass")
+    random = np.random.default_rng(seed + 100)
+    ringing = scipy.signal.lfilter(*resonance, random.standard_normal((len(readings), ROWS + 500)), axis=1)[:, 500:]
+    ringing *= strength * NOISE / ringing.std()
+    ringing[:, 60:] = 0.0
+    assert held_samples(readings + ringing) is None
+
+
+def test_what_happens_once_is_no_rate():
+    """One repeat stays where it was, once: a push of its own, for all that shows."""
+    readings, _ = repeats(1, 0.0, moved=20.0, coloured=False)
+    steps = np.abs(np.diff(np.median(readings, axis=0)))
+    row = int(np.argmax(np.convolve(steps[100:-100], np.ones(4), "valid"))) + 100
+    readings[0, row : row + 5] = readings[0, row]
+    assert held_samples(readings) is None
+
+
 def test_readings_that_run_ahead_are_not_held():
     readings, _ = repeats(1, 0.05)
     assert held_samples(readings) is not None
