@@ -86,6 +86,7 @@ class Gate:
     share: float  # of what there is to explain before the first effect
     is_first: bool
     lost_form: str = ""  # what left its own equation, see form.py
+    beyond: float | None = None  # of the gain, what no error of equations found before explains, see form_error.py
 
     @property
     def certain_gain(self) -> float:
@@ -134,6 +135,8 @@ class Gate:
             follow = f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations"
             fall = f"their misfit falls by {self.held_out_gain:.4g}, by chance with a probability of {self.followed:.2g}"
             lines.insert(1, (self.confirmed, f"{follow}; {fall}"))
+        if self.beyond is not None and not self.is_first:
+            lines.append((self.significant, f"of the gain, {self.beyond:.4g} is nothing that an error of what was found before explains"))
         if self.lost_form:
             lines.append((False, self.lost_form))
         return [text for holds, text in lines if holds], [text for holds, text in lines if not holds]

@@ -10,7 +10,8 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import lost_form
-from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.form_error import NO_ERROR, FormError, can_err
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
 from hil.diagnosis.naming import NUMBERS, NUMBERS_ERROR, WEIGHTS, temperature
@@ -18,6 +19,13 @@ from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+
+NUMBER_ERRS_WITHIN = 1e-4
+"""Share of the energy removed by a number of the machine file, 1 % of its response, by which it may err as another law of what it depends
+on, where `form_error.py` knows which: beside a viscous friction that is there, another friction of that size says nothing."""
+
+Equations = Callable[[str, Tuning, Sequence[tuple[EffectAt, np.ndarray, float]]], FormError]
+"""Errors of effects with these parameters and energies in the recordings of a set, beside this tuning."""
 
 
 class Tried:
@@ -90,6 +98,8 @@ class Stand:
         Held-out free run.
     gates : tuple of Gate
         Of every effect.
+    errors, held_out_errors : FormError
+        Of its equations, as far as it is known which functions they err by; in training with what re-tuning imitates taken out.
     """
 
     fitted: Fitted | None
@@ -98,6 +108,9 @@ class Stand:
     response: np.ndarray
     held_out: Followed | None
     gates: tuple[Gate, ...]
+    errors: FormError = NO_ERROR
+    held_out_errors: FormError = NO_ERROR
+    known: bool = False  # whether errors hold what they can of its effects
 
     @property
     def effects(self) -> tuple[EffectAt, ...]:
@@ -108,9 +121,16 @@ class Stand:
         return _steps(self.effects, self.gates, numbers=numbers)
 
     def erring(self, energy_of: Callable[[Gate], float]) -> float:
-        """Energy by which the equations of its effects may err, of what they removed in training or held out."""
-        own, numbers = (sum(max(energy_of(gate), 0.0) for gate in self.steps(numbers=which)) for which in (False, True))
-        return WEIGHTS.form_error * own + NUMBERS_ERROR * numbers
+        """Energy by which the equations of its effects may err, of what they removed in training or held out, in nobody knows which way."""
+        each = _each(self.effects, self.gates, energy_of)
+        unknown = [(effect, energy) for effect, energy in each if not (self.known and can_err(effect))]
+        return sum((NUMBERS_ERROR if effect.effect in NUMBERS else WEIGHTS.form_error) * energy for effect, energy in unknown)
+
+
+def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, float]]:
+    """Every effect's energy: those that one step added share it."""
+    steps = [id(gate) for gate in gates]
+    return [(effect, max(energy_of(gate), 0.0) / steps.count(id(gate))) for effect, gate in zip(effects, gates, strict=True)]
 
 
 def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], *, numbers: bool) -> list[Gate]:
@@ -132,10 +152,15 @@ class Judgement:
     held_out : HeldOut or None
     noise_energy : float
         Expected |residual|^2 of a perfect simulation.
+    equations : callable, optional
+        What equations may err by (`form_error.form_error`). Without it they err in any way, by a share of their own response.
     """
 
-    def __init__(self, runs: FreeRuns, tuning: Tuning, held_out: HeldOut | None, noise_energy: float) -> None:
+    def __init__(
+        self, runs: FreeRuns, tuning: Tuning, held_out: HeldOut | None, noise_energy: float, equations: Equations | None = None
+    ) -> None:
         self.scatter = Scatter(runs)
+        self._equations = equations
         self._measured = runs.measured()
         self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
         self._projection = Projection.of(tuning)
@@ -154,7 +179,16 @@ class Judgement:
         held_out = None
         if self._judge is not None:
             held_out = self._judge.follow(tuning.offset, () if fitted is None else fitted.settings)
-        return Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
+        stand = Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
+        if fitted is None or self._equations is None:
+            return stand
+        errors = self._equations(TRAIN, tuning, _known_errors(fitted, gates, lambda gate: gate.gain))
+        if len(errors.responses):
+            errors = FormError(Projection.of(tuning).left(errors.responses))
+        there = NO_ERROR
+        if self._judge is not None:
+            there = self._equations(HELD_OUT, tuning, _known_errors(fitted, gates, lambda gate: gate.held_out_gain or 0.0))
+        return replace(stand, errors=errors, held_out_errors=there, known=True)
 
     def contenders(
         self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float], earlier: int = 0
@@ -195,26 +229,32 @@ class Judgement:
         entries = len(self._measured)
         added = [effect for effect in fitted.effects if effect not in before.effects]
         freedom = fitted.freedom - (0 if before.fitted is None else before.fitted.freedom)
-        gain = before.cost - fitted.cost
-        response = Projection.of(before.tuning).left(fitted.predicted - before.tuning.predicted)[:entries]
+        gain = beyond = before.cost - fitted.cost
+        projection = Projection.of(before.tuning)
+        change = projection.left(fitted.predicted - before.tuning.predicted)
+        response = change[:entries]
         scatter = self.scatter.along(response)
         level = max(1.0, fitted.cost / max(entries, 1))
         form = 0.0
         if before.fitted is not None:
             form = form_variance(before.response, response, before.erring(lambda gate: gate.gain), fitted.cost - self._noise)
+        if len(before.errors.responses):
+            beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
             variance, of_simulator = self._held_out_variance(before, after, scatter)
-            followed = chance_held_out(fall, variance) if before.held_out is not None else 1.0  # what diverged shows no fall
+            there = self._beyond_held_out(before, after, fall)
+            followed = chance_held_out(there, variance) if before.held_out is not None else 1.0  # what diverged shows no fall
             over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,
             needed=needed_gain(trials, freedom, fitted.cost, entries),
             scatter=scatter,
-            trained=trials * chance_of_gain(gain, freedom, level * scatter + form),
+            trained=trials * chance_of_gain(beyond, freedom, level * scatter + form),
+            beyond=beyond,
             over_simulator=over_simulator,
             asked=asked,
             held_out_deviations=deviations,
@@ -236,9 +276,26 @@ class Judgement:
             form = form_variance(response, after.predicted - before.held_out.predicted, erring, left - count)
         return level * scatter + form, level * SIMULATOR_ERROR * count
 
+    def _beyond_held_out(self, before: Stand, after: Followed | None, fall: float) -> float:
+        """Of a held-out fall, what errors of the equations found before do not explain."""
+        if self._judge is None or before.held_out is None or after is None or not len(before.held_out_errors.responses):
+            return fall
+        taken = [before.held_out_errors.taken_by(self._judge.measured - run.predicted) for run in (before.held_out, after)]
+        return min(fall, fall - taken[0] + taken[1])
+
     def _left(self, stand: Stand) -> float:
         """Held-out misfit."""
         return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
+
+
+def _known_errors(fitted: Fitted, gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, np.ndarray, float]]:
+    """Effects of which it is known how they err, with their parameters and the energies of their errors."""
+    each = zip(_each(fitted.effects, gates, energy_of), fitted.values, strict=True)
+    return [
+        (effect, values, (NUMBER_ERRS_WITHIN if effect.effect in NUMBERS else WEIGHTS.form_error) * energy)
+        for (effect, energy), values in each
+        if can_err(effect)
+    ]
 
 
 def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float) -> float:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.half_orders import with_half_orders
@@ -100,7 +102,7 @@ def select(
         Told what is being done, and how far the whole is.
     """
     measured = runs.measured()
-    judgement = Judgement(runs, tuning, held_out, noise_energy)
+    judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs))
     nothing = stand = judgement.nothing
     gates: list[Gate] = []
     contenders: tuple[Contender, ...] = ()

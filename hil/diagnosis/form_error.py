@@ -1,0 +1,193 @@
+"""By what the equations of effects that were found may err: other functions of what they depend on, where they act.
+
+A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
+deflection; a wave over position as its other harmonics, and as one that changes slowly along the way. A few such functions, added to the
+joint's equation and sent through the linear closed loop (`disturbance.loop_response`), span what errors do to recordings. With a weight of
+unit variance each (their energies sum to the share of the effect's own that an equation errs by) the residual has the covariance 1 + B'B
+for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within only beyond what the law
+that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg
+
+from hil.diagnosis.disturbance import loop_response
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from virtual_bus.effects.effect import ELASTIC, FRICTION, TRANSMISSION
+from virtual_bus.effects.places import spring_at
+from virtual_bus.effects.registry import effects
+from virtual_bus.effects.residual import Residual, joined
+
+ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "viscous_friction")
+"""Efforts against the motion that are no friction of the catalogue's kind: they build up after a reversal, or are the machine file's."""
+
+WAVES = ("cogging", "torque_ripple", "transmission_error")
+OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
+
+SPEEDS = (0.0, 0.05, 0.2, 0.5, 1.0)
+"""Where functions of speed have their knots, in units of the largest: frictions change most where it is low."""
+
+AFTER_REVERSAL = (0.003, 0.03, 0.3)
+"""Ways within which a friction settles after a reversal, in units of the whole."""
+
+STANDS = 0.02
+"""Of the largest speed, below which friction's direction fades."""
+
+KNOTS, SLOW_KNOTS = 9, 4
+"""Of functions of position or deflection, and of what changes slowly along the way or in time."""
+
+HARMONICS = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class FormError:
+    """What errors of equations add to the covariance of a residual whose noise is white.
+
+    Attributes
+    ----------
+    responses : (K, M) array
+        Of error functions with standard deviation one each. K may be 0.
+    """
+
+    responses: np.ndarray
+
+    @cached_property
+    def _factor(self) -> tuple[np.ndarray, bool]:
+        return scipy.linalg.cho_factor(np.eye(len(self.responses)) + self.responses @ self.responses.T)
+
+    def taken_by(self, residual: np.ndarray) -> float:
+        """Energy of a residual (M,) that errors explain, in units of noise: r' r - r' (1 + B'B)^-1 r."""
+        if not len(self.responses):
+            return 0.0
+        along = self.responses @ residual
+        return float(along @ scipy.linalg.cho_solve(self._factor, along))
+
+    def gain(self, residual: np.ndarray, response: np.ndarray) -> float:
+        """Fall of r' (1 + B'B)^-1 r by the best positive multiple of a response (M,): a matched filter in noise that is not white."""
+        energy, wanted = float(response @ response), float(response @ residual)
+        if len(self.responses):
+            own = self.responses @ response
+            solved = scipy.linalg.cho_solve(self._factor, own)
+            energy, wanted = energy - float(own @ solved), wanted - float(solved @ (self.responses @ residual))
+        return max(wanted, 0.0) ** 2 / energy if energy > 0.0 else 0.0
+
+
+NO_ERROR = FormError(np.zeros((0, 1)))
+
+
+def form_error(runs: FreeRuns, name: str, tuning: Tuning, found: Sequence[tuple[EffectAt, np.ndarray, float]]) -> FormError:
+    """Of effects in the groups of one set.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    name : str
+        Of the set.
+    tuning : Tuning
+        Beside the effects.
+    found : sequence of (EffectAt, (parameters,) array, float)
+        Effects that `can_err`, and the energy of each one's error in this set.
+    """
+    rows = []
+    for effect, values, energy in found:
+        responses = _responses(runs, name, _joint_efforts(runs, name, tuning, effect, values), tuning)
+        whole = float(np.sum(responses**2))
+        if whole > 0.0 and energy > 0.0:
+            rows.append(responses * np.sqrt(energy / whole))
+    return FormError(np.concatenate(rows)) if rows else NO_ERROR
+
+
+def can_err(effect: EffectAt) -> bool:
+    """Whether it is known which functions an effect's equation may err by."""
+    return _is_friction(effect.effect) or effects()[effect.effect].kind is ELASTIC or effect.effect in (*WAVES, *OVER_POSITION)
+
+
+def _is_friction(name: str) -> bool:
+    return effects()[name].kind is FRICTION or name in ALSO_FRICTIONS
+
+
+def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, effect: EffectAt, values: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
+    """Per group, every error function as a joint's number and its effort (N,) there."""
+    found, machine = runs.sets[name], runs.machine
+    motions = [Motion(machine, tuning.values, group, found.channels) for group in found.groups]
+    parts = [motion.residual(effect.at) for motion in motions]
+    joints = [joint.name for joint in machine.plant.tree.joints]
+    driven = joints.index(machine.plant.drives[motions[0].axis_of(effect.at)].joint)
+    kind = effects()[effect.effect].kind
+    spring = spring_at(effect.at, machine.plant) if kind in (ELASTIC, TRANSMISSION) else None
+    places = [driven] if spring is None else [joints.index(spring)]
+    if kind is TRANSMISSION:
+        places = [driven, *places]
+    functions = _functions(effect, values, joined(parts), np.concatenate([_since_reversal(part) for part in parts]))
+    ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
+    return [[(joint, function[a:b]) for function in functions for joint in places] for a, b in pairwise(ends)]
+
+
+def _functions(effect: EffectAt, values: np.ndarray, motion: Residual, since_reversal: np.ndarray) -> list[np.ndarray]:
+    """(N,) each."""
+    name = effect.effect
+    if _is_friction(name):
+        return _of_a_friction(name, motion, since_reversal)
+    if name in WAVES:
+        phase = values[0] * motion.ratio * motion.position
+        slow = _hats(motion.position, SLOW_KNOTS)
+        waves = [wave(order * phase) for order in HARMONICS for wave in (np.cos, np.sin)]
+        functions = [*waves, *(wave * hat for wave in waves[:2] for hat in slow), *slow]
+        return [motion.drive_effort * function for function in functions] if name == "torque_ripple" else functions
+    return _hats(motion.other_position if effects()[name].kind is ELASTIC else motion.position, KNOTS)
+
+
+def _of_a_friction(name: str, motion: Residual, since_reversal: np.ndarray) -> list[np.ndarray]:
+    top = max(float(np.abs(motion.speed).max()), 1e-12)
+    travel = max(float(np.ptp(motion.position)), 1e-12)
+    against = motion.speed / np.hypot(motion.speed, STANDS * top)
+    over_speed = _hats(np.abs(motion.speed) / top, len(SPEEDS), np.array(SPEEDS))
+    functions = [np.where(way * motion.speed > 0.0, against * hat, 0.0) for way in (1.0, -1.0) for hat in over_speed]
+    functions += [against * np.exp(-since_reversal / (share * travel)) for share in AFTER_REVERSAL]
+    if name == "position_dependent_friction":
+        functions += [against * hat for hat in _hats(motion.position, KNOTS)]
+    if name == "load_dependent_friction":
+        functions += [against * hat for hat in _hats(np.abs(motion.drive_effort), SLOW_KNOTS)]
+    if name == "temperature_dependent_friction":
+        functions += [shape * hat for shape in (against, motion.speed / top) for hat in _hats(motion.time_s, SLOW_KNOTS)]
+    return functions
+
+
+def _hats(x: np.ndarray, count: int, knots: np.ndarray | None = None) -> list[np.ndarray]:
+    """Piecewise linear functions of x, each one at its own knot and zero at the others."""
+    places = np.linspace(float(x.min()), float(x.max()) + 1e-12, count) if knots is None else knots
+    return [np.interp(x, places, row) for row in np.eye(count)]
+
+
+def _since_reversal(motion: Residual) -> np.ndarray:
+    """(N,) way since the last change of direction."""
+    way = np.sign(motion.speed)
+    turns = np.flatnonzero(np.concatenate([[True], way[1:] * way[:-1] < 0.0]))
+    start = np.repeat(motion.position[turns], np.diff([*turns, len(way)]))
+    return np.abs(motion.position - start)
+
+
+def _responses(runs: FreeRuns, name: str, efforts: Sequence[Sequence[tuple[int, np.ndarray]]], tuning: Tuning) -> np.ndarray:
+    """(K, M) whitened, of joint efforts per group. What acts on the first row has acted before: the machine stands under it."""
+    found = runs.sets[name]
+    answers = []
+    for group, own in zip(found.groups, efforts, strict=True):
+        rows = len(group.time_s)
+        frequencies = np.fft.rfftfreq(2 * rows, 1.0 / found.noise.rate_Hz)
+        response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, tuning.values)
+        each = []
+        for joint, effort in own:
+            lines = response[:, :, joint] * np.fft.rfft(effort - effort[0], 2 * rows)[:, None]
+            each.append(np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + response[0, :, joint].real * effort[0])
+        answers.append(each)
+    return np.stack([runs.joined(rows, name) for rows in zip(*answers, strict=True)])
