@@ -48,10 +48,6 @@ LEAST_EVIDENCE = 60.0
 """Logarithm of the likelihood ratio. Were the noise as assumed, 7 would do for one in a thousand; disturbances that begin and end at
 reversals have brought it to 40 where nothing is held, and once, in 152 drawn machines, to 85."""
 
-LEAST_BESIDE = 25.0
-"""What of it is left without the clearest burst: samples are lost at any time, in any repeat, and what is seen at one place alone is no
-rate. A disturbance that happens once looks so."""
-
 TURNED_ROUND = 1.3
 """The logarithm must exceed this many times that of the bursts turned round."""
 
@@ -109,9 +105,7 @@ def held_samples(measured: np.ndarray) -> Held | None:
         return None
     placed = _placed(ratios)
     evidence = float(placed.max())
-    if evidence < LEAST_EVIDENCE or evidence - ratios.max() < LEAST_BESIDE:
-        return None
-    if evidence < TURNED_ROUND * _placed(bursts.logarithms(-1.0)).max():
+    if evidence < LEAST_EVIDENCE or evidence < TURNED_ROUND * _placed(bursts.logarithms(-1.0)).max():
         return None
     backwards = _bursts(measured[:, ::-1])
     if backwards is not None and evidence < RUN_BACKWARDS * _placed(backwards.logarithms(1.0)).max():

@@ -73,13 +73,14 @@ def test_a_machine_that_rings_when_recordings_begin_loses_no_samples(seed, stren
     assert held_samples(readings + ringing) is None
 
 
-def test_what_happens_once_is_no_rate():
-    """One repeat stays where it was, once: a push of its own, for all that shows."""
-    readings, _ = repeats(1, 0.0, moved=20.0, coloured=False)
-    steps = np.abs(np.diff(np.median(readings, axis=0)))
-    row = int(np.argmax(np.convolve(steps[100:-100], np.ones(4), "valid"))) + 100
-    readings[0, row : row + 5] = readings[0, row]
-    assert held_samples(readings) is None
+def test_one_burst_is_enough():
+    readings, _ = repeats(1, 0.0, repeats=4)
+    moved = np.abs(np.diff(np.median(readings, axis=0)))
+    row = int(np.argmax(np.convolve(moved[100:-100], np.ones(4), "valid"))) + 100
+    readings[0, row + 1 : row + 5] = readings[0, row]
+    found = held_samples(readings)
+    assert found is not None
+    assert set(np.argwhere(found.rows)[:, 0]) == {0}
 
 
 def test_readings_that_run_ahead_are_not_held():
