@@ -28,6 +28,9 @@ drift."""
 SHARES = ("share", "sign", "p")
 """Strengths that may be all there is of them."""
 
+WITHOUT = (("imu_bandwidth", "fc"),)
+"""Numbers whose upper bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
+
 WAVES = ("cycles/turn", "Hz")
 
 OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl"))
@@ -81,6 +84,8 @@ def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE or parameter.is_strength else []
     if parameter.name in SHARES:
         ends = []
+    if (name, parameter.name) in WITHOUT:
+        ends = [parameter.low]
     if (name, parameter.name) in NO_LONGER_SWINGS:
         ends = [parameter.high]
     return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)

@@ -33,6 +33,9 @@ ROUNDS = 3
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share", "K", "D")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
 
+IN_PLACE_OF_ANOTHER = ("imu_bandwidth",)
+"""Effects whose number takes the place of the machine file's: what they do is in proportion to a difference."""
+
 AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"), ("mgr", "phi"), ("J12", "phi"))
 """Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
 
@@ -201,7 +204,7 @@ def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray
     """All strengths that enter in proportion, by this factor; None where there is none."""
     parameters = effects()[effect.effect].parameters
     in_proportion = [p.is_strength and p.name not in NONLINEAR_STRENGTH for p in parameters]
-    if not any(in_proportion):
+    if effect.effect in IN_PLACE_OF_ANOTHER or not any(in_proportion):
         return None
     factor = float(np.clip(factor, 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
     low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))

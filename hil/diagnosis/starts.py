@@ -50,6 +50,10 @@ CORNERS = (0.06, 0.18)
 """Shares of the drive's largest effort over the spring's stiffness at which another spring begins. The spring winds up by half of that or
 less, because the rest accelerates what is before it."""
 
+LOW_PASSES = (0.1, 0.4, 1.05, 2.5, 20.0)
+"""Corners of a sensor's low pass, in units of the one that the machine file has: a reading may be faster than the file says, too. Without
+one there, of a fifth of the sample rate."""
+
 
 def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     """(parameters,) start values, the most plausible first; none where the place does not move."""
@@ -125,6 +129,8 @@ class _Typical:
         settings = motion.machine.plant
         self.mass = next((body.mass_kg for body in settings.tree.bodies if body.name == at), 1.0)
         self.inertia = self._inertia()
+        own = next((imu.accelerometer_bandwidth_Hz or imu.gyro_bandwidth_Hz for imu in settings.imus if imu.name == at), 0.0)
+        self.low_pass_Hz = own or 0.2 / self.sample_s
 
     def _inertia(self) -> float:
         """Of the joint a place belongs to, about the mean pose."""
@@ -341,7 +347,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "drive_bandwidth": _several("fc", lambda f, r, t: [0.04 / t.sample_s, 0.15 / t.sample_s, 1.5 / t.sample_s]),
     "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "clock_offset": _several("t0", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
-    "imu_bandwidth": _several("fc", lambda f, r, t: [0.05 / t.sample_s, 0.2 / t.sample_s]),
+    "imu_bandwidth": lambda f, r, t: [{"fc": share * t.low_pass_Hz, "shape": 0.25} for share in LOW_PASSES],
     "rectified_sensor": lambda f, r, t: [{"share": 1.0, "sign": 1.0}, {"share": 1.0, "sign": -1.0}, {"share": 0.0, "sign": -1.0}],
     "temperature_dependent_friction": _several("tau", lambda f, r, t: [0.1 * t.duration_s, t.duration_s]),
 }

@@ -25,7 +25,7 @@ EXAMPLES = {
         EffectSetting("end_stop", "roll", {"K": 2e4, "D": 50.0, "at_position": -0.37, "side": -1.0}),
         EffectSetting("gear_ratio", "roll", {"beta": 0.01}),
         EffectSetting("gravity_imbalance", "propeller", {"mgr": 60.0, "phi": 0.2}),
-        EffectSetting("imu_bandwidth", "imu", {"fc": 15.0}),
+        EffectSetting("imu_bandwidth", "imu", {"fc": 15.0, "shape": 0.3}),
         EffectSetting("imu_misalignment", "imu", {"rx": 0.02, "ry": -0.01, "rz": 0.03}),
         EffectSetting(
             "imu_scale_bias", "imu", {"sx": 0.01, "sy": 0.0, "sz": -0.02, "bx": 0.1, "by": 0.0, "bz": 0.0, "sg": 0.01, "bg": 0.002}

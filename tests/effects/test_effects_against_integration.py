@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.signal
 from scipy.integrate import solve_ivp
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plant"))
 from small_plants import BLOCK_MASS_kg, block, run
 
 from virtual_bus.physics import Physics
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.linearise import linearised
 from virtual_bus.settings import EffectSetting
 
 PERIOD_s = 1.0 / 256.0
@@ -159,6 +162,25 @@ def test_the_current_answers_a_step_as_a_second_order_low_pass() -> None:
     expected = 3.0 * (1.0 - np.exp(-zeta * w * time_s) * (np.cos(wd * time_s) + zeta * w / wd * np.sin(wd * time_s)))
     got = latched(EffectSetting("drive_bandwidth", "rail", {"fc": 20.0, "zeta": zeta}), np.full(40, 3.0))
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [0.1, 0.25, 0.5])
+def test_an_imu_answers_a_step_of_force_as_a_low_pass_of_second_order(shape: float) -> None:
+    w = 2.0 * np.pi * 15.0
+    step = scipy.signal.lti([1.0], [shape / w**2, 1.0 / w, 1.0]).step(T=np.arange(60) * PERIOD_s)[1]
+    got = latched(EffectSetting("imu_bandwidth", "imu", {"fc": 15.0, "shape": shape}), np.full(60, 3.0), "imu")
+    np.testing.assert_allclose(got, 3.0 / M * step, rtol=0, atol=1e-9)
+
+
+def test_the_linear_plant_reads_its_imu_through_a_low_pass_of_second_order() -> None:
+    effect = EffectSetting("imu_bandwidth", "imu", {"fc": 15.0, "shape": 0.3})
+    responses = []
+    for settings in (block(stiffness=STIFFNESS, bandwidth_Hz=0.0), block(stiffness=STIFFNESS, effects=(effect,))):
+        plant = compile_plant(settings)
+        system = linearised(plant, plant.model(), np.zeros(1))
+        responses.append(system[system.output_labels.index("imu_x"), 0](2j * np.pi * np.array([1.0, 12.0, 40.0])))
+    s = 1j * np.array([1.0, 12.0, 40.0]) / 15.0
+    np.testing.assert_allclose(responses[1], responses[0] / (1.0 + s + 0.3 * s**2), rtol=1e-6)
 
 
 def test_a_saturated_current_is_what_flows_and_falls_with_speed() -> None:

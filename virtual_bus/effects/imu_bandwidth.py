@@ -11,25 +11,40 @@ EFFECT = Effect(
     name="imu_bandwidth",
     kind=IMU_CHANGE,
     parameters=(
-        Parameter("fc", unit="Hz", low=0.0, high=1000.0, description="corner of the low pass; 0: as the machine file says, no effect"),
+        Parameter(
+            "fc", unit="Hz", low=0.0, high=10000.0, description="1 / (2 pi lag) of the low pass; 0: as the machine file says, no effect"
+        ),
+        Parameter(
+            "shape",
+            unit="",
+            low=0.0,
+            high=1.0,
+            description="0: first order; 0.25: two equal ones in a row; 0.5: Butterworth's second order",
+            is_strength=False,
+            default=0.0,
+        ),
     ),
-    equation="y = a / (1 + s / (2 pi fc))",
-    convention="a first-order low pass of this corner on accelerometer and gyro, in place of the machine file's own",
+    equation="y = a / (1 + s / wc + shape (s / wc)^2), wc = 2 pi fc",
+    convention="a low pass of this lag on accelerometer and gyro, in place of the machine file's own of first order",
     neighbours=("structural_mode", "clock_offset"),
-    source="IEEE Std 1293, frequency response",
+    source="IEEE Std 1293, frequency response: a proof mass on a spring, or filters in a row, are of second order",
 )
 
 
-def _bandwidth(value: float, fc: float) -> float:
+def _bandwidth(value: float, fc: float, shape: float) -> float:
     return fc if fc > 0.0 else value
 
 
-CHANGES = (("imu", "accelerometer_bandwidth", _bandwidth), ("imu", "gyro_bandwidth", _bandwidth))
+def _shape(value: float, fc: float, shape: float) -> float:
+    return shape if fc > 0.0 else value
 
 
-def guess(residual: Residual) -> tuple[float]:
-    """The corner that lags like the accelerometer's liveliest channel does."""
+CHANGES = (("imu", "accelerometer_bandwidth", _bandwidth), ("imu", "gyro_bandwidth", _bandwidth), ("imu", "low_pass_shape", _shape))
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """The corner that lags like the accelerometer's liveliest channel does, of first order."""
     channel = int(np.argmax(residual.simulated[:, :3].std(axis=0)))
     sample_s = residual.time_s[1] - residual.time_s[0]
     lag = max(lag_of(residual.measured[:, channel], residual.simulated[:, channel], sample_s), 1e-4)
-    return (1.0 / (2.0 * np.pi * lag),)
+    return 1.0 / (2.0 * np.pi * lag), 0.0

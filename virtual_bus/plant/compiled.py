@@ -15,7 +15,8 @@ and take arrays only: float64 and C-contiguous, n joints in body order, axes in 
 
 `effort` (axes,) is in the drives' units and held over the sample; `brakes` (axes,) is 1.0 for closed, 0.0 for open.
 `state` is [positions n, speeds n, accelerations at the end of the last step n, friction effort n, filtered imu channels 6 per imu, time,
-drives (see drives.py), effects with a memory: two states and the last effort each].
+drives (see drives.py), effects with a memory: two states and the last effort each, rates of change of the filtered channels
+6 per imu in units of their corner].
 
 A kernel that fuses the plant with something else is a generated module too, so that numba can cache it: see `CompiledPlant.fuse`.
 """
@@ -38,6 +39,7 @@ from virtual_bus.errors import EffectError, PlantError
 from virtual_bus.plant import drives, friction, integrator, jit, linear, reactions, readings, records, terms
 from virtual_bus.plant.checks import check_plant
 from virtual_bus.plant.generate import plant_text
+from virtual_bus.plant.low_pass import fill_low_pass
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -68,7 +70,8 @@ class CompiledPlant:
     @property
     def state_size(self) -> int:
         """Length of a state vector."""
-        return self.first_drive_state + len(self.settings.drives) * drives.DRIVE_STATES + 3 * table.MAX_REACTIONS
+        behind = len(self.settings.drives) * drives.DRIVE_STATES + 3 * table.MAX_REACTIONS
+        return self.first_drive_state + behind + 6 * len(self.settings.imus)
 
     @property
     def first_drive_state(self) -> int:
@@ -185,23 +188,26 @@ class CompiledPlant:
         values = self.nominal if values is None else np.asarray(values, dtype=float)
         effects = self.settings.effects if effects is None else effects
         by_quantity = {(p.owner, p.quantity): float(value) for p, value in zip(self.parameters, values, strict=True)}
+        by_quantity |= {(imu.name, "low_pass_shape"): 0.0 for imu in self.settings.imus}
         table.changed_values(by_quantity, effects, self.settings)
         settings, tree = self.settings, self.settings.tree
         model = np.zeros(1, records.model_dtype(self.joints, len(settings.drives), len(settings.imus), self.constant_count))
         record = model[0]
         self.module.derive([by_quantity[p.owner, p.quantity] for p in self.parameters], record["constants"])
-        record["step_s"] = step_s = settings.sample_period_s / settings.substeps
+        record["step_s"] = settings.sample_period_s / settings.substeps
         record["steps"] = settings.substeps
         for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
             record[quantity] = [by_quantity[joint.name, quantity] for joint in tree.joints]
         for k, drive in enumerate(settings.drives):
             record["effort_gain"][k] = by_quantity[drive.axis, "constant"] * by_quantity[drive.axis, "ratio"]
-        bandwidths = [
-            by_quantity[imu.name, sensor] for imu in settings.imus for sensor in ("accelerometer_bandwidth", "gyro_bandwidth") for _ in AXES
+        low_passes = [
+            (by_quantity[imu.name, sensor], by_quantity[imu.name, "low_pass_shape"])
+            for imu in settings.imus
+            for sensor in ("accelerometer_bandwidth", "gyro_bandwidth")
+            for _ in AXES
         ]
-        for k, bandwidth in enumerate(bandwidths):
-            record["filter_weights"][k] = _low_pass_weights(bandwidth, step_s)
-            record["is_filtered"][k] = bandwidth > 0.0
+        for k, low_pass in enumerate(low_passes):
+            fill_low_pass(record, k, *low_pass)
         ratio_of_axis = {drive.axis: by_quantity[drive.axis, "ratio"] for drive in settings.drives}
         table.fill_friction(record, effects, settings)
         table.fill_terms(record, effects, ratio_of_axis, settings)
@@ -261,16 +267,6 @@ class CompiledPlant:
             Source of whatever else is compiled into it (`inspect.getsource` of the modules it imports).
         """
         return load_generated(name, text.replace("PLANT", self.module.__name__), depends_on)
-
-
-def _low_pass_weights(bandwidth_Hz: float, step_s: float) -> tuple[float, float, float]:
-    """First-order low pass over one step, exact for an input linear in time: weights of old output, input at start, input at end."""
-    if bandwidth_Hz <= 0.0:
-        return 0.0, 0.0, 1.0
-    phase = 2.0 * np.pi * bandwidth_Hz * step_s
-    decay = float(np.exp(-phase))
-    mean = (1.0 - decay) / phase
-    return decay, mean - decay, 1.0 - mean
 
 
 def compile_plant(settings: PlantSettings) -> CompiledPlant:

@@ -10,6 +10,7 @@ with the effects' inertia in M, their efforts in the bias, and the ones with a m
 
 from __future__ import annotations
 
+from virtual_bus.effects.table import MAX_REACTIONS
 from virtual_bus.plant.drives import DRIVE_STATES, drive_joints, load_joints, remember_targets
 from virtual_bus.plant.friction import rub, rubs
 from virtual_bus.plant.jit import compiled
@@ -123,6 +124,9 @@ def read_state(imus, axes, state, model, work):
         work.memory[row, 0] = state[slot + 3 * row]
         work.memory[row, 1] = state[slot + 3 * row + 1]
         work.reaction[row] = state[slot + 3 * row + 2]
+    slot += 3 * MAX_REACTIONS
+    for k in range(6 * imus):
+        work.filtered_slope[k] = state[slot + k]
 
 
 @compiled
@@ -142,6 +146,9 @@ def write_state(imus, axes, state, model, work):
         state[slot + 3 * row] = work.memory[row, 0]
         state[slot + 3 * row + 1] = work.memory[row, 1]
         state[slot + 3 * row + 2] = work.reaction[row]
+    slot += 3 * MAX_REACTIONS
+    for k in range(6 * imus):
+        state[slot + k] = work.filtered_slope[k]
 
 
 @compiled
@@ -152,6 +159,15 @@ def read_imus(imu, position, speed, acceleration, model, work):
         work.query_speed[i] = speed[i]
         work.query_acceleration[i] = acceleration[i]
     imu(model, work)
+
+
+@compiled
+def second_order(k, model, work):
+    """One plant step of a channel's low pass of second order."""
+    y, slope, start, end = work.filtered[k], work.filtered_slope[k], work.start_reading[k], work.reading[k]
+    by = model.second_weights
+    work.filtered[k] = by[k, 0, 0] * y + by[k, 0, 1] * slope + by[k, 0, 2] * start + by[k, 0, 3] * end
+    work.filtered_slope[k] = by[k, 1, 0] * y + by[k, 1, 1] * slope + by[k, 1, 2] * start + by[k, 1, 3] * end
 
 
 @compiled
@@ -178,6 +194,9 @@ def advance(
                 work.start_reading[k] = work.reading[k]
             read_imus(imu, work.position, work.speed, work.acceleration, model, work)
             for k in range(6 * imus):
+                if model.is_filtered[k] == 2:
+                    second_order(k, model, work)
+                    continue
                 old, start, end = model.filter_weights[k, 0], model.filter_weights[k, 1], model.filter_weights[k, 2]
                 work.filtered[k] = old * work.filtered[k] + start * work.start_reading[k] + end * work.reading[k]
     if model.has_drive_effects:

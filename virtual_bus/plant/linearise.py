@@ -58,13 +58,23 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
 
     is_filtered = model["is_filtered"][0, : len(imu)] > 0
     filtered = np.flatnonzero(is_filtered)
-    rates = -np.log(model["filter_weights"][0, filtered, 0]) / model["step_s"][0]  # corners [rad/s] of the low passes
-    a = np.block([[a, np.zeros((2 * n, len(filtered)))], [rates[:, None] * imu[filtered], -np.diag(rates)]])
-    b = np.vstack([b, rates[:, None] * imu_direct[filtered]])
-    imu_from_filter = np.zeros((len(imu), len(filtered)))
-    imu_from_filter[filtered, np.arange(len(filtered))] = 1.0
+    lags, squares = model["filter_lag"][0, filtered].T
+    second = np.flatnonzero(squares > 0.0)  # of the filtered ones: their rates of change are states too
+    pull = 1.0 / np.where(squares > 0.0, squares, lags)  # of the input on the last derivative
+    many, more = len(filtered), len(second)
+    to_rate = np.eye(many)[second]
+    is_first = np.where(squares > 0.0, 0.0, 1.0)
+    low_passes = np.block([
+        [-np.diag(is_first * pull), to_rate.T],
+        [-pull[second, None] * to_rate, -np.diag((lags * pull)[second])],
+    ])  # fmt: skip
+    driven = np.vstack([np.diag(is_first * pull), pull[second, None] * to_rate])
+    a = np.block([[a, np.zeros((2 * n, many + more))], [driven @ imu[filtered], low_passes]])
+    b = np.vstack([b, driven @ imu_direct[filtered]])
+    imu_from_filter = np.zeros((len(imu), many + more))
+    imu_from_filter[filtered, np.arange(many)] = 1.0
     imu_from_motion = np.where(is_filtered[:, None], 0.0, imu)
-    c = np.block([[encoders, np.zeros((len(encoders), len(filtered)))], [imu_from_motion, imu_from_filter]])
+    c = np.block([[encoders, np.zeros((len(encoders), many + more))], [imu_from_motion, imu_from_filter]])
     d = np.vstack([np.zeros((len(encoders), gain.shape[1])), np.where(is_filtered[:, None], 0.0, imu_direct)])
 
     channels = imu_channel_names(plant.settings)
@@ -73,6 +83,9 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
         a, b, c, d,
         inputs=names,
         outputs=[sensor.channel for sensor in settings.joint_sensors] + channels,
-        states=joints + [f"{joint}_speed" for joint in joints] + [f"{channels[k]}_filter" for k in filtered],
+        states=joints
+        + [f"{joint}_speed" for joint in joints]
+        + [f"{channels[k]}_filter" for k in filtered]
+        + [f"{channels[k]}_filter_rate" for k in filtered[second]],
         name="plant",
     )  # fmt: skip

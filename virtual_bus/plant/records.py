@@ -26,7 +26,9 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ("brake_effort", "f8", (n,)),  # what the joint's brake holds [Nm or N]
             ("effort_gain", "f8", (max(axes, 1),)),  # joint effort per unit of drive effort
             ("filter_weights", "f8", (max(6 * imus, 1), 3)),  # low pass over one plant step: old output, input at start, input at end
-            ("is_filtered", "u1", (max(6 * imus, 1),)),  # 0: the channel has no low pass and reads the instant
+            ("is_filtered", "u1", (max(6 * imus, 1),)),  # 0: the channel has no low pass and reads the instant; 2: one of second order
+            ("filter_lag", "f8", (max(6 * imus, 1), 2)),  # T and D of D y'' + T y' + y = u
+            ("second_weights", "f8", (max(6 * imus, 1), 2, 4)),  # after a plant step y and T y', of them and of the input at start and end
             ("friction_first", "i8", (n + 1,)),  # friction rows of joint j are friction_first[j] to friction_first[j + 1]
             ("friction_rows", "f8", (MAX_FRICTIONS, ROW)),  # effect number, then its parameters
             ("effort_count", "i8"),
@@ -68,7 +70,7 @@ def work_dtype(joints: int, axes: int, imus: int, bodies: int) -> np.dtype:
         "friction_change", "kinetic",  # of the friction solution
     ]  # fmt: skip
     squares = ["mass", "inverse", "position_response", "speed_response"]
-    readings = ["filtered", "reading", "start_reading"]
+    readings = ["filtered", "filtered_slope", "reading", "start_reading"]
     return _record(
         [(name, "f8", (n,)) for name in vectors]
         + [(name, "f8", (n, n)) for name in squares]
