@@ -102,6 +102,8 @@ class ModalDamping:
             raise DesignError(f"damping: mode {mode + 1}: the model has modes 1 to {modes}")
         if not 0.0 < settings.ratio <= 1.0:
             raise DesignError(f"damping ratio {settings.ratio:g}: must be above 0, and 1 at most")
+        if not model.at(np.zeros(n))[(mode + 1) * model.mode_stride - n : (mode + 1) * model.mode_stride].any():
+            raise DesignError(f"damping: mode {mode + 1}: no drive moves it at position zero")
         self.settings, self._observer = settings, observer
         self._limit = LIMIT_SHARE * np.asarray(model.effort_limit, dtype=float)
         self._slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * self._limit

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from controllers.errors import DesignError
-from controllers.models.modal import ModalModel
+from controllers.models.modal import ModalModel, basis_at
 from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
 from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, linearised
@@ -221,6 +221,9 @@ class ModalObserver:
         table = values[: model.modes * model.mode_stride].reshape(model.modes, model.mode_stride)
         rigid = values[model.modes * model.mode_stride :][: n * n].reshape(n, n)
         modal = np.abs(table[:, -n:]) @ model.effort_limit
+        if model.directions is not None:  # a mode that no drive moves is bent by what else pushes
+            pushed = model.directions[n:] @ basis_at(model.harmonics, np.zeros((1, n)))[0]
+            modal = np.maximum(modal, table[:, 0] * (np.abs(pushed[:, n:]) @ noise.disturbance[n:]))
         deflection = modal / table[:, 0]
         push = np.concatenate((np.abs(rigid) @ model.effort_limit, modal)) if model.directions is None else noise.disturbance
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection

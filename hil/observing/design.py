@@ -18,10 +18,11 @@ from hil.machine import Machine
 from hil.observing.directions import with_directions
 from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.geometry import observed_chain
+from hil.observing.last_mode import with_last_mode
 from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model, harmonics_for, untold_note
 from hil.observing.sag import sagging, with_sag
-from hil.observing.standing import standing_mean, with_gravity
+from hil.observing.standing import standing_mean, with_gravity, with_gravity_at_places
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
@@ -127,6 +128,8 @@ def design_observer(
         structure = found_structure(model, poses, gain, mount)
         if structure:
             model = with_places(sagging(model, structure.mount, stood, gain), structure)
+            model, *found = with_gravity_at_places(model, at_rest, gain)
+            biases = found[0], found[1]
             notes.append(structure.note)
         else:
             notes.append(mount.note if mount else "the mount's sag is left out: the first axis is not a horizontal one that turns")
@@ -135,6 +138,8 @@ def design_observer(
         notes.append(f"what turning pushes from {len(sweeps)} sweeps")
     if structure:
         model = with_coupling(model, structure, gain)
+        model, note = with_last_mode(model, structure, max(float(response.frequencies_Hz[-1]) for response in responses))
+        notes += [note] if note else []
     noise = starting_noise(model, machine, responses, standing, biases)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)

@@ -148,7 +148,7 @@ def with_places(model: ModalModel, structure: Structure) -> ModalModel:
         pushed = (inverse / here.stiffness)[:, None] * moves
         rows.append(np.hstack((drives, np.vstack((np.zeros((n, moves.shape[1])), pushed)))))
     table = np.array(rows)
-    directions = _over_poses(table, structure.poses, model.harmonics).reshape(*table.shape[1:], -1)
+    directions = spread_over_poses(table, structure.poses, model.harmonics).reshape(*table.shape[1:], -1)
     return replace(model, directions=directions, places=("drive",) * n + ("gear",) * n + ("turn",) * len(structure.turns) + ("mount",) * 2)
 
 
@@ -177,7 +177,7 @@ def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np
     smooth = _Inertia(0.5 * (inertia + inertia.transpose(0, 2, 1)), at)
     rigid = np.array([np.linalg.solve(smooth.at(pose), np.diag(effort_gain)) for pose in at])
     coefficients = model.coefficients.copy()
-    coefficients[first : first + n * n] = _over_poses(rigid, at, model.harmonics)
+    coefficients[first : first + n * n] = spread_over_poses(rigid, at, model.harmonics)
     return replace(model, coefficients=coefficients)
 
 
@@ -231,11 +231,11 @@ def with_coupling(model: ModalModel, structure: Structure, effort_gain: np.ndarr
             torque = slopes[j][:, k] + slopes[k][:, j] - slopes[:, j, k]
             turning[p, :, place] = -inverse @ torque * (0.5 if j == k else 1.0)
     of_modes = np.zeros((modes, len(pairs), basis_size(model.harmonics))) if model.turning is None else model.turning[n:]
-    of_axes = _over_poses(turning, poses, model.harmonics).reshape(n, len(pairs), -1)
+    of_axes = spread_over_poses(turning, poses, model.harmonics).reshape(n, len(pairs), -1)
     return replace(
         model,
         turning=np.ascontiguousarray(np.concatenate((of_axes, of_modes))),
-        coupling=_over_poses(coupling, poses, model.harmonics).reshape(n, n, modes, -1),
+        coupling=spread_over_poses(coupling, poses, model.harmonics).reshape(n, n, modes, -1),
     )
 
 
@@ -246,16 +246,23 @@ def _moves(seen: Sequence[Shapes], places: tuple[np.ndarray, np.ndarray], turns:
     """
     moves = []
     for here, place, rotation in zip(seen, *places, strict=True):
-        by = np.zeros((6, len(turns) + 2))
-        by[:3, -2], by[:3, -1] = (0.0, lever - place[2], place[1]), (-place[1], place[0] - vertical, 0.0)
-        by[3:, :-2] = TURN_LENGTH_m * rotation @ turns.T
-        by[3:, -2:] = TURN_LENGTH_m * np.eye(3)[:, [0, 2]]
+        by = relative_motion(place, rotation, turns, lever, vertical)
         twist = np.vstack((rotation @ here.relative[:, :3].T, TURN_LENGTH_m * rotation @ here.relative[:, 3:].T))
         moves.append(np.hstack((here.link - here.motor, np.linalg.lstsq(by, twist, rcond=1e-6)[0].T)))
     return np.array(moves)
 
 
-def _over_poses(table: np.ndarray, poses: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
+def relative_motion(place: np.ndarray, rotation: np.ndarray, turns: np.ndarray, lever: float, vertical: float) -> np.ndarray:
+    """(6, k + 2): shift of the detector against the link side, and turn times `TURN_LENGTH_m`, by its own turns and the mount's two; in the
+    frame's directions."""
+    by = np.zeros((6, len(turns) + 2))
+    by[:3, -2], by[:3, -1] = (0.0, lever - place[2], place[1]), (-place[1], place[0] - vertical, 0.0)
+    by[3:, :-2] = TURN_LENGTH_m * rotation @ turns.T
+    by[3:, -2:] = TURN_LENGTH_m * np.eye(3)[:, [0, 2]]
+    return by
+
+
+def spread_over_poses(table: np.ndarray, poses: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     """Coefficients (rows, basis) of what varies over the poses (P, ...), of the order that these can tell, in the model's basis."""
     told = tuple(min(pair) for pair in zip(harmonics_for(poses), harmonics, strict=True))
     found = np.linalg.lstsq(basis_at(told, poses), table.reshape(len(poses), -1), rcond=1e-8)[0].T

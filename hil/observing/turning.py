@@ -26,9 +26,11 @@ SMOOTHED_s = 0.25
 SAMPLES_Hz = 16.0
 """Of what is left after that."""
 
-GEAR_HARMONIC, TILT_HARMONIC = 2, 0
-"""Of the pose, in what turning pushes at the gears and at the place that tilts: slopes of the axes' inertia change with the pose, those of
-the detector's own hardly do, and tilt tells less than encoders."""
+TURN_HARMONIC = 2
+"""Of the pose, in what turning pushes: slopes of inertias, and centrifugal torques."""
+
+BOTH_MOVE = 0.05
+"""Of the square of the largest speed, that a product of two axes' speeds must reach to be looked at."""
 
 SLOWEST_rad_s = 1e-3
 """Speed (or m/s) that nothing may stay below for a sweep."""
@@ -92,28 +94,28 @@ def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording
     pairs = [(j, k) for j in range(n) for k in range(j, n)]
     products = np.array([[moment.speed[j] * moment.speed[k] for j, k in pairs] for moment in moments])
     poses = np.array([moment.pose for moment in moments])
-    of_gears = tuple(min(order, GEAR_HARMONIC) for order in model.harmonics)
-    of_tilt = tuple(min(order, TILT_HARMONIC) for order in model.harmonics)
+    order = tuple(min(known, TURN_HARMONIC) for known in model.harmonics)
+    moves = np.abs(products).max(axis=0) > BOTH_MOVE * fastest**2
+    told = [np.repeat(moves[:, None], basis_size(order), axis=1)] * n + [moves[:, None] & _turned(pairs, order)]
     strength = EXPECTED_SHARE / fastest**2 * model.effort_limit * effort_gain
     rigid = model.at(np.zeros(n))[modes * model.mode_stride :][: n * n].reshape(n, n)
 
-    factors = _factors(products, of_gears, poses)
+    factors = _factors(products, order, poses) * told[0].ravel()
     found = []
     left = np.array([moment.acceleration_left for moment in moments])
     for axis in range(n):
         expected = np.full(factors.shape[1], strength[axis] * abs(rigid[axis, axis]) / effort_gain[axis])
         found.append(_told(factors / ACCELERATION_TRUST, left[:, axis] / ACCELERATION_TRUST, expected))
-    of_axes = embedded(np.array(found).reshape(-1, basis_size(of_gears)), of_gears, model.harmonics).reshape(n, len(pairs), -1)
+    of_axes = embedded(np.array(found).reshape(-1, basis_size(order)), order, model.harmonics).reshape(n, len(pairs), -1)
 
     places = [*range(n, 2 * n), _tilting(model, directions, poses)]
-    orders = [of_gears] * n + [of_tilt]
     pushed = np.einsum("cdb,mb->mcd", directions[n:], basis_at(model.harmonics, poses))  # bends of modes per unit at a place
     trust = np.concatenate((np.full(n, ENCODER_TRUST_rad), np.full(3, TILT_TRUST_m_s2)))
     by_modes = np.array([moment.by_modes for moment in moments]) / trust[:, None]
     columns, expectations = [], []
-    for place, order in zip(places, orders, strict=True):
+    for place, kept in zip(places, told, strict=True):
         by_place = np.einsum("mrc,mc->mr", by_modes, pushed[:, :, place])
-        columns.append(by_place[:, :, None] * _factors(products, order, poses)[:, None, :])
+        columns.append(by_place[:, :, None] * (_factors(products, order, poses) * kept.ravel())[:, None, :])
         expectations.append(np.full(columns[-1].shape[2], strength[place - n] if place < 2 * n else strength.max()))
     system = np.concatenate(columns, axis=2).reshape(len(moments) * len(trust), -1)
     target = np.array([moment.left for moment in moments]) / trust
@@ -122,7 +124,7 @@ def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording
     grid = _grid(model, poses)
     at_grid = np.einsum("cdb,gb->gcd", directions[n:], basis_at(model.harmonics, grid))
     of_modes = np.zeros((len(grid), modes, len(pairs)))
-    for place, order, torque in zip(places, orders, torques, strict=True):
+    for place, torque in zip(places, torques, strict=True):
         by_pair = basis_at(order, grid) @ torque.reshape(len(pairs), -1).T
         of_modes += at_grid[:, :, place, None] * by_pair[:, None, :]
     written = np.linalg.lstsq(basis_at(model.harmonics, grid), of_modes.reshape(len(grid), -1), rcond=1e-8)[0].T
@@ -175,6 +177,15 @@ def moments_of(sweep: Recording, model: ModalModel, bias: np.ndarray) -> list[Mo
 def _factors(products: np.ndarray, harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
     """Products of speeds times functions of the pose: (moments, pairs x basis)."""
     return (products[:, :, None] * basis_at(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
+
+
+def _turned(pairs: list[tuple[int, int]], harmonics: tuple[int, ...]) -> np.ndarray:
+    """(pairs, basis) which functions of the pose a torque on the detector may have: it is fixed but for how the two axes' directions turn
+    with every position behind them."""
+    sizes = [2 * order + 1 for order in harmonics]
+    of_function = (np.array(np.unravel_index(np.arange(basis_size(harmonics)), sizes)).T + 1) // 2
+    allowed = np.array([[int(j < axis) + int(k < axis) for axis in range(len(harmonics))] for j, k in pairs])
+    return np.array((of_function[None] <= allowed[:, None]).all(axis=2))
 
 
 def _grid(model: ModalModel, poses: np.ndarray) -> np.ndarray:

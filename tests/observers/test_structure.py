@@ -8,15 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from controllers.models.modal import ModalModel, basis_values
 from hil.errors import BadAnswer
 from hil.machine import Machine, load_machine
 from hil.observing.design import axis_grid
 from hil.observing.geometry import observed_chain
+from hil.observing.last_mode import with_last_mode
 from hil.observing.noise import effort_gain
 from hil.observing.sag import with_sag
+from hil.observing.standing import Standing, with_gravity, with_gravity_at_places
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
+from virtual_bus.physics import Physics
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from observer_truth import Emulated, true_model
@@ -108,6 +112,67 @@ def test_what_turning_couples_is_that_of_the_equations_of_motion(machine: Machin
         found_alone.append(at(coupled.turning, coupled, pose)[:2])
     assert np.linalg.norm(np.subtract(found, wanted)) < 0.25 * np.linalg.norm(wanted)
     assert np.linalg.norm(np.subtract(found_alone, wanted_alone)) < 0.02 * np.linalg.norm(wanted_alone)
+
+
+def detector_by(model: ModalModel, pose: np.ndarray) -> np.ndarray:
+    """(places behind the drives, 3) how far a unit at each shifts the detector, slowly."""
+    assert model.directions is not None
+    n, modes, stride = len(model.axes), model.modes, model.mode_stride
+    shapes = model.at(pose)[: modes * stride].reshape(modes, stride)[:, 2 + 2 * n : 5 + 2 * n]
+    return at(model.directions, model, pose)[n:, n:].T @ shapes
+
+
+def test_the_mode_that_no_line_excited_is_what_the_springs_leave_for_it(machine: Machine, exact: ModalModel, structure: Structure) -> None:
+    joints = ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw")
+    true = true_model(machine, exact, 5, joints, COUNTS)
+    placed = with_coupling(with_places(exact, structure), structure, effort_gain(machine))
+    whole, note = with_last_mode(placed, structure, 40.0)
+    assert whole.modes == 5 and note.startswith("mode 5, above the lines") and "72 Hz" in note
+    wrong = {4: 0.0, 5: 0.0}
+    for pose in (np.array([0.3, -0.8]), np.array([-1.2, 0.5]), np.array([0.9, 1.2])):
+        wanted = detector_by(true, pose)
+        wanted *= np.sign(np.sum(wanted * detector_by(placed, pose), axis=1))[:, None]  # which way a turn counts
+        for model in (placed, whole):
+            wrong[model.modes] += float(np.linalg.norm(detector_by(model, pose)[[0, 1, 4]] - wanted[[0, 1, 4]]) ** 2)
+    assert wrong[5] < 0.15**2 * wrong[4]
+    assert with_last_mode(whole, structure, 40.0) == (whole, "")
+
+
+def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pose_let_through(
+    machine: Machine, exact: ModalModel, structure: Structure
+) -> None:
+    """The detector's tilt at rest between the poses, of 1.7 mrad, against the emulator."""
+    physics, emulated, generator = Physics(machine.plant, noise=False), Emulated(machine), np.random.default_rng(3)
+    standing = []
+    for pose in (np.array([p, r]) for p in axis_grid(machine, 0, 9) for r in axis_grid(machine, 1, 11)):
+        physics.place(pose)
+        seen = physics.latch_exactly()
+        noise = 1.6e-4 * generator.standard_normal(6) * np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+        standing.append(Standing(seen.position.copy(), seen.link_position.copy(), physics.holding_effort(pose), seen.imu[:6] + noise))
+    alone, *_ = with_gravity(replace(exact, turning=None, coupling=None), standing)
+    together, bias, deviation = with_gravity_at_places(with_places(alone, structure), standing, effort_gain(machine))
+    assert (np.abs(bias[:3] - machine.plant.imus[0].accelerometer_bias_m_s2) < 4.0 * deviation[:3]).all()
+    errors: dict[str, list[float]] = {"alone": [], "together": []}
+    for pose in (np.array([-0.9, 1.3]), np.array([0.9, -1.3]), np.array([0.2, 0.45]), np.array([-0.5, -0.6])):
+        q, *_ = emulated.modes_at(pose, 4)
+        rigid = np.zeros(len(q))
+        rigid[emulated.driven] = pose
+        (_, bent), (_, straight) = emulated.detector_at(q), emulated.detector_at(rigid)
+        true = Rotation.from_matrix(straight.T @ bent).as_rotvec()
+        for name, model in (("alone", alone), ("together", together)):
+            n, modes, stride = len(pose), model.modes, model.mode_stride
+            values = model.at(pose)
+            table = values[: modes * stride].reshape(modes, stride)
+            push = table[:, -n:] @ physics.holding_effort(pose) + values[modes * stride + n * (n + 1) + n :][:modes]
+            bend = push / table[:, 0]
+            chain = pose - bend @ table[:, 2 : 2 + n]  # where the axes stand when the motor sides stand at the pose
+            at_chain = np.zeros(len(q))
+            at_chain[emulated.driven] = chain
+            _, turned = emulated.detector_at(at_chain)
+            found = Rotation.from_matrix(straight.T @ turned @ Rotation.from_rotvec(bend @ table[:, 5 + 2 * n : 8 + 2 * n]).as_matrix())
+            errors[name].append(float(np.linalg.norm(found.as_rotvec() - true)))
+    rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}
+    assert rms["together"] < 2e-5 and rms["together"] < 0.5 * rms["alone"], rms
 
 
 def test_inertias_told_wrong_with_the_sign_of_the_first_axis_come_out_right(
