@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from itertools import product
 
 import numpy as np
+import scipy.ndimage
 
 from hil.diagnosis.motion import Motion, highest_seen_Hz
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
@@ -22,6 +23,9 @@ FIRST_SHARE = 0.1
 
 ORDERS_PER_TRAVEL = 4.0
 """Orders over position are looked for in steps of this part of a cycle per travel."""
+
+ORDERS_AROUND = 10.0
+"""Cycles per travel around an order whose median power is what noise has there: a wave is two wide."""
 
 MOST_ORDERS = 8000
 HIGHEST_ORDER_Hz = 20.0
@@ -129,6 +133,7 @@ class _Typical:
         settings = motion.machine.plant
         self.mass = next((body.mass_kg for body in settings.tree.bodies if body.name == at), 1.0)
         self.inertia = self._inertia()
+        self.swing = self.travel if self._is_driven() else 2.0 * self.deflection
         own = next((imu.accelerometer_bandwidth_Hz or imu.gyro_bandwidth_Hz for imu in settings.imus if imu.name == at), 0.0)
         self.low_pass_Hz = own or 0.2 / self.sample_s
 
@@ -140,6 +145,13 @@ class _Typical:
         except (StopIteration, AssertionError):
             joint = list(plant.joint_of_axis().values())[self.motion.axis_of(self.at)]
         return float(self.motion.inertia[joint])
+
+    def _is_driven(self) -> bool:
+        """Whether the place's joint has a drive; one that has none moves as far as its spring gives way."""
+        settings = self.motion.machine.plant
+        if any(body.name == self.at and body.joint is not None for body in settings.tree.bodies):
+            return joint_at(self.at, settings) in {drive.joint for drive in settings.drives}
+        return True
 
     def of(self, parameter: Parameter) -> float:
         """A first strength of this unit."""
@@ -212,7 +224,11 @@ def _range_of_orders(residual: Residual, typical: _Typical) -> tuple[float, floa
 
 
 def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
-    """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort."""
+    """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort.
+
+    As many (`count`) that stand out most of the orders around them, and as many of the largest power: what is missing is an effort, and
+    noise of positions grows in it with the square of frequency, so the largest power is that of noise at high orders.
+    """
     lowest, highest = _range_of_orders(residual, typical)
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
@@ -222,12 +238,16 @@ def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical,
     basis, _ = np.linalg.qr(np.column_stack(smooth))
     v = v - basis @ (basis.T @ v)
     power = np.array([abs(np.exp(-1j * order * q) @ v) for order in orders])
+    around = scipy.ndimage.median_filter(power**2, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="nearest")
     found: list[float] = []
-    for k in np.argsort(-power):
-        if all(abs(orders[k] - other) > 3.0 * step for other in found):
-            found.append(float(orders[k]))
-        if len(found) == count:
-            break
+    for measure in (power**2 / np.maximum(around, 1e-300), power):
+        chosen: list[float] = []
+        for k in np.argsort(-measure):
+            if all(abs(orders[k] - other) > 3.0 * step for other in chosen):
+                chosen.append(float(orders[k]))
+            if len(chosen) == count:
+                break
+        found += [order for order in chosen if all(abs(order - other) > 3.0 * step for other in found)]
     return found
 
 
@@ -331,7 +351,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "stribeck_friction": _several("vs", lambda f, r, t: [0.02 * t.speed, 0.1 * t.speed, 0.3 * t.speed]),
     "presliding_hysteresis": _several("sigma0", lambda f, r, t: [f["Fc"] / t.travel * k for k in (10.0, 100.0, 1000.0)]),
     "bouc_wen_hysteresis": lambda f, r, t: [
-        {**f, "k": t.effort / (share * t.travel), "z_max": share * t.travel} for share in (0.02, 0.1, 0.5)
+        {**f, "k": t.effort / (share * t.swing), "z_max": share * t.swing} for share in (0.02, 0.1, 0.5)
     ],
     "cogging": _orders("Np", ("A1", "A2"), ("phi1", "phi2"), _effort, _ratio),
     "torque_ripple": _orders("Np", ("A1", "A2"), ("phi1", "phi2"), _effort_per_drive, _ratio),

@@ -1,0 +1,64 @@
+"""Where fits of effects start, on mismatches of a C-arm that are drawn here."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.starts import starts_of
+from hil.machine import load_machine
+from virtual_bus.effects.registry import effects
+from virtual_bus.effects.residual import Residual
+
+CARM = load_machine("carm")
+ROWS = 2560
+TIME_s = np.arange(ROWS) / CARM.sample_rate_Hz
+POSITION = 0.75 * np.sin(2.0 * np.pi * 0.2 * TIME_s)
+SPEED = np.gradient(POSITION, TIME_s)
+RATIO = 500.0
+DEFLECTION = 1e-4
+
+
+def starts(name: str, at: str, effort: np.ndarray, stiffness: float = 0.0) -> dict[str, np.ndarray]:
+    """Start values by parameter, of a propeller or roll that lacks this effort and whose spring gives way by DEFLECTION."""
+    none = np.zeros(ROWS)
+    spring = DEFLECTION * np.sin(2.0 * np.pi * 0.7 * TIME_s)
+    readings = np.random.default_rng(1).standard_normal((ROWS, 6))
+    is_imu = at == "imu"
+    residual = Residual(
+        TIME_s, POSITION, SPEED, np.gradient(SPEED, TIME_s), effort, none, readings if is_imu else none, readings if is_imu else none,
+        100.0 + none, spring, np.gradient(spring, TIME_s), none, RATIO, stiffness,
+    )  # fmt: skip
+    motion = SimpleNamespace(
+        residual=lambda at, coupled=False: residual,
+        machine=CARM,
+        plant=SimpleNamespace(settings=CARM.plant, joint_of_axis=lambda: {"propeller": 2, "roll": 4}),
+        inertia=np.ones(len(CARM.plant.tree.joints)),
+        axis_of=lambda at: 0,
+    )
+    found = np.array(starts_of(name, at, motion))
+    return {parameter.name: found[:, k] for k, parameter in enumerate(effects()[name].parameters)}
+
+
+def test_a_wave_is_found_below_orders_at_which_noise_is_larger():
+    """Noise of positions is an effort that grows with the square of frequency: half of it stands above a wave of 0.1 Nm."""
+    noise = np.gradient(np.gradient(np.random.default_rng(4).standard_normal(ROWS), TIME_s), TIME_s) * 2.5e-4
+    effort = 0.1 * np.cos(27.4 * POSITION + 0.3) + noise
+    assert np.std(noise) > 20 * 0.1 / np.sqrt(2.0)
+    apart = np.abs(starts("cogging", "propeller", effort)["Np"] * RATIO - 27.4)
+    assert apart.min() < 0.5 * 2.0 * np.pi / np.ptp(POSITION)
+
+
+@pytest.mark.parametrize(("at", "size"), [("roll", np.ptp(POSITION)), ("c_arc", 2.0 * DEFLECTION)])
+def test_a_hysteresis_starts_at_displacements_that_its_joint_has(at, size):
+    """The arc hangs on the spring behind roll's drive and moves as far as that gives way; roll itself turns."""
+    flat_at = starts("bouc_wen_hysteresis", at, 5.0 * np.sign(SPEED), stiffness=9e5)["z_max"]
+    assert sum((flat_at > 0.01 * size) & (flat_at < size)) >= 3
+
+
+def test_a_sensor_may_be_slower_or_faster_than_its_machine_file_says():
+    corners = starts("imu_bandwidth", "imu", np.zeros(ROWS))["fc"]
+    own = CARM.plant.imus[0].accelerometer_bandwidth_Hz
+    assert any(corners < 0.5 * own) and any(corners > 2.0 * own) and any(np.abs(corners / own - 1.0) < 0.1)
