@@ -2,9 +2,12 @@
 
 A right law keeps its numbers from motion to motion, an imitation of something else bends them anew. Chow's test (1960) of two sets of
 coefficients: with A the information on the set's parameters in training and B held out (the machine's numbers free within what training
-leaves open) and g the gradient there at training's values, the values differ by d = B^-1 g, of covariance T A^-1 + T' B^-1, and
-g' (T B A^-1 B + T' B)^-1 g is chi-squared where one law holds in both. An equation errs by a share of what it removes in one motion
-and in another way in the other, along its own response if it is unlucky (`naming.erring`): that counts in T beside the level of the noise.
+leaves open) and g the gradient there at training's values, the values differ by d = B^-1 g, of covariance T A^-1 + T' B^-1. In units of
+what the held-out recordings tell, with B = H H', the deviations H^-1 g have the covariance T H' A^-1 H + T', whose directions are
+independent. Along each, T and T' are the variance of the noise along the response (`gate.Scatter`: what the repeats' strengths scatter by,
+which may be a hundred times what the noise model says) and what the equations may err by: an equation errs by a share of what it removes in
+one motion and in another way in the other, along its own response if it is unlucky (`naming.erring`). A variance that is known from three
+or four repeats makes the sum of squares F and not chi-squared.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 import scipy.stats
 
 from hil.diagnosis.free_run import HELD_OUT, FreeRuns
+from hil.diagnosis.gate import Scatter
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, sensitivities_to_effects
@@ -27,8 +31,11 @@ least; where friction by acceleration is called by other frictions' names, below
 SEEN = 1e-9
 """Of the largest information in training, below which a direction is not known from there."""
 
-APART = 1e-6
-"""The same of what is compared: directions that neither shows say nothing."""
+SHOWN = 1e-6
+"""The same of held-out recordings: what they do not show says nothing."""
+
+KNOWN = 1e6
+"""Variance from training, in units of the held-out recordings' own, beyond which a direction has nothing to be compared with."""
 
 
 def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: Fitted, erring: tuple[float, float]) -> float:
@@ -53,23 +60,26 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
         return 1.0
     projection = Projection.of(tuning)
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
-    sizes = np.maximum(np.linalg.norm(left, axis=0), SEEN * np.linalg.norm(response, axis=0))  # training may not see one at all
-    left, response = left / np.maximum(sizes, 1e-300), response / np.maximum(sizes, 1e-300)
-    there = held_out.information(response)
-    gradient = response.T @ (held_out.measured - followed.predicted)  # the numbers are nearly where they cost least
-    freed = followed.misfit - _in_deviations(gradient, there)[0]  # with the values that these recordings want
-    levels = fitted.cost / len(tuning.predicted), freed / len(followed.predicted)
-    known, level = (max(1.0, noise) + energy for noise, energy in zip(levels, erring, strict=True))
-    variances, directions = np.linalg.eigh(left.T @ left)
-    inverse = (directions / np.maximum(variances, SEEN * max(variances[-1], 1.0))) @ directions.T
-    squared, freedom = _in_deviations(gradient, known * there @ inverse @ there + level * there)
-    return float(scipy.stats.chi2.sf(squared, freedom)) if freedom else 1.0
-
-
-def _in_deviations(gradient: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
-    """g' V^-1 g and how many directions of V count."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    variances, directions = np.linalg.eigh(covariance / scale[:, None] / scale)
-    along = directions.T @ (gradient / scale)
-    counts = variances > APART * variances[-1]
-    return float(np.sum(along[counts] ** 2 / variances[counts])), int(np.sum(counts))
+    sizes = np.maximum(np.linalg.norm(response, axis=0), 1e-300)
+    left, response = left / sizes, response / sizes
+    shown, along = np.linalg.eigh(held_out.information(response))
+    counts = shown > SHOWN * max(shown[-1], 1e-300)
+    shown, along = np.sqrt(shown[counts]), along[:, counts]
+    # the numbers are nearly where they cost least, so that only the set's own parameters have a gradient
+    deviations = along.T @ response.T @ (held_out.measured - followed.predicted) / shown
+    seen, apart = np.linalg.eigh(left.T @ left)
+    values = apart / np.sqrt(np.maximum(seen, SEEN * max(seen[-1], 1.0)))  # independent in training, each of variance 1
+    directions, variances, weights = np.linalg.svd((along * shown).T @ values, full_matrices=False)
+    known = variances**2 < KNOWN
+    if not np.any(known):
+        return 1.0
+    freed = followed.misfit - float(deviations @ deviations)  # with the values that these recordings want
+    levels = [max(1.0, fitted.cost / len(tuning.predicted)), max(1.0, freed / len(followed.predicted))]
+    scatter, squared = Scatter(runs), 0.0
+    for direction, variance, weight in zip(directions.T[known], variances[known] ** 2, weights[known], strict=True):
+        strays = scatter.along((left @ values @ weight)[: len(tuning.predicted)])
+        there, here = (level * strays + energy for level, energy in zip(levels, erring, strict=True))
+        squared += float(direction @ deviations) ** 2 / (there * variance + here)
+    count, freedom = int(np.sum(known)), scatter.freedom
+    scale = (freedom - 2.0) / freedom  # of an inverse chi-squared distribution whose mean is 1
+    return float(scipy.stats.f.sf(squared / count / scale, count, freedom))

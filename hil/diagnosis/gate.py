@@ -215,6 +215,11 @@ class Scatter:
         whitened = [np.stack(group) for group in runs.repeats(TRAIN)]
         self._deviations = [repeats - repeats.mean(axis=0) for repeats in whitened]
 
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom with which a variance along a response is known."""
+        return PRIOR_FREEDOM + sum(len(deviations) - 1.0 for deviations in self._deviations)
+
     def along(self, response: np.ndarray) -> float:
         """Variance along a response (M,), in units of the noise model's; at least 1, and 1 without repeats.
 

@@ -53,8 +53,8 @@ def from_half_the_order(effect: EffectAt, values: np.ndarray) -> list[np.ndarray
 
 
 def with_half_orders(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted]) -> list[Fitted]:
-    """The fits, the best first; where its last effect is a wave, it is also fitted from half its order, if that brings it closer."""
-    best, *others = fits
+    """The fits; where the best one's last effect is a wave, it is also fitted from half its order, if that brings it closer."""
+    best, *others = sorted(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
     starts = [(best.effects, (*best.values[:-1], values)) for values in from_half_the_order(best.effects[-1], best.values[-1])]
     again = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None] if starts else []
     closest = min(again, key=lambda fit: fit.cost, default=best)

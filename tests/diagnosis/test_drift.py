@@ -18,23 +18,24 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 
 FRICTION = EffectAt("coulomb_friction", "carriage")
+VISCOUS = EffectAt("viscous_friction", "carriage")
 COULOMB_N, DURATION_s = 20.0, 2.0
 """Of `with_friction`."""
 
 
-def drift(train, held_out, is_seen=True, effect=FRICTION, start=10.0) -> float:
-    """Chance of it where training shows the friction, and where it does not."""
+def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0) -> float:
+    """Chance of it where training shows the parameters, and where it does not (`seen` 0)."""
     found = mismatch(MACHINE, train)
     sets = {TRAIN: found, HELD_OUT: mismatch(MACHINE, held_out, channels=found.channels, noise=found.noise)}
     with FreeRuns(sets, found.noise) as runs:
         tuning = retune(runs)
         judged = HeldOut(runs, tuning)
-        (fitted,) = refit(runs, tuning, runs.measured(), [((effect,), (np.array([start]),))])
+        (fitted,) = refit(runs, tuning, runs.measured(), [(effects, tuple(np.array([start]) for start in starts))])
         nothing, friction = judged.follow(tuning.offset, ()), judged.follow(fitted.offset, fitted.settings)
         removed = float(np.sum((runs.measured() - tuning.predicted) ** 2)) - fitted.cost
-        known = replace(fitted, jacobian=is_seen * fitted.jacobian)
+        known = replace(fitted, jacobian=seen * fitted.jacobian)
         energies = removed, judged.misfit(nothing) - judged.misfit(friction)
-        by_numbers = 1.0 if effect.effect in NUMBERS else 0.0
+        by_numbers = 1.0 if effects[0].effect in NUMBERS else 0.0
         return chance_of_drift(runs, tuning, judged, known, tuple(erring(energy, by_numbers * energy) for energy in energies))
 
 
@@ -42,12 +43,13 @@ def test_one_friction_is_the_same_in_another_motion(with_friction):
     assert drift(*with_friction) > 0.01
 
 
-@pytest.mark.parametrize("disturbance_N", [1.0, 0.1])
-def test_a_number_of_the_machine_file_is_the_same_in_another_motion(disturbance_N):
-    """Damping four times the file's: its equation is the machine's own, but no fit is better than a part in a thousand."""
-    one = {"duration_s": DURATION_s, "disturbance_N": disturbance_N, "damping": 4.0 * DAMPING}
-    viscous = EffectAt("viscous_friction", "carriage")
-    assert drift(repeats(4, **one), repeats(1, experiment=1, **one), effect=viscous, start=400.0) > DRIFTED
+@pytest.mark.parametrize(("disturbance_N", "seed"), [(0.1, 0), (1.0, 0), (1.0, 1), (1.0, 3)])
+def test_a_number_of_the_machine_file_is_the_same_in_another_motion(disturbance_N, seed):
+    """Damping four times the file's: its equation is the machine's own, but no fit is better than a part in a thousand, and strengths
+    scatter over repeats of 1 N by sixty times what the noise model says.
+    """
+    one = {"duration_s": DURATION_s, "disturbance_N": disturbance_N, "damping": 4.0 * DAMPING, "seed": seed}
+    assert drift(repeats(4, **one), repeats(1, experiment=1, **one), (VISCOUS,), (400.0,)) > DRIFTED
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
@@ -67,4 +69,10 @@ def test_an_equation_may_err_by_a_part_in_either_motion(with_friction):
 def test_what_training_does_not_show_may_be_anything_held_out(with_friction):
     train, _ = with_friction
     other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.3 * COULOMB_N, duration_s=DURATION_s)
-    assert drift(train, other, is_seen=False) > 0.1
+    assert drift(train, other, seen=0.0) > 0.1
+
+
+def test_a_parameter_that_training_does_not_show_hides_no_other(with_friction):
+    train, _ = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.3 * COULOMB_N, duration_s=DURATION_s)
+    assert drift(train, other, (FRICTION, VISCOUS), (10.0, 20.0), seen=np.array([1.0, 0.0])) < DRIFTED

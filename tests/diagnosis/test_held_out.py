@@ -102,3 +102,16 @@ def test_what_cannot_be_simulated_is_no_better_than_anything():
 def test_a_machine_of_no_numbers_stays_as_it_is():
     judge = held_out(lambda offset, effects: np.zeros(ROWS), NOISE, 0.0, 0)
     assert judge.follow(np.zeros(0), ()).misfit == pytest.approx(NOISE @ NOISE)
+
+
+def test_numbers_settle_by_the_sensitivities_of_the_set_itself():
+    """A number that does nothing on the machine without the effect, and much beside it."""
+    shape = np.sin(np.linspace(0.0, 60.0, ROWS))
+
+    def loaded(offset, effects=()):
+        return shape * (3.0 + 0.5 * offset[0]) if effects else 0.0 * shape
+
+    true = np.array([0.8])
+    followed = held_out(loaded, loaded(true, (PUSH,)) + NOISE, 0.0).follow(np.zeros(1), (PUSH,))
+    assert followed.moved == pytest.approx(true, abs=0.2)
+    assert followed.misfit == pytest.approx(NOISE @ NOISE + 0.64, abs=4.0)
