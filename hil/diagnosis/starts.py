@@ -59,6 +59,16 @@ LOW_PASSES = (0.1, 0.4, 1.05, 2.5, 20.0)
 one there, of a fifth of the sample rate."""
 
 
+LIGHT = 0.03
+"""Damping ratio of a mode that a fit starts with, and steps between the logarithms of frequencies that are looked at."""
+
+LOWEST_MODE_Hz, HIGHEST_MODE_Hz = 1.5, 30.0
+"""Between which modes are looked for."""
+
+LINES_AROUND = 41
+"""Of a spectrum, whose median power is what noise has there."""
+
+
 def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     """(parameters,) start values, the most plausible first; none where the place does not move."""
     effect = effects()[name]
@@ -84,7 +94,8 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     The largest energy that chance puts along s amplitudes of a wave cos(w x + p) with w anywhere in a range exceeds u with probability
     V P(chi^2 > u), chi^2 with s + 1 degrees of freedom (its search counts as one), V = range(w) rms(x) Gamma((s+1)/2) / (Gamma(s/2)
     sqrt(pi)) times the rms of the harmonics' numbers: the expected number of upcrossings (Davies 1987) as a volume (Hotelling's and Weyl's
-    tubes; Adler and Taylor 2007, ch. 10). It is n cycles over the travel or the time, give or take. Other effects count their starts.
+    tubes; Adler and Taylor 2007, ch. 10). It is n cycles over the travel or the time, give or take. Of lightly damped modes as many are
+    told apart as half-power bandwidths, 2 zeta of a frequency each, stand beside each other. Other effects count their starts.
     """
     effect = effects()[name]
     residual = motion.residual(at, coupled=effect.kind is COUPLING)
@@ -94,6 +105,8 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
         return max(_WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
     if name == "base_motion":
         return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)
+    if name == "structural_mode":
+        return float(max(starts, np.log(_highest_mode_Hz(typical) / LOWEST_MODE_Hz) / (2.0 * LIGHT)))
     return float(max(starts, 1))
 
 
@@ -318,11 +331,52 @@ def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     motion = np.abs(np.fft.rfft(residual.acceleration * window)) ** 2
     kernel = np.ones(9) / 9.0
     effort, motion = np.convolve(effort, kernel, "same"), np.convolve(motion, kernel, "same")
-    band = (frequencies > 2.0) & (frequencies < min(30.0, 0.3 / typical.sample_s))
+    band = (frequencies > 2.0) & (frequencies < _highest_mode_Hz(typical))
     ratio = np.where(band, effort / np.maximum(motion + 1e-3 * motion.max(), 1e-12 * effort.max() + 1e-300), 0.0)
     peak = float(frequencies[int(np.argmax(ratio))])
     inertia = FIRST_SHARE * typical.inertia
-    return [{"J": inertia, "f": f, "zeta": 0.03} for f in dict.fromkeys([round(peak, 2), 5.0, 9.0, 15.0, 24.0])]
+    grid = [*_resonances(residual, typical, 2), round(peak, 2), 5.0, 9.0, 15.0, 24.0]
+    return [{"J": inertia, "f": f, "zeta": LIGHT} for f in dict.fromkeys(grid)]
+
+
+def _highest_mode_Hz(typical: _Typical) -> float:
+    return min(HIGHEST_MODE_Hz, 0.3 / typical.sample_s)
+
+
+def _resonances(residual: Residual, typical: _Typical, count: int) -> list[float]:
+    """Frequencies [Hz] at which a lightly damped mass that hangs on the joint takes most out of the missing effort.
+
+    Beside a mass, a damper and a spring, every line weighs as much as its effort stands out of the lines around it.
+    """
+    frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
+    highest = _highest_mode_Hz(typical)
+    band = (frequencies > 0.5) & (frequencies < 1.3 * highest)
+    window = np.hanning(len(residual.time_s))
+    moved = [residual.acceleration, residual.speed, residual.position - residual.position.mean()]
+    effort, acceleration, *others = (np.fft.rfft((values - values.mean()) * window)[band] for values in (residual.effort, *moved))
+    s = 2j * np.pi * frequencies[band]
+    around = scipy.ndimage.median_filter(np.abs(effort) ** 2, LINES_AROUND, mode="nearest")
+    weight = 1.0 / np.sqrt(np.maximum(around, 1e-300))
+
+    def column(line: np.ndarray) -> np.ndarray:
+        return np.concatenate([(weight * line).real, (weight * line).imag])
+
+    basis, _ = np.linalg.qr(np.column_stack([column(line) for line in (acceleration, *others)]))
+    wanted = column(effort)
+    wanted = wanted - basis @ (basis.T @ wanted)
+    tried = np.exp(np.arange(np.log(LOWEST_MODE_Hz), np.log(highest), LIGHT))
+    gains = np.zeros(len(tried))
+    for k, w in enumerate(2.0 * np.pi * tried):
+        pull = column(-acceleration * (w * w + 2.0 * LIGHT * w * s) / (s * s + 2.0 * LIGHT * w * s + w * w))
+        pull = pull - basis @ (basis.T @ pull)
+        gains[k] = max(float(pull @ wanted), 0.0) ** 2 / max(float(pull @ pull), 1e-300)
+    found: list[float] = []
+    for k in np.argsort(-gains):
+        if gains[k] > 0.0 and all(abs(np.log(tried[k] / other)) > 4.0 * LIGHT for other in found):
+            found.append(round(float(tried[k]), 3))
+        if len(found) == count:
+            break
+    return found
 
 
 def _wrapped(phase: float) -> float:

@@ -15,7 +15,9 @@ from virtual_bus.effects.residual import Residual
 CARM = load_machine("carm")
 ROWS = 2560
 TIME_s = np.arange(ROWS) / CARM.sample_rate_Hz
-POSITION = 0.75 * np.sin(2.0 * np.pi * 0.2 * TIME_s)
+SHAKEN_Hz = np.arange(3.0, 25.0, 0.3)
+PHASES = np.random.default_rng(2).uniform(0.0, 2.0 * np.pi, len(SHAKEN_Hz))
+POSITION = 0.75 * np.sin(2.0 * np.pi * 0.2 * TIME_s) + 1e-5 * np.sin(2.0 * np.pi * TIME_s[:, None] * SHAKEN_Hz + PHASES).sum(axis=1)
 SPEED = np.gradient(POSITION, TIME_s)
 RATIO = 500.0
 DEFLECTION = 1e-4
@@ -49,6 +51,16 @@ def test_a_wave_is_found_below_orders_at_which_noise_is_larger():
     assert np.std(noise) > 20 * 0.1 / np.sqrt(2.0)
     apart = np.abs(starts("cogging", "propeller", effort)["Np"] * RATIO - 27.4)
     assert apart.min() < 0.5 * 2.0 * np.pi / np.ptp(POSITION)
+
+
+def test_a_light_mode_is_found_between_the_frequencies_of_a_coarse_grid():
+    """A mass that hangs on the joint pulls at it, in noise as large as its pull and beside an inertia that is missing."""
+    w, zeta, line = 2.0 * np.pi * 12.0, 0.02, 2j * np.pi * np.fft.rfftfreq(ROWS, TIME_s[1])
+    moved = np.fft.rfft(np.gradient(SPEED, TIME_s))
+    pull = np.fft.irfft(-moved * (w * w + 2.0 * zeta * w * line) / (line**2 + 2.0 * zeta * w * line + w * w), ROWS)
+    random = np.random.default_rng(5)
+    found = starts("structural_mode", "roll", pull + 0.5 * np.gradient(SPEED, TIME_s) + np.std(pull) * random.standard_normal(ROWS))
+    assert np.abs(found["f"] / 12.0 - 1.0).min() < 0.03
 
 
 @pytest.mark.parametrize(("at", "size"), [("roll", np.ptp(POSITION)), ("c_arc", 2.0 * DEFLECTION)])
