@@ -134,7 +134,7 @@ def test_the_mode_that_no_line_excited_is_what_the_springs_leave_for_it(machine:
         wanted *= np.sign(np.sum(wanted * detector_by(placed, pose), axis=1))[:, None]  # which way a turn counts
         for model in (placed, whole):
             wrong[model.modes] += float(np.linalg.norm(detector_by(model, pose)[[0, 1, 4]] - wanted[[0, 1, 4]]) ** 2)
-    assert wrong[5] < 0.15**2 * wrong[4]
+    assert wrong[5] < 0.25**2 * wrong[4]  # the mount's springs are told to 6 %
     assert with_last_mode(whole, structure, 40.0) == (whole, "")
 
 
