@@ -323,6 +323,14 @@ def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return found
 
 
+def _warming(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    """Friction that has fallen to a third when it is warm, soon and late: a guess sees nothing cold where re-tuned dampers took it."""
+    cold = max(first["Fv0"], typical.effort / typical.speed)
+    power = cold * max(float(np.mean(residual.speed**2)), 1e-12)
+    warm = {"Fv0": cold, "a": 0.05, "R": 1.0 / (0.05 * power)}
+    return [{**start, "tau": share * typical.duration_s} for start in (first, warm) for share in (0.1, 1.0)]
+
+
 def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """Where the missing effort is large against the motion, and a grid over the band."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
@@ -423,5 +431,5 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "clock_offset": _several("t0", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "imu_bandwidth": lambda f, r, t: [{"fc": share * t.low_pass_Hz, "shape": 0.25} for share in LOW_PASSES],
     "rectified_sensor": lambda f, r, t: [{"share": 1.0, "sign": 1.0}, {"share": 1.0, "sign": -1.0}, {"share": 0.0, "sign": -1.0}],
-    "temperature_dependent_friction": _several("tau", lambda f, r, t: [0.1 * t.duration_s, t.duration_s]),
+    "temperature_dependent_friction": _warming,
 }

@@ -70,6 +70,13 @@ def test_a_hysteresis_starts_at_displacements_that_its_joint_has(at, size):
     assert sum((flat_at > 0.01 * size) & (flat_at < size)) >= 3
 
 
+def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
+    """Re-tuned dampers take the mean of it: what is missing pushes at first and brakes in the end, or the other way round."""
+    found = starts("temperature_dependent_friction", "roll", 40.0 * SPEED * np.exp(-TIME_s))
+    warming_K = found["R"] * found["Fv0"] * np.mean(SPEED**2)
+    assert sum((found["Fv0"] > 1.0) & (found["a"] * warming_K > 0.1) & (found["a"] * warming_K < 10.0)) >= 2
+
+
 def test_a_sensor_may_be_slower_or_faster_than_its_machine_file_says():
     corners = starts("imu_bandwidth", "imu", np.zeros(ROWS))["fc"]
     own = CARM.plant.imus[0].accelerometer_bandwidth_Hz
