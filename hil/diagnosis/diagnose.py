@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -148,6 +149,7 @@ def diagnose(
             missing=what_is_missing(train, selection),
             held_out=None if judged is None else (evidence.base.held_out, hypotheses[0].held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
+            further=selection.further if chosen is selection.chosen else math.inf,
         )
         verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
         covariance = covariance_of(runs, tuning, chosen)

@@ -2,10 +2,10 @@
 
 A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
 deflection; a wave over position as its other harmonics, and as one that changes slowly along the way. A few such functions, added to the
-joint's equation and sent through the linear closed loop (`disturbance.loop_response`), span what errors do to recordings. With a weight of
-unit variance each (their energies sum to the share of the effect's own that an equation errs by) the residual has the covariance 1 + B'B
-for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within only beyond what the law
-that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
+joint's equation and sent through the linear closed loop (`disturbance.loop_response`), span what errors do to recordings. In units of
+their standard deviations beforehand the residual has the covariance 1 + B'B for responses B, and further effects are judged by that: what
+lies outside of B counts in full, what lies within only beyond what the law that was found may err by (a Gaussian process as model
+discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ import numpy as np
 import scipy.linalg
 
 from hil.diagnosis.disturbance import loop_response
-from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.motion import Motion
+from hil.diagnosis.naming import NUMBERS, WEIGHTS
+from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.effect import ELASTIC, FRICTION, TRANSMISSION
@@ -40,13 +42,23 @@ SPEEDS = (0.0, 0.05, 0.2, 0.5, 1.0)
 AFTER_REVERSAL = (0.003, 0.03, 0.3)
 """Ways within which a friction settles after a reversal, in units of the whole."""
 
-STANDS = 0.02
+STANDS = 0.005
 """Of the largest speed, below which friction's direction fades."""
 
 KNOTS, SLOW_KNOTS = 9, 4
 """Of functions of position or deflection, and of what changes slowly along the way or in time."""
 
 HARMONICS = (1, 2, 3, 4, 5)
+
+NUMBER_ERRS = 1e-4
+"""Share of its effort's mean square by which a number of the machine file may err as another law of what it depends on, 1 % of its size:
+beside a viscous friction, another friction of that size says nothing."""
+
+RIDGE = 1e-6
+"""Share of its energy by which a function's response must differ from the others' to be told from them."""
+
+SPANNED = 0.2
+"""Of an effect's own response, that its functions span at least: else they are not what it depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +97,11 @@ class FormError:
 NO_ERROR = FormError(np.zeros((0, 1)))
 
 
-def form_error(runs: FreeRuns, name: str, tuning: Tuning, found: Sequence[tuple[EffectAt, np.ndarray, float]]) -> FormError:
-    """Of effects in the groups of one set.
+def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> FormError:
+    """Of fitted effects in the groups of one set.
+
+    Beforehand every function is as large as every other, and all together have the mean square that is WEIGHTS.form_error of the effect's
+    own effort's. That is what of the functions makes up the effect's own response.
 
     Parameters
     ----------
@@ -95,16 +110,45 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, found: Sequence[tuple[
         Of the set.
     tuning : Tuning
         Beside the effects.
-    found : sequence of (EffectAt, (parameters,) array, float)
-        Effects that `can_err`, and the energy of each one's error in this set.
+    fitted : Fitted
+        Effects that it is not known of how they err are left out.
     """
     rows = []
-    for effect, values, energy in found:
-        responses = _responses(runs, name, _joint_efforts(runs, name, tuning, effect, values), tuning)
-        whole = float(np.sum(responses**2))
-        if whole > 0.0 and energy > 0.0:
-            rows.append(responses * np.sqrt(energy / whole))
+    whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
+    for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
+        without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
+        if whole is None or without is None or not can_err(effect):
+            continue
+        efforts = _joint_efforts(runs, name, tuning, effect, values)
+        responses = _responses(runs, name, efforts, tuning)
+        seen = np.flatnonzero(np.sum(responses**2, axis=1) > 0.0)
+        efforts, responses = [[group[k] for k in seen] for group in efforts], responses[seen]
+        own = _squared_effort(efforts, responses, whole - without)
+        if own > 0.0:
+            share = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
+            each = sum(float(np.sum(effort**2)) for group in efforts for _, effort in group)
+            rows.append(responses * np.sqrt(share * own / each))
     return FormError(np.concatenate(rows)) if rows else NO_ERROR
+
+
+def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], responses: np.ndarray, own: np.ndarray) -> float:
+    """Of the effort whose response (M,) is an effect's own, as far as these functions' responses (K, M) span it, summed over the rows."""
+    energy = float(own @ own)
+    if energy == 0.0 or not len(responses):
+        return 0.0
+    gram = responses @ responses.T
+    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
+    weights = np.linalg.solve(gram, responses @ own)
+    spanned = float(weights @ (responses @ own)) / energy
+    if spanned < SPANNED:
+        return 0.0
+    joints = {joint for joint, _ in efforts[0]}
+    total = sum(
+        float(np.sum(sum(weight * effort for weight, (at, effort) in zip(weights, group, strict=True) if at == joint) ** 2))
+        for group in efforts
+        for joint in joints
+    )
+    return total / spanned
 
 
 def can_err(effect: EffectAt) -> bool:

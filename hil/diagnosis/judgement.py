@@ -19,13 +19,10 @@ from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+from hil.diagnosis.structure_left import StructureLeft
 
-NUMBER_ERRS_WITHIN = 1e-4
-"""Share of the energy removed by a number of the machine file, 1 % of its response, by which it may err as another law of what it depends
-on, where `form_error.py` knows which: beside a viscous friction that is there, another friction of that size says nothing."""
-
-Equations = Callable[[str, Tuning, Sequence[tuple[EffectAt, np.ndarray, float]]], FormError]
-"""Errors of effects with these parameters and energies in the recordings of a set, beside this tuning."""
+Equations = Callable[[str, Tuning, Fitted], FormError]
+"""Errors of fitted effects in the recordings of a set, beside this tuning."""
 
 
 class Tried:
@@ -123,8 +120,9 @@ class Stand:
     def erring(self, energy_of: Callable[[Gate], float]) -> float:
         """Energy by which the equations of its effects may err, of what they removed in training or held out, in nobody knows which way."""
         each = _each(self.effects, self.gates, energy_of)
-        unknown = [(effect, energy) for effect, energy in each if not (self.known and can_err(effect))]
-        return sum((NUMBERS_ERROR if effect.effect in NUMBERS else WEIGHTS.form_error) * energy for effect, energy in unknown)
+        numbers = sum(energy for effect, energy in each if effect.effect in NUMBERS)
+        unknown = sum(energy for effect, energy in each if effect.effect not in NUMBERS and not (self.known and can_err(effect)))
+        return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers
 
 
 def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, float]]:
@@ -161,6 +159,7 @@ class Judgement:
     ) -> None:
         self.scatter = Scatter(runs)
         self._equations = equations
+        self._structure = {} if equations is None else {name: StructureLeft(runs, name) for name in runs.sets}
         self._measured = runs.measured()
         self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
         self._projection = Projection.of(tuning)
@@ -182,12 +181,10 @@ class Judgement:
         stand = Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
         if fitted is None or self._equations is None:
             return stand
-        errors = self._equations(TRAIN, tuning, _known_errors(fitted, gates, lambda gate: gate.gain))
+        errors = self._equations(TRAIN, tuning, fitted)
         if len(errors.responses):
             errors = FormError(Projection.of(tuning).left(errors.responses))
-        there = NO_ERROR
-        if self._judge is not None:
-            there = self._equations(HELD_OUT, tuning, _known_errors(fitted, gates, lambda gate: gate.held_out_gain or 0.0))
+        there = NO_ERROR if self._judge is None else self._equations(HELD_OUT, tuning, fitted)
         return replace(stand, errors=errors, held_out_errors=there, known=True)
 
     def contenders(
@@ -235,11 +232,15 @@ class Judgement:
         response = change[:entries]
         scatter = self.scatter.along(response)
         level = max(1.0, fitted.cost / max(entries, 1))
-        form = 0.0
+        variance = level * scatter
         if before.fitted is not None:
-            form = form_variance(before.response, response, before.erring(lambda gate: gate.gain), fitted.cost - self._noise)
-        if len(before.errors.responses):
-            beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
+            erring = before.erring(lambda gate: gate.gain)
+            if before.known:
+                seen = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
+                variance = max(scatter, seen) + form_variance(before.response, response, erring, 0.0)
+                beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
+            else:
+                variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
@@ -253,7 +254,7 @@ class Judgement:
             gain=gain,
             needed=needed_gain(trials, freedom, fitted.cost, entries),
             scatter=scatter,
-            trained=trials * chance_of_gain(beyond, freedom, level * scatter + form),
+            trained=trials * chance_of_gain(beyond, freedom, variance),
             beyond=beyond,
             over_simulator=over_simulator,
             asked=asked,
@@ -269,12 +270,16 @@ class Judgement:
         """Along the change from a stand to a held-out free run, and the fall there that the simulator's own error may be."""
         assert self._judge is not None
         left, count = self._judge.misfit(after), max(float(len(self._judge.measured)), 1.0)
-        level, form = max(1.0, left / count), 0.0
-        if before.held_out is not None and after is not None and before.fitted is not None and self.nothing.held_out is not None:
-            response = before.held_out.predicted - self.nothing.held_out.predicted
-            erring = before.erring(lambda gate: gate.held_out_gain or 0.0)
-            form = form_variance(response, after.predicted - before.held_out.predicted, erring, left - count)
-        return level * scatter + form, level * SIMULATOR_ERROR * count
+        level = max(1.0, left / count)
+        variance, of_simulator = level * scatter, level * SIMULATOR_ERROR * count
+        if before.held_out is None or after is None or before.fitted is None or self.nothing.held_out is None:
+            return variance, of_simulator
+        found, added = before.held_out.predicted - self.nothing.held_out.predicted, after.predicted - before.held_out.predicted
+        erring = before.erring(lambda gate: gate.held_out_gain or 0.0)
+        if not before.known:
+            return variance + form_variance(found, added, erring, left - count), of_simulator
+        seen = self._structure[HELD_OUT].along(added, self._judge.measured - after.predicted)
+        return max(scatter, seen) + form_variance(found, added, erring, 0.0), of_simulator
 
     def _beyond_held_out(self, before: Stand, after: Followed | None, fall: float) -> float:
         """Of a held-out fall, what errors of the equations found before do not explain."""
@@ -286,16 +291,6 @@ class Judgement:
     def _left(self, stand: Stand) -> float:
         """Held-out misfit."""
         return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
-
-
-def _known_errors(fitted: Fitted, gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, np.ndarray, float]]:
-    """Effects of which it is known how they err, with their parameters and the energies of their errors."""
-    each = zip(_each(fitted.effects, gates, energy_of), fitted.values, strict=True)
-    return [
-        (effect, values, (NUMBER_ERRS_WITHIN if effect.effect in NUMBERS else WEIGHTS.form_error) * energy)
-        for (effect, energy), values in each
-        if can_err(effect)
-    ]
 
 
 def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float) -> float:

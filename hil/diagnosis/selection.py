@@ -69,6 +69,9 @@ class Selection:
         The first screening.
     closest : Fitted or None
         The set that comes closest to the training recordings, whether or not it passed.
+    further : float
+        Of all effects tried beside the chosen set, how many gain by chance in training as much as the best of them did beyond what the
+        set's equations may err by: what is left is more than noise and errors where it is small, though no effect passed the gate.
     """
 
     chosen: Fitted | None
@@ -76,6 +79,7 @@ class Selection:
     contenders: tuple[Contender, ...]
     screened: tuple[Screened, ...]
     closest: Fitted | None
+    further: float = np.inf
 
 
 def select(
@@ -108,9 +112,11 @@ def select(
     contenders: tuple[Contender, ...] = ()
     first: list[Screened] = []
     singles: list[Fitted] = []
+    smaller: list[Fitted] = []
     closest: Fitted | None = None
     lowest: dict[EffectAt, float] = {}
     tried: Tried | None = None
+    further = np.inf
     for size in range(MOST_EFFECTS):
         chosen = stand.fitted
         if len(stand.effects) >= MOST_EFFECTS:
@@ -149,19 +155,28 @@ def select(
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, lowest)
-        passed = [one for one in judged if one.passed]
+        further = least_by_chance(judged, stand)
+        needed = [one for one in judged if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
+        smaller = [*smaller, *fits]
+        passed = [one for one in needed if one.passed]
         gates.append((passed or judged)[0].gate)
         if not passed and chosen is not None:
             break
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
-        rivals = [one for one in judged if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
+        rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest, len(fits)) if one.passed]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
-        stand = judgement.after(passed[0])
-    return Selection(stand.fitted, tuple(gates), contenders, tuple(first), closest)
+        stand, further = judgement.after(passed[0]), np.inf
+    return Selection(stand.fitted, tuple(gates), contenders, tuple(first), closest, further)
+
+
+def least_by_chance(judged: Sequence[Contender], stand: Stand) -> float:
+    """Of sets that add an effect to those that were found: the least expected number that gain as much in training by chance."""
+    beside = [one.gate.trained for one in judged if stand.effects and set(stand.effects) < set(one.fitted.effects)]
+    return min(beside, default=np.inf)
 
 
 def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int:
@@ -222,6 +237,18 @@ def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float
             added = [effect for effect in fit.effects if effect not in single.effects]
             temper = 1.0 if base is None else temperature(base - single.cost, fit.cost - entries)
             if single.cost - fit.cost < temper * needed_gain(tried.sets(added), fit.freedom - single.freedom, fit.cost, entries):
+                return False
+    return True
+
+
+def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: Tried, entries: int) -> bool:
+    """Whether a set gains more than chance over every part of it that was fitted before, the stand apart, which the gate asks about: an
+    effect that stood for others is surplus beside them.
+    """
+    for part in smaller:
+        if set(part.effects) < set(fit.effects) and set(part.effects) != set(stand.effects):
+            added = [effect for effect in fit.effects if effect not in part.effects]
+            if part.cost - fit.cost < needed_gain(tried.sets(added), max(fit.freedom - part.freedom, 1), fit.cost, entries):
                 return False
     return True
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hil.diagnosis.drift import DRIFTED
-from hil.diagnosis.gate import Gate, certain_excess
+from hil.diagnosis.gate import LEVEL, Gate, certain_excess
 from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
@@ -48,6 +49,7 @@ class Standing:
     missing: str  # what too little data lack; "" where they suffice
     held_out: tuple[float, float, float] | None = None  # misfits re-tuned and of the likeliest set, and of a perfect simulation
     drift: float = 1.0  # chance of the values that the held-out recordings want where one law holds, see drift.py
+    further: float = math.inf  # effects that gain by chance as much beside the likeliest set as one does, see selection.py
 
 
 def verdict_of(standing: Standing) -> tuple[Verdict, str]:
@@ -74,10 +76,13 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         best = standing.hypotheses[0]
         assert best.fitted is not None
         names = " and ".join(str(effect) for effect in best.fitted.effects)
-        if best.passed and best.share >= CONFIDENT and left <= UNKNOWN_LEFT * explainable:
+        is_whole = standing.further > LEVEL
+        if best.passed and best.share >= CONFIDENT and left <= UNKNOWN_LEFT * explainable and is_whole:
             return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)
+        if not also and not is_whole:
+            return "ambiguous", f"{names}, beside which training shows more than its equations may err by and held-out recordings do not"
         if not also and left > UNKNOWN_LEFT * explainable:
             return "ambiguous", f"{names}, which leaves {left / explainable:.0%} of what is above noise, if the noise is what repeats say"
         return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"

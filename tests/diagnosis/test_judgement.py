@@ -10,6 +10,7 @@ import pytest
 import scipy.stats
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.form_error import FormError
 from hil.diagnosis.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.held_out import Followed
 from hil.diagnosis.judgement import Contender, Judgement, Tried
@@ -26,10 +27,11 @@ def tried(count: int = 50, shapes: float = 1.0) -> Tried:
     return Tried([Candidate(COULOMB, ()), Candidate(LOAD, ()), Candidate(VISCOUS, (), shapes), *others])
 
 
-def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = False, held_out=None, scattered: float = 0.0):
+def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = False, held_out=None, scattered: float = 0.0, errors=None):
     """A judgement of noise with a friction and a load of 8 in it along directions of their own, and what fits their amplitudes.
 
-    `apart`: the load shows where friction does not. `scattered`: what three repeats differ by along friction.
+    `apart`: the load shows where friction does not. `scattered`: what three repeats differ by along friction. `errors`: the effect along
+    whose direction the equation found first may err, by a standard deviation of 6.
     """
     random = np.random.default_rng(2)
     drawn = random.standard_normal((ENTRIES, 3))
@@ -42,7 +44,10 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
     measured = noise + friction * directions[found] + 8.0 * directions[LOAD]
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     repeats = [noise + scattered * a * directions[COULOMB] for a in (1.0, 0.0, -1.0)] if scattered else [noise]
-    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [repeats])
+    group = SimpleNamespace(time_s=np.zeros(ENTRIES))
+    sets, layout = {"train": SimpleNamespace(channels=("a",), groups=[group])}, SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
+    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [repeats], sets=sets, noise=layout)
+    equations = None if errors is None else lambda name, tuning, fitted: FormError(6.0 * directions[errors][None, :])
 
     def fitted(*effects: EffectAt) -> Fitted:
         predicted = sum((measured @ directions[e]) * directions[e] for e in effects)
@@ -52,7 +57,7 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
             effects, ((np.ones(1),) * len(effects)), np.zeros(0), predicted, cost, free, np.zeros((ENTRIES, len(effects))), np.ones(1)
         )
 
-    return Judgement(runs, tuning, held_out, float(ENTRIES)), fitted
+    return Judgement(runs, tuning, held_out, float(ENTRIES), equations), fitted
 
 
 def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 30.0, apart: bool = False) -> Contender:
@@ -87,6 +92,17 @@ def test_beside_a_large_effect_a_gain_must_exceed_what_its_equation_may_err_by()
 
 def test_an_equation_errs_only_where_its_effect_acts():
     assert judged((COULOMB,), COULOMB, LOAD, friction=60.0, apart=True).gate.passed
+
+
+def test_where_it_is_known_how_an_equation_errs_only_that_is_taken_from_a_gain():
+    gates = []
+    for errors in (VISCOUS, LOAD):
+        judgement, fitted = bench(60.0, errors=errors)
+        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})[0])
+        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), 0.0, {})
+        gates.append(found.gate)
+    assert [gate.beyond for gate in gates] == pytest.approx([64.0, 64.0 / 37.0])
+    assert [gate.passed for gate in gates] == [True, False]
 
 
 def test_a_number_of_the_machine_file_has_no_equation_of_its_own_that_errs():

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import lost_form
+from hil.diagnosis.judgement import Stand, Tried
 from hil.diagnosis.pairs import pairs
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
+from hil.diagnosis.selection import has_no_surplus
 
 ENTRIES = 400
 
@@ -101,3 +104,21 @@ def test_no_oil_is_viscous_one_way_only(one_way, other_way, lost):
     rows = np.random.default_rng(8).normal(size=(400, 4))
     rubbing = replace(fitted("asymmetric_friction", [10.0, 10.0, one_way, other_way]), free=tuple((0, p) for p in range(4)), jacobian=rows)
     assert bool(lost_form(rubbing, {})) == lost
+
+
+def test_an_effect_that_stood_for_another_one_is_surplus_beside_it(bench):
+    """A spring was found beside a friction; without it, friction and an eccentricity leave 5 more than all three, which chance does."""
+    tuning, *_ = bench
+    names = [EffectAt(name, "carriage") for name in ("quadratic_friction", "cable_spring", "encoder_eccentricity")]
+    friction, spring, wave = names
+    tried = Tried([Candidate(effect, ()) for effect in names])
+
+    def left(cost: float, *effects: EffectAt) -> Fitted:
+        nothing = np.zeros(1), np.zeros(ENTRIES), cost, tuple((k, 0) for k in range(len(effects))), np.zeros((ENTRIES, 0)), np.zeros(0)
+        return Fitted(effects, (np.ones(1),) * len(effects), *nothing)
+
+    found, rival, all_three = left(86.0, friction, spring), left(39.0, friction, wave), left(34.0, friction, spring, wave)
+    stand = Stand(found, tuning, found.cost, np.zeros(ENTRIES), None, ())
+    assert not has_no_surplus(all_three, stand, [rival], tried, ENTRIES)
+    assert has_no_surplus(all_three, stand, [replace(rival, cost=80.0)], tried, ENTRIES)
+    assert has_no_surplus(all_three, stand, [found], tried, ENTRIES)  # which the gate asks about
