@@ -180,7 +180,7 @@ def advance(
     read_state(imus, len(axis_joints), state, model, work)
     load_joints(axis_joints, effort, brakes, model, work)
     for step in range(model.steps):
-        if imus > 0 and step == 0:
+        if imus > 0:
             for i in range(n):
                 work.first_position[i] = work.position[i]
                 work.first_speed[i] = work.speed[i]
@@ -188,8 +188,9 @@ def advance(
             drive_joints(axis_joints, first_drive, step, limited_by, ripple_of, state, effort, model, work)
         advance_one(equations, friction_of, reaction_of, model, work)
         if imus > 0:
-            if step == 0:  # the drives' effort has just changed and the acceleration with it: the last sample's end is not this one's start
-                read_imus(imu, work.first_position, work.first_speed, work.first_acceleration, model, work)
+            # The bias is that of the step's middle: at its start half a step ahead, at its end as much behind. Over the step that is of
+            # second order; the last step's end in place of this one's start is of first, and its effort may have been another.
+            read_imus(imu, work.first_position, work.first_speed, work.first_acceleration, model, work)
             for k in range(6 * imus):
                 work.start_reading[k] = work.reading[k]
             read_imus(imu, work.position, work.speed, work.acceleration, model, work)
