@@ -177,3 +177,21 @@ def test_energy_stays_without_damping(carm: PlantSettings) -> None:
     exchanged = np.ptp([motion for _, motion in moved])
     assert exchanged > 10.0  # J between gravity, springs and motion
     assert np.abs(totals - (potential + kinetic)).max() < 1e-7 * exchanged
+
+
+def test_accelerometers_err_by_the_square_of_the_plant_step(carm: PlantSettings) -> None:
+    """Behind their low passes, while both axes swing freely."""
+
+    def accelerations(substeps: int) -> np.ndarray:
+        plant = compile_plant(replace(carm, substeps=substeps))
+        model, state, work = plant.model(), plant.new_state(np.zeros(plant.joints)), plant.new_work()
+        axes = plant.joint_of_axis()
+        state[axes["propeller"]], state[axes["roll"]] = 0.8, -1.1
+        rows = []
+        for _ in range(round(2.0 / carm.sample_period_s)):
+            plant.advance(state, np.zeros(2), np.zeros(2), model, work)
+            rows.append(state[4 * plant.joints : 4 * plant.joints + 3].copy())
+        return np.array(rows)[round(0.5 / carm.sample_period_s) :]
+
+    coarse, fine, converged = (accelerations(substeps) for substeps in (4, 8, 64))
+    assert np.abs(coarse - converged).max() > 3.0 * np.abs(fine - converged).max()
