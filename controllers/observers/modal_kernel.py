@@ -1,8 +1,8 @@
 """One step of the observer, compiled: schedule, prediction, measurement update, and the estimate that is published.
 
 One skeleton serves the three filters of Sec. 5.3; they differ in where the model is asked:
-KF (Sec. 5.3.1)   output rows about the rigid machine, unbent, at the pose and speeds at which the model is scheduled: what its motion
-                  makes the sensors read is a known input, all else linear;
+KF (Sec. 5.3.1)   output rows about the rigid machine, unbent, at the predicted pose and speeds: what its motion makes the sensors read
+                  is a known input, all else linear;
 EKF (Sec. 5.3.2)  differences over one deviation either way, about the estimate (5.12);
 UKF (Sec. 5.3.3)  sigma points at √n deviations with equal weights: (5.15)-(5.26) with κ = 0, and with the Q that (5.19) omits.
 With n + κ = 3 and 24 states the centre's weight would be -7 and the covariance indefinite.

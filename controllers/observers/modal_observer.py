@@ -89,7 +89,7 @@ class ModalObserver:
 
     @property
     def scheduled(self) -> Scheduled:
-        """The model at the last row's predicted pose."""
+        """The model at the pose estimated in the row before the last; on the first row at its own."""
         return self._scheduled
 
     @property

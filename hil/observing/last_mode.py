@@ -24,6 +24,8 @@ DAMPING_RATIO = 0.01
 def with_last_mode(model: ModalModel, structure: Structure, highest_line_Hz: float) -> tuple[ModalModel, str]:
     """The model with a mode that completes the springs, and a line for the design; the same model and nothing where not one is missing.
 
+    Where another body than the detector has an inertial sensor, the same model and a line that says so.
+
     Parameters
     ----------
     model : ModalModel
@@ -36,6 +38,10 @@ def with_last_mode(model: ModalModel, structure: Structure, highest_line_Hz: flo
     frame = first_axis_frame(model.chain)
     if modes != len(structure.springs) - 1 or frame is None or not highest_line_Hz < 0.5 * model.sample_rate_Hz:
         return model, ""
+    sensor = model.sensors[0]
+    for other in model.sensors[1:]:
+        if not np.allclose(other.body_end_m, sensor.body_end_m):  # springs tell what the detector does, not what other bodies do
+            return model, f"mode {modes + 1}, above the lines, is left out: what it does where {other.channels[0]} is measured is not known"
     moves = np.array([np.linalg.svd(here * structure.springs)[2][-1] for here in structure.moves])
     largest = int(np.argmax(np.sqrt(structure.springs) * np.abs(moves).mean(axis=0)))
     moves *= (np.sign(moves[:, largest]) / np.sqrt(moves**2 @ structure.springs))[:, None]  # one joule at a deflection of √2
@@ -46,12 +52,11 @@ def with_last_mode(model: ModalModel, structure: Structure, highest_line_Hz: flo
         by = relative_motion(place, rotation, structure.turns, structure.mount.lever, structure.mount.vertical)
         twist = rotation.T @ (by @ move[n:]).reshape(2, 3).T  # shift and turn, columns
         link = move[:n]
-        sensor = model.sensors[0]
         rest = chain_at_rest(model.chain, model.sensors[:1], pose)
         turn = sensor.rotation @ rest.speed[3:6]
         shift = sensor.rotation @ rest.acceleration[:3] - np.cross(turn.T, sensor.sensor_end_m - sensor.body_end_m).T
         of_detector = np.concatenate((twist[:, 0] + shift @ link, twist[:, 1] / TURN_LENGTH_m + turn @ link))
-        rows.append(np.concatenate((np.zeros(n), link, of_detector, np.zeros(n))))
+        rows.append(np.concatenate((np.zeros(n), link, np.tile(of_detector, len(model.sensors)), np.zeros(n))))
         pushed.append(np.concatenate((np.zeros(n), move)))
     basis = model.coefficients.shape[1]
     constant = np.zeros((2, basis))

@@ -68,7 +68,7 @@ class Structure:
     @property
     def note(self) -> str:
         """One line for a design."""
-        values = ", ".join(f"{value:.3g} ± {spread:.1g}" for value, spread in zip(self.springs, self.deviations, strict=True))
+        values = ", ".join(f"{value:.5g} ± {spread:.1g}" for value, spread in zip(self.springs, self.deviations, strict=True))
         return (
             f"springs of gears, detector and mount: {values} Nm/rad; the mount turns {self.mount.lever:.2f} ± {self.lever_deviation:.1g} m"
             f" above the first axis; energies are met to {100.0 * self.misfit:.1f} %"

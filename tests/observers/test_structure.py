@@ -138,6 +138,27 @@ def test_the_mode_that_no_line_excited_is_what_the_springs_leave_for_it(machine:
     assert with_last_mode(whole, structure, 40.0) == (whole, "")
 
 
+def test_the_last_mode_moves_a_second_sensor_on_the_detector_likewise_and_is_left_out_where_another_body_has_one(
+    machine: Machine, exact: ModalModel, structure: Structure
+) -> None:
+    placed, n, modes = with_places(exact, structure), 2, exact.modes
+    pose, twist = np.array([0.3, -0.8]), slice(2 + 2 * n, 8 + 2 * n)
+    alone, _ = with_last_mode(placed, structure, 40.0)
+    wanted = alone.at(pose)[modes * alone.mode_stride :][twist]
+
+    shapes = placed.coefficients[: modes * placed.mode_stride].reshape(modes, placed.mode_stride, -1)
+    rows = np.concatenate((shapes[:, : twist.stop], shapes[:, twist.start :]), axis=1).reshape(-1, shapes.shape[2])
+    rows = np.vstack((rows, placed.coefficients[modes * placed.mode_stride :]))
+    on_detector = replace(placed.sensors[0], channels=tuple(f"second_{name}" for name in placed.sensors[0].channels))
+    elsewhere = replace(on_detector, body_end_m=np.array([0.0, 0.0, 1.0]))
+    two, other = (replace(placed, sensors=(placed.sensors[0], second), coefficients=rows) for second in (on_detector, elsewhere))
+    model, _ = with_last_mode(two, structure, 40.0)
+    shape = model.at(pose)[modes * model.mode_stride :][twist.start :][:12].reshape(2, 6)
+    assert np.abs(wanted).max() > 0.0 and shape == pytest.approx(np.tile(wanted, (2, 1)), rel=1e-12)
+    left, note = with_last_mode(other, structure, 40.0)
+    assert left is other and note.startswith("mode 5, above the lines, is left out") and elsewhere.channels[0] in note
+
+
 def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pose_let_through(
     machine: Machine, exact: ModalModel, structure: Structure
 ) -> None:
