@@ -60,7 +60,8 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
         return 1.0
     projection = Projection.of(tuning)
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
-    sizes = np.maximum(np.linalg.norm(response, axis=0), 1e-300)
+    sizes, unseen = np.linalg.norm(response, axis=0), np.linalg.norm(left, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, np.maximum(unseen, 1e-300))  # held-out recordings may not see one at all
     left, response = left / sizes, response / sizes
     shown, along = np.linalg.eigh(held_out.information(response))
     counts = shown > SHOWN * max(shown[-1], 1e-300)

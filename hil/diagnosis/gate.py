@@ -3,7 +3,8 @@
 1. On the training repeats: would one of all candidates gain as much where there is nothing, with every order, frequency and shape that was
    searched between its starts and its fit? The noise model sets the scale, what the fit leaves raises it, and the scatter of the effect's
    strength from repeat to repeat widens it where the two disagree (a disturbance that depends on reversals is larger along a friction's
-   response than the spectrum says).
+   response than the spectrum says). Beside effects that were found, what is left counts where the response is (`structure_left.py`), and of
+   the gain only what no error of their equations explains (`form_error.py`).
 2. On the held-out recordings, everything frozen: does the misfit fall as predicted, by more than on machines that hide nothing? They are
    independent of training and nothing is searched on them, so that the chances of both count together (Fisher).
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?

@@ -159,5 +159,5 @@ class HeldOut:
 
 
 def _alike(predicted: np.ndarray, linearised: np.ndarray | None) -> bool:
-    """Whether a run is one for which sensitivities hold that were taken of another."""
+    """Whether sensitivities hold for a run that were taken of another."""
     return linearised is not None and float(np.sum((predicted - linearised) ** 2)) < ALIKE * len(predicted)

@@ -82,7 +82,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
         also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)
         if not also and not is_whole:
-            return "ambiguous", f"{names}, beside which training shows more than its equations may err by and held-out recordings do not"
+            return "ambiguous", f"{names}, beside which training shows more than its equations may err by, but no effect for certain"
         if not also and left > UNKNOWN_LEFT * explainable:
             return "ambiguous", f"{names}, which leaves {left / explainable:.0%} of what is above noise, if the noise is what repeats say"
         return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"

@@ -13,7 +13,7 @@ from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.naming import NUMBERS, erring
-from hil.diagnosis.refit import refit
+from hil.diagnosis.refit import refit, sensitivities_to_effects
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 
@@ -76,3 +76,11 @@ def test_a_parameter_that_training_does_not_show_hides_no_other(with_friction):
     train, _ = with_friction
     other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.3 * COULOMB_N, duration_s=DURATION_s)
     assert drift(train, other, (FRICTION, VISCOUS), (10.0, 20.0), seen=np.array([1.0, 0.0])) < DRIFTED
+
+
+def test_a_parameter_that_held_out_recordings_do_not_show_hides_no_other(with_friction, monkeypatch):
+    train, same = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.3 * COULOMB_N, duration_s=DURATION_s)
+    monkeypatch.setattr("hil.diagnosis.drift.sensitivities_to_effects", lambda *asked: sensitivities_to_effects(*asked) * [1.0, 0.0])
+    assert drift(train, same, (FRICTION, VISCOUS), (10.0, 20.0)) > 0.01
+    assert drift(train, other, (FRICTION, VISCOUS), (10.0, 20.0)) < DRIFTED

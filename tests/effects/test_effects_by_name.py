@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effect_examples import EXAMPLES
@@ -15,6 +17,7 @@ from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual
 from virtual_bus.errors import EffectError
 from virtual_bus.physics import Physics
+from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
 CARM, EMPS = load_machine("carm"), load_machine("emps")
@@ -34,6 +37,13 @@ def test_every_effect_is_written_and_read_back() -> None:
 )
 def test_what_refines_a_spring_or_a_gap_may_be_left_out_of_its_file(name: str, text: str) -> None:
     assert effects_from_text(f"[[effect]]\n{text}", CARM, "effects.toml") == (EXAMPLES[name],)
+
+
+def test_an_imu_s_low_pass_of_a_file_without_a_shape_is_the_machine_file_s_own_of_another_corner() -> None:
+    (effect,) = effects_from_text('[[effect]]\nname = "imu_bandwidth"\nat = "imu"\nfc_Hz = 15.0\n', CARM, "effects.toml")
+    plant = CARM.plant
+    slow = replace(plant, imus=tuple(replace(imu, accelerometer_bandwidth_Hz=15.0, gyro_bandwidth_Hz=15.0) for imu in plant.imus))
+    assert compile_plant(plant).model(effects=(effect,)).tobytes() == compile_plant(slow).model().tobytes()
 
 
 @pytest.mark.parametrize("corner", [0.0, 0.05])
