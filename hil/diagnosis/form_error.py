@@ -26,12 +26,13 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.effect import ELASTIC, FRICTION, TRANSMISSION
-from virtual_bus.effects.places import spring_at
+from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual, joined
+from virtual_bus.settings import PlantSettings
 
-ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "viscous_friction")
-"""Efforts against the motion that are no friction of the catalogue's kind: they build up after a reversal, or are the machine file's."""
+ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
+"""Efforts against the motion that are no friction of the catalogue's kind: they build up after a reversal, warm, or are numbers."""
 
 WAVES = ("cogging", "torque_ripple", "transmission_error")
 OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
@@ -69,9 +70,12 @@ class FormError:
     ----------
     responses : (K, M) array
         Of error functions with standard deviation one each. K may be 0.
+    effects : tuple of EffectAt
+        Whose errors these are.
     """
 
     responses: np.ndarray
+    effects: tuple[EffectAt, ...] = ()
 
     @cached_property
     def _factor(self) -> tuple[np.ndarray, bool]:
@@ -113,11 +117,13 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
     fitted : Fitted
         Effects that it is not known of how they err are left out.
     """
-    rows = []
+    rows, known = [], []
     whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
+        if not can_err(effect) or not _acts_where_it_is_seen(effect, runs.machine.plant):
+            continue
         without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
-        if whole is None or without is None or not can_err(effect):
+        if whole is None or without is None:
             continue
         efforts = _joint_efforts(runs, name, tuning, effect, values)
         responses = _responses(runs, name, efforts, tuning)
@@ -128,7 +134,8 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
             share = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
             each = sum(float(np.sum(effort**2)) for group in efforts for _, effort in group)
             rows.append(responses * np.sqrt(share * own / each))
-    return FormError(np.concatenate(rows)) if rows else NO_ERROR
+            known.append(effect)
+    return FormError(np.concatenate(rows), tuple(known)) if rows else NO_ERROR
 
 
 def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], responses: np.ndarray, own: np.ndarray) -> float:
@@ -154,6 +161,12 @@ def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], respons
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
     return _is_friction(effect.effect) or effects()[effect.effect].kind is ELASTIC or effect.effect in (*WAVES, *OVER_POSITION)
+
+
+def _acts_where_it_is_seen(effect: EffectAt, plant: PlantSettings) -> bool:
+    """Whether its equation depends on the motion of an axis or of its spring, and not on that of a body on a joint without a drive."""
+    is_spring = effects()[effect.effect].kind in (ELASTIC, TRANSMISSION)
+    return is_spring or joint_at(effect.at, plant) in {drive.joint for drive in plant.drives}
 
 
 def _is_friction(name: str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import lost_form
-from hil.diagnosis.form_error import NO_ERROR, FormError, can_err
+from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
@@ -117,11 +117,11 @@ class Stand:
         """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
         return _steps(self.effects, self.gates, numbers=numbers)
 
-    def erring(self, energy_of: Callable[[Gate], float]) -> float:
-        """Energy by which the equations of its effects may err, of what they removed in training or held out, in nobody knows which way."""
+    def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
+        """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
         each = _each(self.effects, self.gates, energy_of)
         numbers = sum(energy for effect, energy in each if effect.effect in NUMBERS)
-        unknown = sum(energy for effect, energy in each if effect.effect not in NUMBERS and not (self.known and can_err(effect)))
+        unknown = sum(energy for effect, energy in each if effect.effect not in NUMBERS and effect not in errors.effects)
         return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers
 
 
@@ -183,7 +183,7 @@ class Judgement:
             return stand
         errors = self._equations(TRAIN, tuning, fitted)
         if len(errors.responses):
-            errors = FormError(Projection.of(tuning).left(errors.responses))
+            errors = FormError(Projection.of(tuning).left(errors.responses), errors.effects)
         there = NO_ERROR if self._judge is None else self._equations(HELD_OUT, tuning, fitted)
         return replace(stand, errors=errors, held_out_errors=there, known=True)
 
@@ -234,7 +234,7 @@ class Judgement:
         level = max(1.0, fitted.cost / max(entries, 1))
         variance = level * scatter
         if before.fitted is not None:
-            erring = before.erring(lambda gate: gate.gain)
+            erring = before.erring(lambda gate: gate.gain, before.errors)
             if before.known:
                 seen = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
                 variance = max(scatter, seen) + form_variance(before.response, response, erring, 0.0)
@@ -246,9 +246,9 @@ class Judgement:
         deviations = fall = followed = None
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
-            variance, of_simulator = self._held_out_variance(before, after, scatter)
+            held_out_variance, of_simulator = self._held_out_variance(before, after, scatter)
             there = self._beyond_held_out(before, after, fall)
-            followed = chance_held_out(there, variance) if before.held_out is not None else 1.0  # what diverged shows no fall
+            followed = chance_held_out(there, held_out_variance) if before.held_out is not None else 1.0  # what diverged shows no fall
             over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,
@@ -275,7 +275,7 @@ class Judgement:
         if before.held_out is None or after is None or before.fitted is None or self.nothing.held_out is None:
             return variance, of_simulator
         found, added = before.held_out.predicted - self.nothing.held_out.predicted, after.predicted - before.held_out.predicted
-        erring = before.erring(lambda gate: gate.held_out_gain or 0.0)
+        erring = before.erring(lambda gate: gate.held_out_gain or 0.0, before.held_out_errors)
         if not before.known:
             return variance + form_variance(found, added, erring, left - count), of_simulator
         seen = self._structure[HELD_OUT].along(added, self._judge.measured - after.predicted)

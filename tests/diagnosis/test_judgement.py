@@ -47,7 +47,7 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
     group = SimpleNamespace(time_s=np.zeros(ENTRIES))
     sets, layout = {"train": SimpleNamespace(channels=("a",), groups=[group])}, SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
     runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [repeats], sets=sets, noise=layout)
-    equations = None if errors is None else lambda name, tuning, fitted: FormError(6.0 * directions[errors][None, :])
+    equations = None if errors is None else lambda name, tuning, fitted: FormError(6.0 * directions[errors][None, :], fitted.effects)
 
     def fitted(*effects: EffectAt) -> Fitted:
         predicted = sum((measured @ directions[e]) * directions[e] for e in effects)
@@ -178,6 +178,15 @@ def test_what_training_hardly_shows_may_be_more_than_the_simulator_s_error_in_an
     judgement, fitted = bench(1.5, held_out=OtherMotion(coulomb_friction=9.0))
     (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
     assert found.gate.over_simulator == pytest.approx(81.0 / 4.0, rel=1e-3)
+
+
+def test_what_is_left_held_out_says_nothing_of_what_chance_gains_in_training():
+    chances = []
+    for held_out in (None, OtherMotion(constant_load=8.0), OtherMotion(10.0, constant_load=8.0)):
+        judgement, fitted = bench(held_out=held_out)
+        (found,) = judgement.contenders(judgement.nothing, [fitted(LOAD)], tried(), 0.0, {})
+        chances.append(found.gate.trained)
+    assert chances[1:] == pytest.approx([chances[0]] * 2)
 
 
 def test_held_out_recordings_are_asked_about_as_many_sets_as_were_fitted():

@@ -76,9 +76,11 @@ def test_pieces_of_the_motors_record_begin_in_motion():
 
 @present
 def test_cogging_of_a_motor_starts_at_its_first_order_and_not_at_twice_that():
-    """Effort at 144 a turn stands out as well; started there, a fit would have no 72."""
+    """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""
     data = REAL_SETS["laas_anti_cogging"]()
     found = mismatch(data.machine, aligned(data.machine, data.train))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         cogging = next(c for c in candidates_for(runs, retune(runs))(None) if c.effect.effect == "cogging")
-    assert [start[0] for start in cogging.starts] == pytest.approx([72.0] * len(cogging.starts), abs=0.1)
+    orders = np.array([start[0] for start in cogging.starts])
+    assert np.abs(orders - 72.0).min() < 0.1
+    assert np.abs(orders - 144.0).min() > 1.0
