@@ -253,7 +253,8 @@ def _against_live(estimate: Estimate, recording: Recording) -> str:
     row = int(np.flatnonzero(differ.any(axis=1))[0])
     if "deviation_images" in recording and "deviation_images" not in estimate.names:
         return f"others from row {row} on: a calibration ran along, which levels what the observer reads; give --data and --images as well"
-    return f"others from row {row} on ({estimate.names[int(np.flatnonzero(differ[row])[0])]}): another design, filter or --adapt ran along"
+    first = estimate.names[int(np.flatnonzero(differ[row])[0])]
+    return f"others from row {row} on ({first}): another design, filter, --adapt or version of this program ran along"
 
 
 def _document(estimate, seen) -> dict:  # type: ignore[no-untyped-def]
