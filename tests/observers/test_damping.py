@@ -202,3 +202,10 @@ def test_damping_without_an_imu_that_the_model_knows_is_refused_since_it_would_n
 def test_what_is_no_damping_is_refused(settings: DampingSettings, word: str) -> None:
     with pytest.raises(DesignError, match=word):
         small_law(settings.ratio, mode=settings.mode)
+
+
+def test_a_mode_that_no_drive_moves_cannot_be_damped() -> None:
+    model = small_model()
+    model.coefficients[1 * 14 + 12 : 2 * 14] = 0.0
+    with pytest.raises(DesignError, match="mode 2: no drive moves it"):
+        ModalDamping(ModalObserver(model, small_noise()), DampingSettings(0.1, mode=1))
