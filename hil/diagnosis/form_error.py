@@ -32,7 +32,7 @@ from virtual_bus.effects.residual import Residual, joined
 from virtual_bus.settings import PlantSettings
 
 ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
-"""Efforts against the motion that are no friction of the catalogue's kind: they build up after a reversal, warm, or are numbers."""
+"""Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
 WAVES = ("cogging", "torque_ripple", "transmission_error")
 OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
@@ -164,7 +164,7 @@ def can_err(effect: EffectAt) -> bool:
 
 
 def _acts_where_it_is_seen(effect: EffectAt, plant: PlantSettings) -> bool:
-    """Whether its equation depends on the motion of an axis or of its spring, and not on that of a body on a joint without a drive."""
+    """Whether its equation depends on the motion of an axis or of its spring, not on that of a body without a drive."""
     is_spring = effects()[effect.effect].kind in (ELASTIC, TRANSMISSION)
     return is_spring or joint_at(effect.at, plant) in {drive.joint for drive in plant.drives}
 
