@@ -73,8 +73,11 @@ def case_of(places: Places, number: int) -> Case:
 
 
 def make(places: Places, number: int) -> None:
-    """Make one case, unless it is there."""
-    if places.truth(number).exists():
+    """Make one case, unless it is there: its truth, which is written last, and its recordings, which are removed once they are answered.
+
+    A run that was killed may have removed recordings whose answer it had not written down.
+    """
+    if places.truth(number).exists() and places.case(number).is_dir():
         return
     case = case_of(places, number)
     make_case(case, machines(places.models)[case.machine], places.case(number), places.truth(number))

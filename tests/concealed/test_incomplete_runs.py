@@ -73,3 +73,17 @@ def test_a_part_of_a_run_is_scored_only_on_request_and_says_so(tmp_path, run, re
     score(places, tmp_path, NUMBERS, partial=True)
     table = json.loads((tmp_path / "scores_development.json").read_text())
     assert table["missing"] == list(run.get("left_out", ())) and table["commits"] == list(run.get("commits", ("a",)))
+
+
+def test_a_case_whose_recordings_a_killed_run_removed_is_made_again(tmp_path, monkeypatch):
+    from concealed import making
+
+    made = []
+    monkeypatch.setattr(making, "case_of", lambda _places, number: type("Drawn", (), {"machine": "slider", "number": number})())
+    monkeypatch.setattr(making, "machines", lambda _models: {"slider": None})
+    monkeypatch.setattr(making, "make_case", lambda case, *_rest: made.append(case.number))
+    places = make_run(tmp_path)
+    places.case(1).mkdir(parents=True)
+    for number in (1, 2):
+        making.make(places, number)
+    assert made == [2]
