@@ -106,24 +106,34 @@ def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
     kinds = [kind for kind in kinds if any(heat_map is not None for heat_map in kind[2])]
     if not kinds:
         return None
-    figure = Figure(figsize=(2.9 * len(channels) + 1.2, 2.5 * len(kinds) + 0.8), layout="constrained")
-    axes = figure.subplots(len(kinds), len(channels), squeeze=False)
+    figure = Figure(figsize=(2.9 * len(channels) + 1.2, 2.5 * len(kinds) + 0.8))
+    axes = figure.subplots(len(kinds), len(channels), squeeze=False, sharey="row", gridspec_kw=_margins(figure))
     drawn = []
     for row, (label, scale, maps) in enumerate(kinds):
+        axes[row, 0].set(yscale=scale, ylabel=label)
         for place, heat_map in zip(axes[row], maps, strict=True):
             if heat_map is None:
                 place.set_axis_off()
                 continue
             drawn.append(_draw(place, heat_map))
-            place.set_yscale(scale)
-        axes[row, 0].set_ylabel(label)
     for place, c in zip(axes[0], channels, strict=True):
         place.set_title(found.channels[c], fontsize="medium")
     for place in axes[-1]:
         place.set_xlabel(f"position of {units.axis} [{units.position}]")
-    figure.colorbar(drawn[-1], ax=axes, label="rms of the residual\nin units of one repeat's noise")
+    top, last, width = axes[0, -1].get_position(), axes[-1, -1].get_position(), figure.get_figwidth()
+    bar = figure.add_axes((last.x1 + 0.2 / width, last.y0, 0.15 / width, top.y1 - last.y0))
+    figure.colorbar(drawn[-1], cax=bar, label="rms of the residual\nin units of one repeat's noise")
     figure.suptitle(f"Residual of the {stage} simulation over the pose of {units.axis}\nhatched: not visited", fontsize="medium")
     return figure
+
+
+def _margins(figure: Figure) -> dict[str, float]:
+    """Places for axes, from what stands beside them in inches: a layout solved for thirteen axes takes longer than drawing them."""
+    width, height = figure.get_size_inches()
+    return {
+        "left": 0.75 / width, "right": 1.0 - 1.2 / width, "wspace": 0.12,
+        "bottom": 0.55 / height, "top": 1.0 - 0.75 / height, "hspace": 0.2,
+    }  # fmt: skip
 
 
 def _loudest(found: Mismatch) -> Sequence[int]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hil.diagnosis.diagnose import Outcome
@@ -103,7 +104,8 @@ def _document(outcome: Outcome) -> str:
 
 def _image(caption: str, figure: Figure) -> str:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
+    figure.set_dpi(DPI)
+    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` would draw every figure twice
     data = base64.b64encode(buffer.getvalue()).decode()
     return f'<img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">'
 
