@@ -106,7 +106,8 @@ def suspicions(found: Mismatch) -> tuple[str, ...]:
                     said.append(f"{name} is {abs(slope):.3g} times its simulation: {meaning}?")
         lag = _lag_rows(found, column)
         if lag:
-            said.append(f"{name} comes {lag / found.noise.rate_Hz * 1e3:.3g} ms later than its simulation")
+            order = "later" if lag > 0 else "earlier"
+            said.append(f"{name} comes {abs(lag) / found.noise.rate_Hz * 1e3:.3g} ms {order} than its simulation")
     return tuple(said)
 
 

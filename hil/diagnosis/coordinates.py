@@ -25,6 +25,9 @@ SMALLEST_SHARE = 1e-7
 SMALLEST_OF_START = 0.01
 """The same for other parameters, of their start: a range made for machines of tonnes says nothing about a spring of milligrammes."""
 
+SHAPE_FROM_ZERO = 0.1
+"""Of the range of a number without a unit that decides a shape: its size where it starts at zero, from which it else could not move."""
+
 NOT_FITTED = ("seed", "side", "sign", "length")
 """Parameters that only take some values: they stay where screening put them."""
 
@@ -179,7 +182,8 @@ def _least_size(parameter: Parameter, start: float, way: float) -> float:
         return 1.0
     if _is_order(parameter):
         return 1.0 / max(way, 1e-12)
-    return max(SMALLEST_OF_START * abs(start) if start != 0.0 else SMALLEST_SHARE * (parameter.high - parameter.low), 1e-12)
+    of_range = SMALLEST_SHARE if parameter.is_strength or parameter.unit else SHAPE_FROM_ZERO
+    return max(SMALLEST_OF_START * abs(start) if start != 0.0 else of_range * (parameter.high - parameter.low), 1e-12)
 
 
 def _with(values: Sequence[np.ndarray], effect: int, number: int, value: float) -> tuple[np.ndarray, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+from numpy.polynomial.polynomial import polyval
 
 from hil.diagnosis.mismatch import Mismatch, RepeatGroup
 from hil.diagnosis.whitened import in_noise_units
@@ -102,12 +102,17 @@ def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None =
 
 
 def loop_response(
-    machine: Machine, pose: np.ndarray, channels: tuple[str, ...], frequencies_Hz: np.ndarray, values: np.ndarray | None = None
+    machine: Machine,
+    pose: np.ndarray,
+    channels: tuple[str, ...],
+    frequencies_Hz: np.ndarray,
+    values: np.ndarray | None = None,
+    growth_per_s: float = 0.0,
 ) -> np.ndarray:
     """(L, C, joints) response of the channels to an effort on every joint, the controllers closing the loop.
 
     y = P_d d + P_u H u and u = -C_y y with H the hold and the row of delay between command and effort (docs/notation.md); without
-    controllers u does not answer.
+    controllers u does not answer. At s = growth_per_s + 2 pi j f: of efforts that grow so, a free joint's response is finite at 0 Hz too.
     """
     plant = compile_plant(machine.plant)
     model = plant.model(values)
@@ -115,22 +120,23 @@ def loop_response(
     axes = len(machine.axes)
     a, b, c, d = (np.asarray(getattr(system, letter)) for letter in "ABCD")
     period_s = 1.0 / machine.sample_rate_Hz
-    s = 2j * np.pi * np.maximum(frequencies_Hz, LOWEST_Hz)[:, None, None]
+    s = growth_per_s + 2j * np.pi * (frequencies_Hz if growth_per_s > 0.0 else np.maximum(frequencies_Hz, LOWEST_Hz))
+    later = np.exp(-s * period_s)  # by one row
+    s, hold = s[:, None, None], (later * (1.0 - later) / (s * period_s))[:, None, None]
     from_effort = c @ np.linalg.solve(s * np.eye(len(a)) - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape))) + d
     from_drive = from_effort[:, :, list(plant.joint_of_axis().values())] * plant.drive_gains(model, equilibrium(plant, model, pose))
-    omega_t = 2.0 * np.pi * frequencies_Hz * period_s
-    hold = np.exp(-1.5j * omega_t) * np.sinc(frequencies_Hz * period_s)
     labels = list(system.output_labels)
     command = np.zeros((len(s), axes, plant.joints), dtype=complex)
     if machine.controllers:
         rows = [labels.index(f"position_{axis}") for axis in machine.axes]
         feedback = np.zeros((len(s), axes), dtype=complex)
         for k, controller in enumerate(machine.controllers):
-            _, feedback[:, k] = scipy.signal.sosfreqz(controller.position_sections, np.maximum(omega_t, LOWEST_Hz * period_s))
-        loop = np.eye(axes) + feedback[:, :, None] * from_drive[:, rows] * hold[:, None, None]
+            upper, lower = (polyval(later, part.T) for part in np.split(controller.position_sections, 2, axis=1))
+            feedback[:, k] = np.prod(upper / lower, axis=0)
+        loop = np.eye(axes) + feedback[:, :, None] * from_drive[:, rows] * hold
         command = -np.linalg.solve(loop, feedback[:, :, None] * from_effort[:, rows])
-    outputs = from_effort + (from_drive * hold[:, None, None]) @ command
-    measured = command * np.exp(-1j * omega_t)[:, None, None]
+    outputs = from_effort + (from_drive * hold) @ command
+    measured = command * later[:, None, None]
     columns = []
     for name in channels:
         kind, _, of = name.partition("_")

@@ -29,9 +29,9 @@ SHARES = ("share", "sign", "p")
 """Strengths that may be all there is of them."""
 
 WITHOUT = (("imu_bandwidth", "fc"),)
-"""Numbers whose upper bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
+"""Numbers whose bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
 
-WAVES = ("cycles/turn", "Hz")
+OF_WAVES = ("cycles/turn", "Hz")
 
 OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl"))
 """Numbers of a second term, which may be zero and then says nothing of them."""
@@ -69,7 +69,7 @@ def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
             bound = _bound(effect.effect, parameter, float(value))
             if bound is not None:
                 return f"{effect} has {parameter.name} at its bound of {bound:g}: what fits is no longer that effect"
-            if parameter.unit in WAVES and value < lowest.get(effect, 0.0):
+            if parameter.unit in OF_WAVES and value < lowest.get(effect, 0.0):
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
 
@@ -82,10 +82,8 @@ def _stiffness_within(b: float, flank: float) -> float:
 def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     """The bound that a parameter is at, if it ends the law there. Zero ends none: what is without damping has none."""
     ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE or parameter.is_strength else []
-    if parameter.name in SHARES:
+    if parameter.name in SHARES or (name, parameter.name) in WITHOUT:
         ends = []
-    if (name, parameter.name) in WITHOUT:
-        ends = [parameter.low]
     if (name, parameter.name) in NO_LONGER_SWINGS:
         ends = [parameter.high]
     return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)

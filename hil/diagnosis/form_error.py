@@ -18,13 +18,15 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 
-from hil.diagnosis.disturbance import loop_response
+from hil.diagnosis.disturbance import LOWEST_Hz, loop_response
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.naming import NUMBERS, WEIGHTS
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+from hil.diagnosis.starts import TURNING_WITH_THE_MOTOR
+from hil.machine import Machine
 from virtual_bus.effects.effect import ELASTIC, FRICTION, TRANSMISSION
 from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
@@ -34,7 +36,6 @@ from virtual_bus.settings import PlantSettings
 ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
 """Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
-WAVES = ("cogging", "torque_ripple", "transmission_error")
 OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
 
 SPEEDS = (0.0, 0.05, 0.2, 0.5, 1.0)
@@ -57,6 +58,12 @@ beside a viscous friction, another friction of that size says nothing."""
 
 RIDGE = 1e-6
 """Share of its energy by which a function's response must differ from the others' to be told from them."""
+
+DIES_OUT = 9.0
+"""Logarithm by which answers fall before they go around twice the record: to 10^-4."""
+
+RUNS_AWAY = 1.5
+"""Of an effort of half the frequency, from which on a joint's answer grows without end: one that nothing holds doubles at least."""
 
 SPANNED = 0.2
 """Of an effect's own response, that its functions span at least: else they are not what it depends on."""
@@ -160,7 +167,8 @@ def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], respons
 
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
-    return _is_friction(effect.effect) or effects()[effect.effect].kind is ELASTIC or effect.effect in (*WAVES, *OVER_POSITION)
+    name = effect.effect
+    return _is_friction(name) or effects()[name].kind is ELASTIC or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION)
 
 
 def _acts_where_it_is_seen(effect: EffectAt, plant: PlantSettings) -> bool:
@@ -185,7 +193,7 @@ def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, effect: EffectAt, 
     places = [driven] if spring is None else [joints.index(spring)]
     if kind is TRANSMISSION:
         places = [driven, *places]
-    functions = _functions(effect, values, joined(parts), np.concatenate([_since_reversal(part) for part in parts]))
+    functions = _functions(effect, values, joined(parts), np.concatenate([since_reversal(part) for part in parts]))
     ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
     return [[(joint, function[a:b]) for function in functions for joint in places] for a, b in pairwise(ends)]
 
@@ -195,7 +203,7 @@ def _functions(effect: EffectAt, values: np.ndarray, motion: Residual, since_rev
     name = effect.effect
     if _is_friction(name):
         return _of_a_friction(name, motion, since_reversal)
-    if name in WAVES:
+    if name in TURNING_WITH_THE_MOTOR:
         phase = values[0] * motion.ratio * motion.position
         slow = _hats(motion.position, SLOW_KNOTS)
         waves = [wave(order * phase) for order in HARMONICS for wave in (np.cos, np.sin)]
@@ -226,25 +234,45 @@ def _hats(x: np.ndarray, count: int, knots: np.ndarray | None = None) -> list[np
     return [np.interp(x, places, row) for row in np.eye(count)]
 
 
-def _since_reversal(motion: Residual) -> np.ndarray:
-    """(N,) way since the last change of direction."""
-    way = np.sign(motion.speed)
+def since_reversal(motion: Residual) -> np.ndarray:
+    """(N,) way since the last change of direction, however long it stands at one."""
+    moving = np.flatnonzero(motion.speed)
+    if not len(moving):
+        return np.zeros(len(motion.speed))
+    before = np.maximum(np.searchsorted(moving, np.arange(len(motion.speed)), side="right") - 1, 0)
+    way = np.sign(motion.speed)[moving[before]]
     turns = np.flatnonzero(np.concatenate([[True], way[1:] * way[:-1] < 0.0]))
     start = np.repeat(motion.position[turns], np.diff([*turns, len(way)]))
     return np.abs(motion.position - start)
 
 
 def _responses(runs: FreeRuns, name: str, efforts: Sequence[Sequence[tuple[int, np.ndarray]]], tuning: Tuning) -> np.ndarray:
-    """(K, M) whitened, of joint efforts per group. What acts on the first row has acted before: the machine stands under it."""
+    """(K, M) whitened, of joint efforts per group.
+
+    What acts on the first row has acted before: the machine stands under it, but for joints that nothing holds, which start from rest.
+    Signals are taken with exp(-growth t), where what runs away stays finite and what goes around the record has died out (Wilcox 1978, Int.
+    J. Elect. Eng. Educ. 15).
+    """
     found = runs.sets[name]
     answers = []
     for group, own in zip(found.groups, efforts, strict=True):
-        rows = len(group.time_s)
-        frequencies = np.fft.rfftfreq(2 * rows, 1.0 / found.noise.rate_Hz)
-        response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, tuning.values)
+        rows, rate_Hz = len(group.time_s), found.noise.rate_Hz
+        frequencies, pose = np.fft.rfftfreq(2 * rows, 1.0 / rate_Hz), group.position.mean(axis=0)
+        growth = DIES_OUT * rate_Hz / (2 * rows)
+        grown = np.exp(growth * np.arange(rows) / rate_Hz)[:, None]
+        response = loop_response(group.machine, pose, found.channels, frequencies, tuning.values, growth)
+        standing = _standing(group.machine, pose, found.channels, tuning.values)
         each = []
         for joint, effort in own:
-            lines = response[:, :, joint] * np.fft.rfft(effort - effort[0], 2 * rows)[:, None]
-            each.append(np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + response[0, :, joint].real * effort[0])
+            before = effort[0] if np.any(standing[:, joint]) else 0.0
+            lines = response[:, :, joint] * np.fft.rfft((effort - before) / grown[:, 0], 2 * rows)[:, None]
+            each.append(grown * np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + standing[:, joint] * before)
         answers.append(each)
     return np.stack([runs.joined(rows, name) for rows in zip(*answers, strict=True)])
+
+
+def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+    """(C, joints) where the channels stand under constant efforts; zero for joints that nothing holds."""
+    slow, slower = loop_response(machine, pose, channels, np.array([2.0 * LOWEST_Hz, LOWEST_Hz]), values)
+    held = np.linalg.norm(slower, axis=0) < RUNS_AWAY * np.linalg.norm(slow, axis=0)
+    return np.where(held, slower.real, 0.0)

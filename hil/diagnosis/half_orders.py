@@ -16,7 +16,7 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.registry import effects
 
-WAVES = {
+FIRST_AND_SECOND = {
     "cogging": ("Np", ("A1", "phi1"), ("A2", "phi2")),
     "torque_ripple": ("Np", ("A1", "phi1"), ("A2", "phi2")),
     "transmission_error": ("k", ("e1", "phi1"), ("e2", "phi2")),
@@ -35,9 +35,9 @@ PHASES = (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0)
 
 def from_half_the_order(effect: EffectAt, values: np.ndarray) -> list[np.ndarray]:
     """Starts of a wave from half its order; none where it has a second harmonic of its own, is at its lowest order or is no wave."""
-    if effect.effect not in WAVES:
+    if effect.effect not in FIRST_AND_SECOND:
         return []
-    order, (a1, phi1), (a2, phi2) = WAVES[effect.effect]
+    order, (a1, phi1), (a2, phi2) = FIRST_AND_SECOND[effect.effect]
     parameters = effects()[effect.effect].parameters
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
     half = 0.5 * float(values[place[order]])

@@ -97,7 +97,8 @@ class HeldOut:
                 jacobian, linearised = self._sensitivities(offset, at, effects), at.predicted
             better, share = self._stepped(offset, at, effects, jacobian)
             at = at if better is None else better
-            if again < LINEARISED_AGAIN and (share < FAIR or (better is None and not _alike(at.predicted, linearised))):
+            here = at.predicted is linearised  # taken anew they would be the same
+            if again < LINEARISED_AGAIN and not here and (share < FAIR or (better is None and not _alike(at.predicted, linearised))):
                 jacobian, again = None, again + 1
             elif better is None:
                 break

@@ -43,7 +43,7 @@ _WAVES = {
     "encoder_eccentricity": ONE_HARMONIC,
 }
 
-_TURNING_WITH_THE_MOTOR = ("cogging", "torque_ripple", "transmission_error")
+TURNING_WITH_THE_MOTOR = ("cogging", "torque_ripple", "transmission_error")
 """Waves that come several times a turn of the motor. Friction over position may change slowly, and an encoder's first error does so once a
 turn, whatever part of it is driven."""
 
@@ -112,7 +112,7 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
 
 def lowest_seen(name: str, at: str, motion: Motion) -> float:
     """Order [cycles per turn, as the effect counts it] or frequency [Hz] of which the motion shows half a cycle; 0 for what is no wave."""
-    if name in _TURNING_WITH_THE_MOTOR:
+    if name in TURNING_WITH_THE_MOTOR:
         residual = motion.residual(at)
         return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * residual.ratio)
     if name == "base_motion":
@@ -308,7 +308,7 @@ def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]
 
 
 def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
-    """The three strongest lines of the missing effort."""
+    """The two strongest lines of the missing effort."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
     window = np.hanning(len(residual.time_s))
     found: list[Start] = []

@@ -51,7 +51,8 @@ def test_another_rate_is_resampled():
     [
         (lambda x: -x, "runs against its simulation"),
         (np.degrees, "degrees for radians"),
-        (lambda x: np.concatenate([np.zeros(12), x[:-12]]), "12 ms later"),
+        (lambda x: np.concatenate([np.zeros(12), x[:-12]]), " 12 ms later"),
+        (lambda x: np.concatenate([x[12:], np.zeros(12)]), " 12 ms earlier"),
     ],
 )
 def test_wrong_signs_units_and_delays_are_pointed_out(change, said):

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
 from hil.diagnosis.align import aligned
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.form_error import NO_ERROR, FormError, can_err, form_error
+from hil.diagnosis.form_error import NO_ERROR, FormError, can_err, form_error, since_reversal
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation import simulate
 
 ENTRIES = 60
 
@@ -46,9 +51,28 @@ def carriage():
         yield runs, retune(runs)
 
 
+@pytest.fixture(scope="module")
+def rotor():
+    """A motor that nothing holds, driven in open loop, in three noisy repeats."""
+    machine, random = load_machine("laas_anti_cogging"), np.random.default_rng(3)
+    time_s = np.arange(1000) / machine.sample_rate_Hz
+    channels = {"time": Channel("s", time_s), "command_rotor": Channel("A", 0.05 + 0.3 * np.sin(20.0 * time_s))}
+    answer = simulate(machine, Recording(channels, recording_metadata(machine))).channels
+
+    def repeat() -> Recording:
+        measured = {name: own for name, own in answer.items() if name != "time"}
+        noisy = {name: Channel(own.unit, own.values + 1e-3 * random.standard_normal(1000)) for name, own in measured.items()}
+        return Recording(channels | noisy, recording_metadata(machine))
+
+    found = mismatch(machine, {f"repeat {k}": repeat() for k in range(3)})
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
 def fitted(runs, tuning, *found: tuple[str, list[float]]) -> Fitted:
-    """These effects at the carriage, as a fit would have left them."""
-    effects, values = [EffectAt(name, "carriage") for name, _ in found], [np.array(own) for _, own in found]
+    """These effects at the machine's one joint, as a fit would have left them."""
+    at = runs.machine.axes[0]
+    effects, values = [EffectAt(name, at) for name, _ in found], [np.array(own) for _, own in found]
     settings = tuple(setting_of(effect, own) for effect, own in zip(effects, values, strict=True))
     predicted = runs.run_one(Trial(tuning.values, settings))
     return Fitted(tuple(effects), tuple(values), tuning.offset, predicted, 0.0, (), np.zeros((len(predicted), 0)), np.zeros(0))
@@ -69,6 +93,17 @@ FRICTION, SPRING = ("coulomb_friction", [2.0]), ("cable_spring", [20.0, 0.0, 0.0
 def test_another_friction_of_the_same_joint_is_an_error_of_the_one_that_was_found(carriage):
     assert within(carriage, ("viscous_friction", [20.0]), FRICTION)[2] > 0.95
     assert within(carriage, FRICTION, ("quadratic_friction", [50.0]))[2] > 0.95
+
+
+def test_errors_run_away_on_a_joint_that_nothing_holds_as_the_free_run_does(rotor):
+    assert within(rotor, ("viscous_friction", [1e-5]), ("viscous_friction", [1e-5]))[2] > 0.999
+    assert within(rotor, ("coulomb_friction", [1e-3]), ("quadratic_friction", [1e-6]))[2] > 0.999
+
+
+def test_the_way_since_a_reversal_begins_anew_after_a_dwell_but_not_on_the_same_way():
+    speed = np.array([1.0, 1.0, 0.0, 0.0, -1.0, -1.0, 0.0, -1.0])
+    motion = SimpleNamespace(speed=speed, position=np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0, 0.0]))
+    assert since_reversal(motion) == pytest.approx([0.0, 1.0, 2.0, 2.0, 0.0, 1.0, 2.0, 2.0])
 
 
 def test_a_spring_is_no_error_of_a_friction_nor_a_friction_one_of_a_spring(carriage):

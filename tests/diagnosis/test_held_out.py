@@ -104,6 +104,20 @@ def test_a_machine_of_no_numbers_stays_as_it_is():
     assert judge.follow(np.zeros(0), ()).misfit == pytest.approx(NOISE @ NOISE)
 
 
+def test_sensitivities_are_not_taken_again_where_no_step_helps():
+    """A kink: downhill by the difference that is taken of it, uphill every way."""
+    shape, asked = np.sin(np.linspace(0.0, 60.0, ROWS)), []
+
+    def kinked(offset, effects=()):
+        asked.append(offset)
+        return shape * (3.0 + abs(offset[0])) if effects else 0.0 * shape
+
+    judge = held_out(kinked, -shape, 0.0)
+    asked.clear()
+    assert judge.follow(np.zeros(1), (PUSH,)).moved == pytest.approx(0.0)
+    assert len(asked) < 20
+
+
 def test_numbers_settle_by_the_sensitivities_of_the_set_itself():
     """A number that does nothing on the machine without the effect, and much beside it."""
     shape = np.sin(np.linspace(0.0, 60.0, ROWS))

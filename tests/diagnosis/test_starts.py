@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hil.diagnosis.coordinates import Coordinates, Point
+from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starts import starts_of
 from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
@@ -75,6 +77,14 @@ def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
     found = starts("temperature_dependent_friction", "roll", 40.0 * SPEED * np.exp(-TIME_s))
     warming_K = found["R"] * found["Fv0"] * np.mean(SPEED**2)
     assert sum((found["Fv0"] > 1.0) & (found["a"] * warming_K > 0.1) & (found["a"] * warming_K < 10.0)) >= 2
+
+
+def test_a_shape_that_starts_at_zero_may_leave_it():
+    imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, 0.0])
+    none = SimpleNamespace(at=lambda offset: offset)
+    fit, at = Coordinates(none, (imu,), (start,), 1.0), Point(np.zeros(0), (start,))
+    _, highest = fit.reach(at, 1.0)
+    assert fit.moved(at, highest).values[0][1] > 0.2
 
 
 def test_a_sensor_may_be_slower_or_faster_than_its_machine_file_says():

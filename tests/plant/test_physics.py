@@ -54,6 +54,19 @@ def test_the_holding_effort_of_a_pendulum_is_its_weight_on_its_lever() -> None:
     assert effort[0] == pytest.approx(3.0 * 9.81 * 0.5 * np.sin(0.7) / (0.2 * 50.0), rel=1e-12)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_no_finite_effort_of_a_drive_without_gain_holds_a_load() -> None:
+    arm = Joint("arm", "revolute", np.array([0.0, 1.0, 0.0]))
+    body = Body("bob", "world", np.zeros(3), np.eye(3), 3.0, np.array([0.0, 0.0, -0.5]), 0.02 * np.eye(3), arm)
+    settings = replace(
+        gantry(), tree=Tree((body,), np.array([0.0, 0.0, -9.81])), watched_bodies=(), encoders=(),
+        drives=(replace(gantry().drives[0], axis="arm", joint="arm", constant=0.0),),
+    )  # fmt: skip
+    physics = Physics(settings, noise=False)
+    assert physics.holding_effort(np.array([0.7]))[0] == np.inf
+    assert physics.holding_effort(np.array([0.0]))[0] == 0.0
+
+
 def test_a_joint_with_nothing_to_rest_against_is_refused_in_one_line() -> None:
     settings = gantry()
     lift = settings.tree.bodies[3]

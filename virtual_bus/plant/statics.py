@@ -72,7 +72,12 @@ def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.n
     """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
     held = list(plant.joint_of_axis().values())
     q = equilibrium(plant, model, axis_positions)
-    return static_effort(plant, model, q)[held] / plant.drive_gains(model, q)
+    return _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))
+
+
+def _drives_effort(effort: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """(axes,) in the drives' units; no finite one of a drive that has no gain holds a load."""
+    return np.divide(effort, gains, out=np.where(effort == 0.0, 0.0, np.copysign(np.inf, effort)), where=gains != 0.0)
 
 
 def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
@@ -88,7 +93,7 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
         state[3 * n + np.array(held)] = static_effort(plant, model, q)[held]
     else:
         drive_states = state[plant.first_drive_state :][: len(held) * DRIVE_STATES].reshape(len(held), DRIVE_STATES)
-        drive_states[:] = (static_effort(plant, model, q)[held] / plant.drive_gains(model, q))[:, None]
+        drive_states[:] = _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))[:, None]
         drive_states[:, 1] = 0.0  # the currents' rates
     state[4 * n : plant.first_drive_state - 1] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
     return state
