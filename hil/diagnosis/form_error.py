@@ -27,7 +27,7 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.starts import TURNING_WITH_THE_MOTOR
 from hil.machine import Machine
-from virtual_bus.effects.effect import ELASTIC, FRICTION, TRANSMISSION
+from virtual_bus.effects.effect import ELASTIC, FRICTION, SIGN, TRANSMISSION
 from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual, joined
@@ -122,11 +122,14 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
     tuning : Tuning
         Beside the effects.
     fitted : Fitted
-        Effects that it is not known of how they err are left out.
+        Effects that it is not known of how they err are left out. A sign is right or wrong: it errs by nothing.
     """
     rows, known = [], []
     whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
+        if effects()[effect.effect].kind is SIGN:
+            known.append(effect)
+            continue
         if not can_err(effect) or not _acts_where_it_is_seen(effect, runs.machine.plant):
             continue
         without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
@@ -142,7 +145,9 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
             each = sum(float(np.sum(effort**2)) for group in efforts for _, effort in group)
             rows.append(responses * np.sqrt(share * own / each))
             known.append(effect)
-    return FormError(np.concatenate(rows), tuple(known)) if rows else NO_ERROR
+    if not known:
+        return NO_ERROR
+    return FormError(np.concatenate(rows) if rows else NO_ERROR.responses, tuple(known))
 
 
 def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], responses: np.ndarray, own: np.ndarray) -> float:

@@ -120,8 +120,9 @@ class Stand:
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
         """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
         each = _each(self.effects, self.gates, energy_of)
-        numbers = sum(energy for effect, energy in each if effect.effect in NUMBERS)
-        unknown = sum(energy for effect, energy in each if effect.effect not in NUMBERS and effect not in errors.effects)
+        beyond = [(effect.effect, energy) for effect, energy in each if effect not in errors.effects]
+        numbers = sum(energy for name, energy in beyond if name in NUMBERS)
+        unknown = sum(energy for name, energy in beyond if name not in NUMBERS)
         return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers
 
 

@@ -74,8 +74,9 @@ PLAUSIBLE = 0.04
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
 
-NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth")
-"""Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own."""
+NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth", "rectified_sensor")
+"""Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
+A sign is one too."""
 
 NUMBERS_ERROR = 1e-5
 """Share of the energy removed by a number of the machine file by which it may err all the same: 0.3 % of its response. Beside a viscous

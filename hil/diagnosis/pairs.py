@@ -24,6 +24,9 @@ PARTNERS = 30
 ALIKE = 0.98
 """Squared cosine of two responses above which they are one."""
 
+MOST_RIVALS = 2
+"""Sets that get what was found beside another one: each costs a fit and its polishing."""
+
 Start = tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]
 
 
@@ -82,3 +85,22 @@ def pairs(tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], scree
             added = gain - max(float(along[k] ** 2 / gram[k, k]) for k in (i, j))
             found.append(Pair(start, gain, added, bank[i].freedom + bank[j].freedom))
     return sorted(found, key=lambda pair: -pair.gain)
+
+
+def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted) -> list[Start]:
+    """Starts of sets that compete with the stand, each with what was found beside it: without it they stand for less than the larger set.
+
+    Parameters
+    ----------
+    rivals : sequence of Fitted
+        The likeliest first, the stand among them.
+    stand : Fitted or None
+    found : Fitted
+        The stand with what was added.
+    """
+    if stand is None or not set(stand.effects) < set(found.effects):
+        return []
+    new = [k for k, effect in enumerate(found.effects) if effect not in stand.effects]
+    added, values = tuple(found.effects[k] for k in new), tuple(found.values[k] for k in new)
+    others = [one for one in rivals if one.effects != stand.effects and not set(added) & set(one.effects)]
+    return [((*one.effects, *added), (*one.values, *values)) for one in others[:MOST_RIVALS]]

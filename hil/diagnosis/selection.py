@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,8 +16,8 @@ from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import NUMBERS, Weighed, price_of_a_parameter, temperature, temperature_of
-from hil.diagnosis.pairs import Pair, Start, pairs
+from hil.diagnosis.naming import NUMBERS, PLAUSIBLE, Weighed, price_of_a_parameter, temperature, temperature_of
+from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -166,6 +167,10 @@ def select(
         rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest, len(fits)) if one.passed]
+            known = _not_told_apart(contenders, rivals, nothing.cost, noise_energy)
+            starts = beside_rivals(known, stand.fitted, passed[0].fitted)
+            also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
+            rivals += judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, lowest, len(fits))
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
@@ -251,6 +256,16 @@ def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: 
             if part.cost - fit.cost < needed_gain(tried.sets(added), max(fit.freedom - part.freedom, 1), fit.cost, entries):
                 return False
     return True
+
+
+def _not_told_apart(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
+    """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
+    leave more; `base` is the cost of no effect at all.
+    """
+    weighed = [(base - one.gained, one.by_numbers[0]) for one in (*earlier, *larger)]
+    much = -2.0 * math.log(PLAUSIBLE) * temperature_of(weighed, base, noise_energy)
+    most = max(one.gained for one in larger)
+    return [one.fitted for one in earlier if one.passed and one.gained > most - much]
 
 
 def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -125,3 +126,12 @@ def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(car
     assert can_err(EffectAt("cogging", "carriage"))
     assert not can_err(EffectAt("imu_scale_bias", "imu"))
     assert form_error(runs, TRAIN, tuning, fitted(runs, tuning, ("torque_constant", [1.05]))) is NO_ERROR
+
+
+def test_a_sign_is_known_to_err_by_nothing(carriage):
+    runs, tuning = carriage
+    (sensor,) = (channel for channel in runs.sets[TRAIN].channels if channel.startswith("position_"))
+    turned = replace(fitted(runs, tuning), effects=(EffectAt("rectified_sensor", sensor),), values=(np.array([0.0, -1.0]),))
+    errors = form_error(runs, TRAIN, tuning, turned)
+    assert errors.effects == turned.effects
+    assert errors.gain(tuning.predicted, tuning.predicted) == pytest.approx(tuning.predicted @ tuning.predicted)

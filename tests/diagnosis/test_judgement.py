@@ -105,6 +105,15 @@ def test_where_it_is_known_how_an_equation_errs_only_that_is_taken_from_a_gain()
     assert [gate.passed for gate in gates] == [True, False]
 
 
+def test_of_a_number_of_the_machine_file_too_only_its_known_errors_are_taken_from_a_gain():
+    judgement, fitted = bench(4000.0, VISCOUS, errors=COULOMB)
+    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), 0.0, {})[0])
+    (found,) = judgement.contenders(stand, [fitted(VISCOUS, LOAD)], tried(), 0.0, {})
+    assert found.gate.beyond == pytest.approx(64.0)
+    assert found.gate.passed
+    assert not judged((VISCOUS,), VISCOUS, LOAD, friction=4000.0).gate.passed
+
+
 def test_a_number_of_the_machine_file_has_no_equation_of_its_own_that_errs():
     beside = judged((VISCOUS,), VISCOUS, LOAD, friction=60.0)
     assert beside.gate.passed

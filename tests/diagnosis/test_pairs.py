@@ -10,7 +10,7 @@ import pytest
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import lost_form
 from hil.diagnosis.judgement import Stand, Tried
-from hil.diagnosis.pairs import pairs
+from hil.diagnosis.pairs import beside_rivals, pairs
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -122,3 +122,20 @@ def test_an_effect_that_stood_for_another_one_is_surplus_beside_it(bench):
     assert not has_no_surplus(all_three, stand, [rival], tried, ENTRIES)
     assert has_no_surplus(all_three, stand, [replace(rival, cost=80.0)], tried, ENTRIES)
     assert has_no_surplus(all_three, stand, [found], tried, ENTRIES)  # which the gate asks about
+
+
+def test_what_was_found_beside_an_effect_is_tried_beside_its_rivals_too():
+    friction, warming, mode = (
+        EffectAt(name, "carriage") for name in ("viscous_friction", "temperature_dependent_friction", "structural_mode")
+    )
+
+    def fitted(*effects: EffectAt) -> Fitted:
+        values = tuple(np.array([float(len(effect.effect))]) for effect in effects)
+        return Fitted(effects, values, np.zeros(1), np.zeros(ENTRIES), 0.0, (), np.zeros((ENTRIES, 0)), np.zeros(0))
+
+    both = fitted(friction, mode)
+    rivals = [fitted(friction), fitted(warming), fitted(mode)]
+    (start,) = beside_rivals(rivals, fitted(friction), both)
+    assert start == ((warming, mode), (*fitted(warming).values, both.values[1]))
+    assert beside_rivals(rivals, None, both) == []
+    assert beside_rivals(rivals, fitted(warming), both) == []
