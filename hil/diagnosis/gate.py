@@ -86,7 +86,7 @@ class Gate:
     placebo_gain: float
     share: float  # of what there is to explain before the first effect
     is_first: bool
-    lost_form: str = ""  # what left its own equation, see form.py
+    lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see selection.py
     beyond: float | None = None  # of the gain, what no error of equations found before explains, see form_error.py
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -50,6 +50,8 @@ RIVAL_SHARE = 0.5
 
 WORTH_A_FIT = 0.02
 """Of the best score: candidates below are not refitted."""
+
+SURPLUS = "the set gains no more than chance over a part of it without another of its effects"
 
 Report = Callable[[str, float], None]
 
@@ -138,7 +140,8 @@ def select(
         if not fits:
             break
         fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
-        if stand.cost - fits[0].cost > needed_gain(tried.sets(fits[0].effects[-1:]), fits[0].freedom, fits[0].cost, len(residual)):
+        best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
+        if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_half_orders(runs, tuning, measured, fits)
         if size == 0:
             first, singles = screened, fits
@@ -160,7 +163,7 @@ def select(
         needed = [one for one in judged if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
         smaller = [*smaller, *fits]
         passed = [one for one in needed if one.passed]
-        gates.append((passed or judged)[0].gate)
+        gates.append(passed[0].gate if passed else _refused(judged[0], needed))
         if not passed and chosen is not None:
             break
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
@@ -176,6 +179,11 @@ def select(
             break
         stand, further = judgement.after(passed[0]), np.inf
     return Selection(stand.fitted, tuple(gates), contenders, tuple(first), closest, further)
+
+
+def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
+    """The gate of the step that ends a search."""
+    return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
 
 
 def least_by_chance(judged: Sequence[Contender], stand: Stand) -> float:

@@ -27,9 +27,13 @@ UNNAMED_GAIN = 2.0
 """Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
 recordings by more than the scatter of three repeats says."""
 
+NULLS_LEFT = 0.16
+"""What re-tuning leaves above noise at most where nothing is hidden, in units of the noise (30 development nulls). Below it such a gain is
+believed only if the held-out recordings follow it or are above noise themselves: disturbances do not repeat there."""
+
 UNNAMED_LEFT = 1.0
-"""What re-tuning leaves above noise, in units of the noise, from which something is there whatever any candidate gains: on 30 development
-nulls it is 0.16 at most."""
+"""What re-tuning leaves above noise, in units of the noise, from which something is there whatever any candidate gains: NULLS_LEFT is far
+less."""
 
 NAMED = 0.5
 """Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
@@ -62,7 +66,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     explainable = max(standing.retuned_misfit - standing.noise, 1e-9)
     certain = left - certain_excess(standing.noise)  # the noise itself is known no better
     share = UNKNOWN_LEFT if found else 0.0
-    shown = found or left > UNNAMED_LEFT * standing.noise or any(g.gain > UNNAMED_GAIN * g.needed * g.scatter for g in standing.gates)
+    shown = found or left > UNNAMED_LEFT * standing.noise or any(_stands_out(gate, standing) for gate in standing.gates)
     if certain > share * explainable and shown:
         return "unknown_physics", f"{left / explainable:.0%} of what is above noise is spanned by no known effect"
     if found and (there := _left_held_out(standing)) > UNKNOWN_LEFT:
@@ -89,6 +93,15 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
+
+
+def _stands_out(gate: Gate, standing: Standing) -> bool:
+    """Whether an effect that did not pass gains more than slow disturbances let it, which do not repeat in another recording."""
+    if gate.gain <= UNNAMED_GAIN * gate.needed * gate.scatter:
+        return False
+    held_out = standing.held_out
+    also_there = gate.confirmed or held_out is None or min(held_out[:2]) - held_out[2] > certain_excess(held_out[2])
+    return also_there or standing.best_misfit > (1.0 + NULLS_LEFT) * standing.noise
 
 
 def _left_held_out(standing: Standing) -> float:

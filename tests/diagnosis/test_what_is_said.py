@@ -112,6 +112,17 @@ def test_many_times_the_noise_is_never_called_retuned(left, said):
     assert verdict_of(standing)[0] == said
 
 
+@pytest.mark.parametrize(
+    ("here", "there", "said"), [(1.07, 1.03, "retuned"), (1.07, 1.5, "unknown_physics"), (1.3, 1.03, "unknown_physics")]
+)
+def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, said):
+    """The mean of four repeats of a null was 7 % above its noise, along a load as well, which the held-out recording did not follow."""
+    nothing_passed = replace(gate(0.01, passes=False), gain=60.0)
+    held_out = there * NOISE, there * NOISE, NOISE
+    standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, here * NOISE, here * NOISE, NOISE, 8, "", held_out)
+    assert verdict_of(standing)[0] == said
+
+
 def named(**standing) -> str:
     """The verdict on one set that passed and stands alone."""
     one = contender("viscous_friction", 0.9)
