@@ -220,10 +220,11 @@ def _orders(
         found = []
         ratio = scale(residual)
         strongest = _strongest_orders(residual, per(residual), typical, 2)
-        for value in strongest:
-            if any(abs(value - 2.0 * other) < 2.0 * np.pi / typical.travel for other in strongest):
+        waves = {value: harmonics(value * residual.position, per(residual)) for value in strongest}
+        for value, ((a1, p1), (a2, p2)) in waves.items():
+            halves = [other for other in strongest if abs(value - 2.0 * other) < 2.0 * np.pi / typical.travel]
+            if any(waves[half][0][0] > a1 for half in halves):
                 continue  # the second harmonic of the other one, which starts with both
-            (a1, p1), (a2, p2) = harmonics(value * residual.position, per(residual))
             found.append({**first, order: value / ratio, amplitudes[0]: a1, phases[0]: p1, amplitudes[1]: a2, phases[1]: p2})
         return found
 

@@ -55,6 +55,13 @@ def test_a_wave_is_found_below_orders_at_which_noise_is_larger():
     assert apart.min() < 0.5 * 2.0 * np.pi / np.ptp(POSITION)
 
 
+@pytest.mark.parametrize(("lower", "starts_there"), [(0.03, True), (0.3, False)])
+def test_an_order_is_another_one_s_second_harmonic_only_where_that_one_is_larger(lower, starts_there):
+    effort = 0.1 * np.cos(54.0 * POSITION + 0.3) + lower * np.cos(27.0 * POSITION)
+    apart = np.abs(starts("cogging", "propeller", effort)["Np"] * RATIO - 54.0)
+    assert bool(apart.min() < 0.5 * 2.0 * np.pi / np.ptp(POSITION)) is starts_there
+
+
 def test_a_light_mode_is_found_between_the_frequencies_of_a_coarse_grid():
     """A mass that hangs on the joint pulls at it, in noise as large as its pull and beside an inertia that is missing."""
     w, zeta, line = 2.0 * np.pi * 12.0, 0.02, 2j * np.pi * np.fft.rfftfreq(ROWS, TIME_s[1])
