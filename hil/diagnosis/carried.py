@@ -54,8 +54,11 @@ class CarriedImu:
     def without(self, rows: np.ndarray) -> np.ndarray:
         """Rows (..., N, C) with the IMU channels less what the encoder channels say of them. Linear."""
         left = np.array(rows, dtype=float)
+        carried = np.zeros((*left.shape[:-1], len(self.imu)))
         for order, moved in enumerate(_derivatives(left[..., self.encoders], self.rate_Hz)):
-            left[..., self.imu] -= np.einsum("tia,...ta->...ti", self.gradients[order], moved)
+            for axis in range(len(self.encoders)):
+                carried += self.gradients[order, :, :, axis] * moved[..., axis, None]
+        left[..., self.imu] -= carried
         return left
 
 

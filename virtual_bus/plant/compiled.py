@@ -52,6 +52,27 @@ SPECTRUM_MARGIN = 1.15  # for the poses between
 SEEN = 256  # models whose inner steps are remembered
 STANDSTILL_TIME_s = -1.0  # before the start: no disturbance has begun
 
+AT_POSES = '''"""Generated: equations of one plant at many poses; do not edit."""
+
+from PLANT import evaluate_equations
+
+from virtual_bus.plant.jit import compiled_and_cached
+
+
+@compiled_and_cached
+def evaluate(model, work, positions, speeds, inertias, biases):
+    joints = positions.shape[1]
+    for row in range(len(positions)):
+        for i in range(joints):
+            work[0].query_position[i] = positions[row, i]
+            work[0].query_speed[i] = speeds[row, i]
+        evaluate_equations(model, work)
+        for i in range(joints):
+            biases[row, i] = work[0].bias[i]
+            for j in range(i + 1):
+                inertias[row, i, j] = inertias[row, j, i] = work[0].mass[i, j]
+'''
+
 
 @dataclass(frozen=True)
 class CompiledPlant:
@@ -123,21 +144,22 @@ class CompiledPlant:
         return records.work_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), len(self.settings.watched_bodies))
 
     @cached_property
-    def _lower(self) -> np.ndarray:
-        """(n, n) the triangle of the inertia that the equations write."""
-        return np.tril(np.ones((self.joints, self.joints), dtype=bool))
-
-    @cached_property
     def _query(self) -> np.ndarray:
         return self.new_work()
 
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint-space inertia (n, n), armature included, and effort (n,) asked for at zero acceleration by gravity, velocities, effects."""
-        work = self._query
-        work["query_position"], work["query_speed"], work["query_time_s"] = q, v, STANDSTILL_TIME_s
-        self.module.evaluate_equations(model, work)
-        mass = work["mass"][0]
-        return np.where(self._lower, mass, mass.T), work["bias"][0].copy()
+        """Joint-space inertia (..., n, n), armature included, and effort (..., n) asked for at zero acceleration by gravity, velocities,
+        effects, at these positions and speeds (..., n)."""
+        positions, speeds = (np.ascontiguousarray(each, dtype=float).reshape(-1, self.joints) for each in np.broadcast_arrays(q, v))
+        inertias, biases = np.empty((*positions.shape, self.joints)), np.empty_like(positions)
+        self._query["query_time_s"] = STANDSTILL_TIME_s
+        self._at_poses.evaluate(model, self._query, positions, speeds, inertias, biases)
+        shape = np.shape(q)
+        return inertias.reshape(*shape, self.joints), biases.reshape(shape)
+
+    @cached_property
+    def _at_poses(self) -> ModuleType:
+        return self.fuse("poses", AT_POSES)
 
     def drive_gains(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Joint effort per unit of every drive (axes,) at these joint positions."""
@@ -231,15 +253,14 @@ class CompiledPlant:
         return {}
 
     def _inner_steps(self, model: np.ndarray) -> int:
-        """As many steps of the linear part within a plant step as its fastest mode over all poses needs."""
-        n = self.joints
-        generator = np.random.default_rng(0)
+        """As many steps of the linear part within a plant step as its fastest mode over all poses needs.
+
+        An eigenvector x, x' M x = 1, of a mode s has s^2 + (x' D x) s + (x' K x) = 0: |s| is the root of x' K x where it oscillates and
+        at most x' D x where it does not, so it is within the largest eigenvalues of M^-1 K and M^-1 D (Tisseur and Meerbergen 2001).
+        """
         stiffness, damping, rest, step_s = (model[name][0] for name in ("stiffness", "damping", "rest_position", "step_s"))
-        is_revolute = [joint.kind == "revolute" for joint in self.settings.tree.joints]
-        masses = np.empty((PROBED_POSES, n, n))
-        for mass in masses:
-            q = np.where(is_revolute, generator.uniform(-np.pi, np.pi, n), 0.0)
-            mass[:], _ = self.inertia_and_bias(model, np.where(stiffness > 0.0, rest, q), np.zeros(n))
+        poses = np.where(stiffness > 0.0, rest, self._probed_poses)
+        masses, _ = self.inertia_and_bias(model, poses, np.zeros_like(poses))
         try:
             np.linalg.cholesky(masses)
         except np.linalg.LinAlgError:
@@ -247,12 +268,15 @@ class CompiledPlant:
                 raise EffectError("no joint-space inertia is like this: an axis_coupling larger than what it couples") from None
             raise PlantError("the joint-space inertia is not positive definite: a moving body without mass or inertia") from None
         inverses = np.linalg.inv(masses)
-        first_order = np.zeros((PROBED_POSES, 2 * n, 2 * n))
-        first_order[:, :n, n:] = np.eye(n)
-        first_order[:, n:, :n] = -inverses * stiffness
-        first_order[:, n:, n:] = -inverses * damping
-        fastest = float(np.abs(np.linalg.eigvals(first_order)).max())
+        fastest = max(np.sqrt(_largest(inverses, stiffness)), _largest(inverses, damping))
         return max(1, int(np.ceil(SPECTRUM_MARGIN * fastest * step_s / FINEST_PHASE)))
+
+    @cached_property
+    def _probed_poses(self) -> np.ndarray:
+        """(PROBED_POSES, n) any angles; zeros of the joints that slide."""
+        is_revolute = [joint.kind == "revolute" for joint in self.settings.tree.joints]
+        generator = np.random.default_rng(0)
+        return np.where(is_revolute, generator.uniform(-np.pi, np.pi, (PROBED_POSES, self.joints)), 0.0)
 
     def fuse(self, name: str, text: str, depends_on: str = "") -> ModuleType:
         """A further generated module, compiled and cached like the plant's own.
@@ -267,6 +291,14 @@ class CompiledPlant:
             Source of whatever else is compiled into it (`inspect.getsource` of the modules it imports).
         """
         return load_generated(name, text.replace("PLANT", self.module.__name__), depends_on)
+
+
+def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
+    """Largest eigenvalue of the products of these matrices (P, n, n) and a diagonal one (n,)."""
+    acting = np.flatnonzero(diagonal)
+    roots = np.sqrt(np.abs(diagonal[acting]))
+    products = roots[:, None] * inverses[:, acting[:, None], acting] * roots
+    return float(np.linalg.eigvalsh(products).max(initial=0.0))
 
 
 def compile_plant(settings: PlantSettings) -> CompiledPlant:

@@ -16,22 +16,16 @@ LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does n
 
 
 def static_effort(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-    """Effort (n,) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (n,)."""
+    """Effort (..., n) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (..., n)."""
     _, bias = plant.inertia_and_bias(model, joint_positions, np.zeros(plant.joints))
     return bias + model["stiffness"][0] * (joint_positions - model["rest_position"][0])
 
 
 def static_stiffness(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
     """Gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
-    n = plant.joints
-    gradient = np.zeros((n, n))
-    for j in range(n):
-        shift = np.zeros(n)
-        shift[j] = DIFFERENCE
-        ahead = static_effort(plant, model, joint_positions + shift)
-        behind = static_effort(plant, model, joint_positions - shift)
-        gradient[:, j] = (ahead - behind) / (2.0 * DIFFERENCE)
-    return gradient
+    shifts = DIFFERENCE * np.eye(plant.joints)
+    ahead, behind = static_effort(plant, model, joint_positions + np.stack([shifts, -shifts]))
+    return (ahead - behind).T / (2.0 * DIFFERENCE)
 
 
 def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
