@@ -21,6 +21,9 @@ from virtual_bus.effects.residual import Residual, harmonics
 FIRST_SHARE = 0.1
 """Strength of a first try where a guess sees nothing, as a share of what the machine shows of its kind."""
 
+REFINEMENTS = ("kc3", "Fs_minus_Fc", "A2", "e2", "sigma1", "d", "D", "droop", "delta", "b", "Fc_minus")
+"""Strengths that refine an effect's first one: a guess of none of them stands."""
+
 ORDERS_PER_TRAVEL = 4.0
 """Orders over position are looked for in steps of this part of a cycle per travel."""
 
@@ -78,7 +81,7 @@ def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     except (np.linalg.LinAlgError, ValueError, IndexError, ZeroDivisionError):
         guessed = {parameter.name: 0.0 for parameter in effect.parameters}
     typical = _Typical(motion, at, residual)
-    first = {p.name: _strength(p, guessed[p.name], typical) if p.is_strength else guessed[p.name] for p in effect.parameters}
+    first = _first(effect, guessed, typical)
     others = _OTHERS.get(name, _nothing)(first, residual, typical)
     found: list[np.ndarray] = []
     for start in (*others, first):
@@ -187,10 +190,17 @@ class _Typical:
         }.get(parameter.unit, 0.02)
 
 
+def _first(effect: Effect, guessed: Start, typical: _Typical) -> Start:
+    """The guess, with typical strengths where it sees nothing: of a refinement none, unless the effect has nothing else."""
+    strengths = [p for p in effect.parameters if p.is_strength]
+    refinements = [p.name for p in strengths if p.name in REFINEMENTS and guessed[p.name] == 0.0]
+    if len(refinements) == len(strengths):
+        refinements = []
+    return {**guessed, **{p.name: _strength(p, guessed[p.name], typical) for p in strengths if p.name not in refinements}}
+
+
 def _strength(parameter: Parameter, guessed: float, typical: _Typical) -> float:
     """The guess, unless it sees nothing."""
-    if parameter.name in ("kc3", "Fs_minus_Fc", "A2", "e2", "sigma1", "d", "D", "droop", "delta", "b", "Fc_minus") and guessed == 0.0:
-        return guessed  # a refinement of the effect's first strength
     at_bound = guessed <= parameter.low if parameter.low >= 0.0 else False
     unseen = guessed == parameter.neutral or at_bound or guessed >= parameter.high
     return typical.of(parameter) if unseen else guessed

@@ -86,6 +86,17 @@ def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
     assert sum((found["Fv0"] > 1.0) & (found["a"] * warming_K > 0.1) & (found["a"] * warming_K < 10.0)) >= 2
 
 
+def test_an_effect_of_one_strength_starts_with_some_where_its_guess_sees_none():
+    """A friction that grows with speed has no excess at low speed: a Stribeck friction is tried all the same."""
+    assert all(starts("stribeck_friction", "roll", -3.0 * np.tanh(5.0 * SPEED))["Fs_minus_Fc"] > 0.0)
+
+
+def test_a_refinement_that_its_guess_does_not_see_is_none():
+    found = starts("asymmetric_friction", "roll", -3.0 * np.maximum(np.sign(SPEED), 0.0))
+    assert found["Fc_plus"].max() > 1.0
+    assert found["Fc_minus"].min() == 0.0
+
+
 def test_a_shape_that_starts_at_zero_may_leave_it():
     imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, 0.0])
     none = SimpleNamespace(at=lambda offset: offset)
