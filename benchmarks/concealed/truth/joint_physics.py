@@ -89,6 +89,14 @@ def contact(depth, rate, stiffness, restitution):
 
 
 @njit(cache=True)
+def flank(depth, rate, stiffness, restitution, half_gap):
+    """A contact whose loss grows no deeper than half the gap is wide: it goes to nothing with the gap, also under a preload."""
+    if depth <= 0.0:
+        return 0.0
+    return max(0.0, stiffness * (depth + min(depth, half_gap) * restitution * rate))
+
+
+@njit(cache=True)
 def add_efforts(kinds, dofs, others, parameters, states, q, v, a, t, h, load, drive, applied, armature):
     """Add every effect's efforts at its joints; write the inertias that vary with pose to `armature`."""
     for e in range(kinds.shape[0]):
@@ -118,7 +126,7 @@ def add_efforts(kinds, dofs, others, parameters, states, q, v, a, t, h, load, dr
             applied[j] += tabulated(p[0] * q[j] / (2.0 * math.pi), p[1], p[2], p[3], p[4], p[5])
         elif kind == CONTACT_GAP:  # p: stiffness and damping of the spring that is there, half the gap, loss
             x, w = q[j] - p[4], v[j]
-            applied[j] += p[0] * x - contact(x - p[2], w, p[0], p[3]) + contact(-x - p[2], -w, p[0], p[3])
+            applied[j] += p[0] * x - flank(x - p[2], w, p[0], p[3], p[2]) + flank(-x - p[2], -w, p[0], p[3], p[2])
         elif kind == PIECEWISE_SPRING:
             x = q[j] - p[2]
             applied[j] -= p[0] * (max(0.0, x - p[1]) + min(0.0, x + p[1]))

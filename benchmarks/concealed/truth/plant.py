@@ -322,8 +322,7 @@ class Plant:
 
     def _imu_poles(self) -> np.ndarray:
         imu = self.machine.imu or {}
-        nominal = np.array([imu.get("accelerometer_bandwidth_Hz", 0.0), imu.get("gyro_bandwidth_Hz", 0.0), 0.0])
-        return nominal if self.setup.imu_pole_Hz == 0.0 else np.full(3, self.setup.imu_pole_Hz)
+        return np.array([imu.get("accelerometer_bandwidth_Hz", 0.0), imu.get("gyro_bandwidth_Hz", 0.0), self.setup.imu_pole_Hz])
 
     def _controller(self, held: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All sections, per axis the first of C_r, of C_y and the end, and states that hold the start."""

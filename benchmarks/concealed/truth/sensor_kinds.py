@@ -36,8 +36,14 @@ def _eccentric(setup: Setup, _machine: Machine, axis: str, shape: Shape, s: floa
     setup.encoders |= {(axis, column): value for column, value in values.items()}
 
 
-def _coarse(setup: Setup, _machine: Machine, axis: str, _shape: Shape, s: float) -> None:
-    setup.encoders[axis, "lattice"] = s
+def _coarse_shape(_rng: np.random.Generator, machine: Machine, axis: str) -> Shape:
+    return {"least": 2.0 * float(machine.counts[machine.axes.index(axis)])}
+
+
+def _coarse(setup: Setup, _machine: Machine, axis: str, shape: Shape, s: float) -> None:
+    """Two of the encoder's own counts or more: a finer lattice would vanish in the encoder's, which the oracle runs without."""
+    if s:
+        setup.encoders[axis, "lattice"] = max(s, shape["least"])
 
 
 def _count(share: float):  # type: ignore[no-untyped-def]
@@ -69,9 +75,9 @@ def _scale_values(shape: Shape, s: float) -> dict[str, float]:
 
 
 def _low_pass(setup: Setup, _machine: Machine, _place: str, _shape: Shape, s: float) -> None:
-    """Strength s is the lag of both poles together [s], in place of the machine file's single one."""
+    """Strength s is the lag [s] of a second pole behind the machine file's own."""
     if s:
-        setup.imu_pole_Hz = 2.0 / (2.0 * math.pi * (s + 1.0 / (2.0 * math.pi * 60.0)))
+        setup.imu_pole_Hz = 1.0 / (2.0 * math.pi * s)
 
 
 def _late_shape(rng: np.random.Generator, _machine: Machine, _place: str) -> Shape:
@@ -84,8 +90,8 @@ KINDS = (
         ("gravity_imbalance", "gear_ratio", "cable_spring"), ("phi", "second"), compare=lambda _shape, s: {"a": s}, sensor=True,
     ),
     Kind(
-        "encoder_quantization", ("encoder_quantization",), axes, no_shape, _coarse, _count(10.0), _count(400.0),
-        compare=lambda _shape, s: {"q": s}, sensor=True,
+        "encoder_quantization", ("encoder_quantization",), axes, _coarse_shape, _coarse, _count(10.0), _count(400.0),
+        compare=lambda shape, s: {"q": max(s, shape["least"])}, sensor=True,
     ),
     Kind(
         "imu_misalignment", ("imu_misalignment",), _with_imu, _direction, _reading("turned", IMU_CHANNELS), number(0.01), number(0.3),
