@@ -21,7 +21,7 @@ import scipy.linalg
 from hil.diagnosis.disturbance import LOWEST_Hz, loop_response
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.motion import Motion
-from hil.diagnosis.naming import NUMBERS, WEIGHTS
+from hil.diagnosis.naming import NUMBERS, WEIGHTS, is_a_whole_sign
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -122,12 +122,12 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
     tuning : Tuning
         Beside the effects.
     fitted : Fitted
-        Effects that it is not known of how they err are left out. A sign is right or wrong: it errs by nothing.
+        Effects that it is not known of how they err are left out. A whole sign is right or wrong: it errs by nothing.
     """
     rows, known = [], []
     whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
-        if effects()[effect.effect].kind is SIGN:
+        if effects()[effect.effect].kind is SIGN and is_a_whole_sign(values):
             known.append(effect)
             continue
         if not can_err(effect) or not _acts_where_it_is_seen(effect, runs.machine.plant):

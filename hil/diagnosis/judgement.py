@@ -14,7 +14,7 @@ from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
-from hil.diagnosis.naming import NUMBERS, NUMBERS_ERROR, WEIGHTS, temperature
+from hil.diagnosis.naming import NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -73,7 +73,7 @@ class Contender:
     @property
     def by_numbers(self) -> tuple[float, float]:
         """Energies that those of its effects remove which are numbers of the machine file, in training and held out."""
-        steps = _steps(self.fitted.effects, self.gates, numbers=True)
+        steps = _steps(self.fitted.effects, self.gates, numbers_of(self.fitted), numbers=True)
         return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
 
 
@@ -115,14 +115,15 @@ class Stand:
 
     def steps(self, *, numbers: bool) -> list[Gate]:
         """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
-        return _steps(self.effects, self.gates, numbers=numbers)
+        return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
         """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
         each = _each(self.effects, self.gates, energy_of)
-        beyond = [(effect.effect, energy) for effect, energy in each if effect not in errors.effects]
-        numbers = sum(energy for name, energy in beyond if name in NUMBERS)
-        unknown = sum(energy for name, energy in beyond if name not in NUMBERS)
+        beyond = [(effect, energy) for effect, energy in each if effect not in errors.effects]
+        known = numbers_of(self.fitted)
+        numbers = sum(energy for effect, energy in beyond if effect in known)
+        unknown = sum(energy for effect, energy in beyond if effect not in known)
         return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers
 
 
@@ -132,12 +133,13 @@ def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callabl
     return [(effect, max(energy_of(gate), 0.0) / steps.count(id(gate))) for effect, gate in zip(effects, gates, strict=True)]
 
 
-def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], *, numbers: bool) -> list[Gate]:
-    names: dict[int, set[str]] = {}
+def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozenset[EffectAt], *, numbers: bool) -> list[Gate]:
+    """The gates whose effects are all `known` for numbers, or the others."""
+    added: dict[int, set[EffectAt]] = {}
     for effect, gate in zip(effects, gates, strict=True):
-        names.setdefault(id(gate), set()).add(effect.effect)
-    known = {id(gate): gate for gate in gates}
-    return [known[step] for step, own in names.items() if (own <= set(NUMBERS)) is numbers]
+        added.setdefault(id(gate), set()).add(effect)
+    each = {id(gate): gate for gate in gates}
+    return [each[step] for step, own in added.items() if (own <= known) is numbers]
 
 
 class Judgement:

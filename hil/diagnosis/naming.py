@@ -23,6 +23,7 @@ import numpy as np
 
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,30 @@ PLAUSIBLE = 0.04
 
 NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth", "rectified_sensor")
 """Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
-A sign is one too."""
+A sign is one too, where it is whole."""
+
+WHOLE = 0.01
+"""How near none or all of its sign a channel has lost it: a share between imitates what acts in one direction."""
 
 NUMBERS_ERROR = 1e-5
 """Share of the energy removed by a number of the machine file by which it may err all the same: 0.3 % of its response. Beside a viscous
 friction a thousand times above noise another friction gained 4e-6 of its energy (development case 102), with nothing else there."""
+
+
+def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
+    """Those of a set's effects that are numbers of the machine file."""
+    if fitted is None:
+        return frozenset()
+    each = zip(fitted.effects, fitted.values, strict=True)
+    return frozenset(
+        effect for effect, values in each if effect.effect in NUMBERS and (effect.effect != "rectified_sensor" or is_a_whole_sign(values))
+    )
+
+
+def is_a_whole_sign(values: np.ndarray) -> bool:
+    """Whether a channel has lost none or all of its sign, by the parameters of `rectified_sensor`."""
+    share, sign = values
+    return bool(min(abs(share), abs(1.0 - share)) < WHOLE and abs(sign) == 1.0)
 
 
 @dataclass(frozen=True, eq=False)

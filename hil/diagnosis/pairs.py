@@ -87,7 +87,7 @@ def pairs(tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], scree
     return sorted(found, key=lambda pair: -pair.gain)
 
 
-def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted) -> list[Start]:
+def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted, there: Sequence[set[EffectAt]] = ()) -> list[Start]:
     """Starts of sets that compete with the stand, each with what was found beside it: without it they stand for less than the larger set.
 
     Parameters
@@ -97,10 +97,17 @@ def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted)
     stand : Fitted or None
     found : Fitted
         The stand with what was added.
+    there : sequence of set
+        Sets that compete already.
     """
     if stand is None or not set(stand.effects) < set(found.effects):
         return []
     new = [k for k, effect in enumerate(found.effects) if effect not in stand.effects]
     added, values = tuple(found.effects[k] for k in new), tuple(found.values[k] for k in new)
-    others = [one for one in rivals if one.effects != stand.effects and not set(added) & set(one.effects)]
+    left_out = [set(stand.effects), *(each - set(added) for each in there if set(added) <= each)]
+    others = [
+        one
+        for one in rivals
+        if set(one.effects) not in left_out and not set(added) & set(one.effects) and len(one.effects) <= len(stand.effects)
+    ]
     return [((*one.effects, *added), (*one.values, *values)) for one in others[:MOST_RIVALS]]

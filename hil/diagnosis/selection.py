@@ -16,7 +16,7 @@ from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import NUMBERS, PLAUSIBLE, Weighed, price_of_a_parameter, temperature, temperature_of
+from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, temperature, temperature_of
 from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
@@ -171,9 +171,11 @@ def select(
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest, len(fits)) if one.passed]
             known = _not_told_apart(contenders, rivals, nothing.cost, noise_energy)
-            starts = beside_rivals(known, stand.fitted, passed[0].fitted)
+            there = [set(one.fitted.effects) for one in (*contenders, *rivals)]
+            starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-            rivals += judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, lowest, len(fits))
+            more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, lowest, len(fits))
+            rivals += [one for one in more if one.passed and has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:
             break
@@ -284,7 +286,7 @@ def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list
     return [
         one
         for one in earlier
-        if one.gained > RIVAL_SHARE * most and not any(set(one.fitted.effects) < set(other.fitted.effects) for other in larger)
+        if one.gained > RIVAL_SHARE * most and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger)
     ]
 
 
@@ -309,7 +311,7 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
     known = sum(gate.gain for gate in stand.steps(numbers=True))
 
     def by_numbers(fit: Fitted) -> float:
-        if {effect.effect for effect in fit.effects} <= set(NUMBERS):
+        if set(fit.effects) <= numbers_of(fit):
             return base - fit.cost
         return known if set(stand.effects) <= set(fit.effects) else 0.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hil.diagnosis.gate import certain_excess
@@ -11,12 +12,15 @@ from hil.diagnosis.naming import (
     WEIGHTS,
     Evidence,
     Weighed,
+    numbers_of,
     ranking,
     temperature,
     temperature_of,
     unnamed_share,
     weighed,
 )
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
 
 NOISE = 20000.0
 ENTRIES = 19000.0
@@ -140,3 +144,18 @@ def test_an_equation_errs_in_each_motion_by_a_share_of_what_it_does_there():
     one, other = shares((0.0, 0.0, (2000.0,)), (200.0, 0.0, (2000.0,)), base=(2000.0, 200000.0))
     assert one > 0.9
     assert other < 0.1
+
+
+def test_a_channel_that_has_lost_a_part_of_its_sign_is_no_number_of_the_machine_file():
+    effects = tuple(EffectAt(*each) for each in (("viscous_friction", "belt"), ("coulomb_friction", "belt"), ("rectified_sensor", "speed")))
+
+    def known(share: float, sign: float) -> set[str]:
+        values = (np.array([1.0]), np.array([2.0]), np.array([share, sign]))
+        return {
+            effect.effect
+            for effect in numbers_of(Fitted(effects, values, np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0)))
+        }
+
+    assert known(1.0, 1.0) == known(0.0, -1.0) == {"viscous_friction", "rectified_sensor"}
+    assert known(0.88, 1.0) == known(0.0, 0.02) == {"viscous_friction"}
+    assert numbers_of(None) == set()

@@ -139,3 +139,6 @@ def test_what_was_found_beside_an_effect_is_tried_beside_its_rivals_too():
     assert start == ((warming, mode), (*fitted(warming).values, both.values[1]))
     assert beside_rivals(rivals, None, both) == []
     assert beside_rivals(rivals, fitted(warming), both) == []
+    assert beside_rivals(rivals, fitted(friction), both, [{warming}]) == [start]
+    assert beside_rivals(rivals, fitted(friction), both, [{mode, warming}]) == []
+    assert beside_rivals([fitted(mode, warming)], fitted(warming, mode), fitted(warming, mode, friction)) == []  # itself, in another order

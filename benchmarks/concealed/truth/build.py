@@ -160,7 +160,7 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
         strength = min(strength * float(np.clip(wanted / found, 0.02, 30.0)), safe)
     while shop.matrix(shop.setup((Chosen(hidden, strength),)), drive) is None:
         strength *= 0.5
-    return strength
+    return max(strength, hidden.shape.get("least", 0.0))
 
 
 # ---- the oracle -------------------------------------------------------------------------------------
