@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, load
@@ -49,6 +50,7 @@ def diagnose(
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
+    _check_another_motion(train, held)
     with progress(Answer("-").console) as bars:
         task = bars.add_task("reading", total=1.0)
 
@@ -89,7 +91,26 @@ def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> d
     for path in paths:
         name = path.stem if path.stem not in found and path.stem not in taken else str(path)
         found[name] = read_recording(path, machine)
+        _check_axes(path, found[name], machine)
     return found
+
+
+def _check_axes(path: Path, recording: Recording, machine: Machine) -> None:
+    """RecordingError where the recording says that it is of a machine without one of this machine's axes, and has no such channel."""
+    own = recording.metadata.get("machine", {})
+    axes = own.get("axes") or machine.axes
+    if any(axis not in axes and not {f"reference_{axis}", f"command_{axis}"} & set(recording.channels) for axis in machine.axes):
+        has = f"{own.get('name', 'a machine')} with axes {', '.join(axes)}; {machine.name} has {', '.join(machine.axes)}"
+        raise RecordingError(f"{path}: recorded of {has}: give recordings of this machine, or the other one's file")
+
+
+def _check_another_motion(train: Mapping[str, Recording], held: Mapping[str, Recording]) -> None:
+    """RecordingError where a held-out recording holds the same rows as one to fit to: a copy under another name."""
+    for label, recording in held.items():
+        for other, fitted_to in train.items():
+            names = set(recording.channels)
+            if names == set(fitted_to.channels) and all(np.array_equal(recording[n], fitted_to[n], equal_nan=True) for n in names):
+                raise RecordingError(f"{label}: holds the same rows as {other}, which is fitted to; hold out a recording of another motion")
 
 
 def _say(answer: Answer, outcome: Outcome, out: Path) -> None:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from virtual_bus.settings import EffectSetting
 
 MachineOption = Annotated[
-    str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")
+    str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")
 ]
-MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (carm, emps).")]
+MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")]
 BusOption = Annotated[
     str,
     typer.Option(

@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(
         short_help="The catalogue of physics.",
-        help="The catalogue of physics: names, equations, parameters with units and bounds, where each may act."
+        help="The catalogue of physics: names and parameters with units; with --json also equations, bounds, and where each may act."
         "\n\nExample:  isocenter effects --json effects.json",
     )(effects)
     app.command(

@@ -17,7 +17,9 @@ from hil.machine.effects_file import effects_text
 
 
 def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
-    """Write diagnosis.json, effects.toml, the re-tuned machine.toml, report.html, and the next experiment where there is one.
+    """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html.
+
+    And the next experiment where there is one; one that an earlier answer left there is removed.
 
     Raises
     ------
@@ -33,6 +35,8 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
         (folder / "machine.toml").write_text(text, encoding="utf-8")
         if outcome.proposal is not None:
             (folder / NEXT_EXPERIMENT).write_text(_experiment_text(outcome, machine), encoding="utf-8")
+        else:  # an earlier answer's is none of this one
+            (folder / NEXT_EXPERIMENT).unlink(missing_ok=True)
         write_report(outcome, folder)
     except OSError as error:
         raise UnusableInput(f"{folder}: cannot be written to: {error.strerror}") from None

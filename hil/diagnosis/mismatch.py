@@ -6,6 +6,7 @@ answers all of them. A periodic recording without repeats is split into its peri
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from hil.diagnosis.noise import FILTER_ORDER, NoiseModel, noise_model
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
-from hil.recording import Recording
+from hil.recording import Recording, RecordingWarning
 from hil.simulation import Inputs, Outputs, Simulator, inputs_of
 from virtual_bus.settings import EffectSetting
 
@@ -183,12 +184,17 @@ def mismatch(
         a recording.
     BadAnswer
         The simulation diverged.
+
+    Warns
+    -----
+    RecordingWarning
+        Where a channel is left out because some of the recordings lack it.
     """
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
     drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
     if channels is None:
-        channels = _channels(machine, [(member.recording, simulated) for group, simulated in drawn for member in group])
+        channels = _channels(machine, [(member.label, member.recording, simulated) for group, simulated in drawn for member in group])
     channels = tuple(channels)
     for members, _ in drawn:
         for member in members:
@@ -293,9 +299,10 @@ def _same_inputs(one: Inputs, other: Inputs) -> bool:
     return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
-def _channels(machine: Machine, pairs: Sequence[tuple[Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
-    """Channels that are recorded and simulated everywhere and move in one of both."""
-    first_recording, first_simulated = pairs[0]
+def _channels(machine: Machine, drawn: Sequence[tuple[str, Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
+    """Channels that are recorded and simulated everywhere and move in one of both; warns of those that only some recordings lack."""
+    _, first_recording, first_simulated = drawn[0]
+    pairs = [(recording, simulated) for _, recording, simulated in drawn]
     closed = bool(machine.controllers)
     chosen = []
     for name in first_simulated:
@@ -304,9 +311,12 @@ def _channels(machine: Machine, pairs: Sequence[tuple[Recording, Mapping[str, np
             measured = f"current_{axis}" in first_recording or f"effort_{axis}" in first_recording
             if not closed or measured:  # given, or shown by what the drive measured
                 continue
-        if not all(name in recording and name in simulated for recording, simulated in pairs):
+        if not all(name in simulated for _, simulated in pairs):
             continue
-        if any(recording.channel(name).missing.mean() > LARGEST_MISSING_SHARE for recording, _ in pairs):
+        if lacking := [label for label, recording, _ in drawn if _missing_share(recording, name) > LARGEST_MISSING_SHARE]:
+            if len(lacking) < len(drawn):
+                words = f"{', '.join(lacking)}: no {name}, or most of its samples missing; the channel is left out of the diagnosis"
+                warnings.warn(words, RecordingWarning, stacklevel=2)
             continue
         if all(_is_silent(recording[name]) and _is_silent(simulated[name]) for recording, simulated in pairs):
             continue
@@ -321,7 +331,7 @@ def _check(member: _Member, channels: Sequence[str]) -> None:
     if member.recording.rows < LEAST_ROWS:
         raise RecordingError(f"{member.label}: {member.recording.rows} rows; {LEAST_ROWS} at least, and seconds of motion, are needed")
     for name in channels:
-        share = float(member.recording.channel(name).missing.mean()) if name in member.recording else 1.0
+        share = _missing_share(member.recording, name)
         if share > LARGEST_MISSING_SHARE:
             has = f"misses {share:.0%} of its samples" if name in member.recording else "is not in it"
             raise RecordingError(f"{member.label}: {name} {has}; the recordings to fit to have it: hold out one that has it too")
@@ -331,6 +341,10 @@ def _check(member: _Member, channels: Sequence[str]) -> None:
             raise RecordingError(
                 f"{member.label}: {name} is {values[senseless[0]]:g} in row {senseless[0]}; leave a reading empty that is missing"
             )
+
+
+def _missing_share(recording: Recording, name: str) -> float:
+    return float(recording.channel(name).missing.mean()) if name in recording else 1.0
 
 
 def _is_silent(values: np.ndarray) -> bool:

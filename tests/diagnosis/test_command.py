@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from carriage import repeats
 
@@ -14,10 +16,11 @@ from hil.recording import write_recording
 def folder(tmp_path, monkeypatch):
     """The same names on two days."""
     monkeypatch.chdir(tmp_path)
-    for day in ("monday", "tuesday"):
+    for seed, day in enumerate(("monday", "tuesday")):
         (tmp_path / day).mkdir()
-        for name, recording in repeats(2, duration_s=0.1).items():
+        for name, recording in repeats(2, duration_s=0.1, seed=seed).items():
             write_recording(recording, tmp_path / day / f"{name}.csv")
+    shutil.copytree("monday", "copies")
     (tmp_path / "file").touch()
 
 
@@ -32,6 +35,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
         ((*REPEATS, "-o", "file/answer"), "file: is a file; give a folder"),
         ((*REPEATS, "--held-out", "monday/../monday/run_0_1.csv", "-o", "answer"), "is given to fit to and as --held-out"),
         ((*REPEATS, "tuesday/../monday/run_0_0.csv", "-o", "answer"), "monday/run_0_0.csv: is given twice"),
+        ((*REPEATS, "--held-out", "copies/run_0_1.csv", "-o", "answer"), "copies/run_0_1.csv: holds the same rows as run_0_1"),
         ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
     ],
 )
@@ -43,9 +47,27 @@ def test_files_given_twice_and_folders_in_the_wrong_place_are_one_line(folder, c
     assert said in line
 
 
+def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folder, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", "carm", *REPEATS, "-o", "answer"])
+    assert left.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "monday/run_0_0.csv: recorded of emps with axes carriage; carm has propeller, roll" in line
+
+
 def test_another_day_s_recording_of_the_same_name_may_be_held_out(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(files, "write_report", lambda *_: None)
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, "--held-out", "tuesday/run_0_0.csv", "-o", "answer"])
     assert left.value.code == 0
     assert (tmp_path / "answer" / "diagnosis.json").exists()
+
+
+def test_the_experiment_of_an_earlier_answer_in_the_same_folder_is_removed(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "write_report", lambda *_: None)
+    (tmp_path / "answer").mkdir()
+    (tmp_path / "answer" / "next_experiment.toml").write_text("of an ambiguous verdict")
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", "emps", *REPEATS, "-o", "answer"])
+    assert left.value.code == 0
+    assert sorted(path.name for path in (tmp_path / "answer").iterdir()) == ["diagnosis.json", "effects.toml", "machine.toml"]

@@ -9,8 +9,9 @@ import pytest
 from carriage import MACHINE, repeats
 
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.mismatch import mismatch
 from hil.errors import RecordingError
-from hil.recording import Channel
+from hil.recording import Channel, RecordingWarning
 
 
 def with_reading(recording, value: float):
@@ -53,3 +54,11 @@ def test_copies_are_no_repeats(runs):
     label, one = next(iter(runs.items()))
     with pytest.raises(RecordingError, match=r"the same to the last digit.*not copies of one"):
         diagnose(MACHINE, {label: one, "copy": one, "another": one})
+
+
+def test_a_channel_that_one_recording_lacks_is_said_to_be_left_out(runs):
+    label, one = next(iter(runs.items()))
+    lacking = replace(one, channels={name: channel for name, channel in one.channels.items() if name != "position_carriage"})
+    with pytest.warns(RecordingWarning, match=rf"{label}: no position_carriage, .* left out"):
+        found = mismatch(MACHINE, runs | {label: lacking})
+    assert found.channels == ("command_carriage",)

@@ -126,7 +126,7 @@ def _findings(diagnosis: Diagnosis) -> str:
                 lines.append(f"<p>{heading}:</p><ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in evidence) + "</ul>")
         if finding.ambiguous_with:
             others = ", ".join(str(other) for other in finding.ambiguous_with)
-            lines.append(f"<p>These recordings do not tell it apart from: {html.escape(others)}.</p>")
+            lines.append(f"<p>In its place, alone or with one another, these recordings allow: {html.escape(others)}.</p>")
         if finding.separating_experiment:
             lines.append(f"<p>The experiment that would: <code>{html.escape(finding.separating_experiment)}</code></p>")
         parts.append("\n".join(lines))
