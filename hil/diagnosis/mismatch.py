@@ -1,7 +1,8 @@
 """Recordings beside their free-run simulation: repeats grouped, channels chosen, residuals.
 
-Repeats are recordings of the same reference, excitation (or command) and start pose, whatever an observer's damping added: one simulation
-answers all of them. A periodic recording without repeats is split into its periods instead, and its simulation is averaged over them.
+Repeats are recordings of the same reference, excitation (or command) and start pose, whatever an observer's damping added and however near
+to that pose they stood: one simulation answers all of them. A periodic recording without repeats is split into its periods instead, and its
+simulation is averaged over them.
 """
 
 from __future__ import annotations
@@ -236,15 +237,15 @@ class _Member:
 
 
 def _drawn(group: list[_Member], effects: Sequence[EffectSetting] | None) -> tuple[list[_Member], dict[str, np.ndarray]]:
-    """The group and its simulated channels.
+    """The group and its simulated channels, from where its runs stood on average.
 
     An observer's damping answers to each run's own noise: repeats differ in it. The group is simulated under its mean, and what its
     deviation does to a repeat, by the nominal simulation, is taken out of that repeat.
     """
-    machine, first = group[0].machine, group[0].inputs
+    machine, first = group[0].machine, _from_mean_start([member.inputs for member in group])
     simulator = Simulator(machine)
     if all(member.inputs is member.planned for member in group) or len(group) == 1:
-        return group, channel_outputs(machine, simulator.run(first, effects=effects))
+        return [replace(member, inputs=first) for member in group], channel_outputs(machine, simulator.run(first, effects=effects))
     first = replace(first, excitation=np.mean([member.inputs.excitation for member in group], axis=0))
     mean = channel_outputs(machine, simulator.run(first, effects=effects))
     under_own = []
@@ -252,6 +253,19 @@ def _drawn(group: list[_Member], effects: Sequence[EffectSetting] | None) -> tup
         own = channel_outputs(machine, simulator.run(replace(first, excitation=member.inputs.excitation), effects=effects))
         under_own.append(replace(member, inputs=first, damped={name: own[name] - mean[name] for name in mean}))
     return under_own, mean
+
+
+def _from_mean_start(runs: Sequence[Inputs]) -> Inputs:
+    """The inputs of repeats, from the mean of where they stood and of the controller states they stood with; as they are if all alike."""
+    first = runs[0]
+    deviations = [np.zeros_like(first.start_pose) if run.deviation is None else run.deviation for run in runs]
+    if all(np.array_equal(one, deviations[0]) for one in deviations[1:]):
+        return first
+    states = [run.controller_states for run in runs if run.controller_states is not None]
+    if len(states) == len(runs):
+        mean = {axis: {name: np.mean([run[axis][name] for run in states], axis=0) for name in states[0][axis]} for axis in states[0]}
+        first = replace(first, controller_states=mean)
+    return replace(first, deviation=np.mean(deviations, axis=0))
 
 
 def _undamped(recording: Recording) -> Recording:
@@ -294,6 +308,7 @@ def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
 
 
 def _same_inputs(one: Inputs, other: Inputs) -> bool:
+    """Whether both ask for the same motion: how far from its start pose a machine stood is its own affair."""
     pairs = [(one.reference, other.reference), (one.command, other.command), (one.excitation, other.excitation)]
     pairs += [(one.feedforward, other.feedforward), (one.start_pose, other.start_pose), (one.start_speed, other.start_speed)]
     return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)

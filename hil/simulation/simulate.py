@@ -24,8 +24,9 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
 
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
     Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with
-    the controller states of the recording's metadata, else with integrators at the holding effort. Metadata `initial.speeds`, where a
-    recording begins in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the
+    the controller states of the recording's metadata, else with integrators at the holding effort. Where the metadata say how far from the
+    start pose the machine stood (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording
+    begins in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the
     excitation: the simulation runs with that loop open.
 
     Parameters
@@ -68,9 +69,14 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     if closed:  # what damping added to the command: as recorded, the observer is not simulated
         excitation = excitation + _complete(machine, recording, "damping", np.zeros(shape))
     feedforward = _feedforward(machine, recording, shape)
-    states = recording.metadata.get("initial", {}).get("controller_states") if closed else None
+    initial = recording.metadata.get("initial", {})
+    states = initial.get("controller_states") if closed else None
     pose = _start_pose(machine, recording, reference)
-    return Inputs(reference, excitation, feedforward, command, pose, states, _start_speed(machine, recording))
+    speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
+    deviation = _per_axis(machine, initial.get("standing", {}).get("deviation"), "initial.standing.deviation")
+    if deviation is not None:  # a reading that was missing tells nothing
+        deviation = np.nan_to_num(deviation)
+    return Inputs(reference, excitation, feedforward, command, pose, states, speed, deviation)
 
 
 def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs: Outputs) -> Recording:
@@ -133,23 +139,21 @@ def _complete(machine: Machine, recording: Recording, group: str, default: np.nd
 
 
 def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | None) -> np.ndarray:
-    pose = recording.experiment.get("start_pose")
+    pose = _per_axis(machine, recording.experiment.get("start_pose"), "experiment.start_pose")
     if pose is not None:
-        if len(pose) != len(machine.axes):
-            raise RecordingError(f"metadata experiment.start_pose has {len(pose)} entries; {machine.name} has {len(machine.axes)} axes")
-        return np.array(pose, dtype=float)
+        return pose
     if reference is not None:
         return reference[0].copy()
     return _complete(machine, recording, "position", np.zeros((1, len(machine.axes))))[0]
 
 
-def _start_speed(machine: Machine, recording: Recording) -> np.ndarray | None:
-    speeds = recording.metadata.get("initial", {}).get("speeds")
-    if speeds is None:
+def _per_axis(machine: Machine, values: Sequence[float] | None, key: str) -> np.ndarray | None:
+    """(n_axes,) metadata; None where there are none."""
+    if values is None:
         return None
-    if len(speeds) != len(machine.axes):
-        raise RecordingError(f"metadata initial.speeds has {len(speeds)} entries; {machine.name} has {len(machine.axes)} axes")
-    return np.array(speeds, dtype=float)
+    if len(values) != len(machine.axes):
+        raise RecordingError(f"metadata {key} has {len(values)} entries; {machine.name} has {len(machine.axes)} axes")
+    return np.array(values, dtype=float)
 
 
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:

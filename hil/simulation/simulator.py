@@ -36,7 +36,9 @@ class Inputs:
     command : array or None
         Given instead of a reference to a machine without controllers.
     start_pose : (n_axes,) array
-        Elastic equilibrium at row 0.
+        The pose that was asked for at row 0.
+    deviation : (n_axes,) array or None
+        How far from it the axes stood, in elastic equilibrium [rad or m]; None: not at all.
     start_speed : (n_axes,) array or None
         Of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
     controller_states : mapping or None
@@ -50,6 +52,12 @@ class Inputs:
     start_pose: np.ndarray
     controller_states: Mapping[str, Any] | None = None
     start_speed: np.ndarray | None = None
+    deviation: np.ndarray | None = None
+
+    @property
+    def standing_pose(self) -> np.ndarray:
+        """(n_axes,) where the axes stood at row 0."""
+        return self.start_pose if self.deviation is None else self.start_pose + self.deviation
 
 
 @dataclass(frozen=True)
@@ -93,12 +101,12 @@ class Simulator:
         Raises
         ------
         ExperimentError
-            The machine cannot stand at the start pose.
+            The machine cannot stand where the run began.
         BadAnswer
             The simulation diverged; the message names the time.
         """
         model = self.plant.model(values, effects)
-        state = resting_state(self.plant, model, inputs.start_pose, held_by_brakes=False)
+        state = resting_state(self.plant, model, inputs.standing_pose, held_by_brakes=False)
         holding = held_effort(self.plant, state)
         if inputs.start_speed is not None:
             state[[self.plant.joints + joint for joint in self.plant.joint_of_axis().values()]] = inputs.start_speed
@@ -163,14 +171,14 @@ class Simulator:
             limits = [controller.limit for controller in self.machine.controllers]
             if not effects or np.any(np.abs(holding) > limits):
                 raise
-        own = holding_effort(self.plant, self.plant.model(values, ()), inputs.start_pose)
+        own = holding_effort(self.plant, self.plant.model(values, ()), inputs.standing_pose)
         return self._closed_loop(inputs, own), own
 
     def _closed_loop(self, inputs: Inputs, holding: np.ndarray) -> Loop:
         feedback = Feedback(self.machine.controllers)
         try:
             if inputs.controller_states is None:
-                feedback.preload(holding, inputs.start_pose, inputs.feedforward[0])
+                feedback.preload(holding, inputs.standing_pose, inputs.feedforward[0])
             else:
                 feedback.load_states(inputs.controller_states)
         except DesignError as error:

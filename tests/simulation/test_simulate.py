@@ -146,6 +146,22 @@ def test_controller_states_of_the_metadata_are_taken_over():
     assert simulate(CARM, bumped)["command_roll"][0] == pytest.approx(0.5 * lead[0] * notch[0])
 
 
+def test_it_starts_where_the_run_stood():
+    """A loop that stood off its pose comes back as the exact recursion from there does."""
+    machine = edited(EMPS, ("resolution_um = 0.05", "resolution_um = 0.0"))
+    recording = recording_of(machine)
+    stood = recording.with_metadata(initial={"standing": {"deviation": [2e-4], "speed": [0.0]}}, experiment={"start_pose": [0.0]})
+    position, command = expected(machine, recording, start=2e-4).T
+    simulation = simulate(machine, stood)
+    np.testing.assert_allclose(simulation["command_carriage"], command, atol=2e-7)
+    np.testing.assert_allclose(simulation["position_carriage"], position, atol=1e-12)
+    assert simulation["position_carriage"][0] == 2e-4
+    unread = recording.with_metadata(initial={"standing": {"deviation": [float("nan")]}}, experiment={"start_pose": [0.0]})
+    assert simulate(machine, unread)["position_carriage"][0] == 0.0
+    with pytest.raises(RecordingError, match=r"initial\.standing\.deviation has 2 entries"):
+        simulate(machine, recording.with_metadata(initial={"standing": {"deviation": [0.0, 0.0]}}))
+
+
 def test_an_open_loop_machine_is_driven_by_its_command():
     text = EMPS.text
     open_loop = machine_from_text(text[: text.index("# vir =")] + text[text.index("[limits.carriage]") :])
