@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import EffectsOption, MachineArgument, load, not_an_input
+from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load, not_an_input
 from hil.cli.output import Answer, JsonOption
 
 RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
@@ -45,14 +45,17 @@ def simulate(
 ) -> None:
     """Free run in closed loop."""
     from hil.recording import read_recording, write_recording
+    from hil.recording.formats import check_writable
     from hil.simulation import simulate as run_simulation
 
+    answer = Answer(json_to)
+    check_writable(out)
+    can_be_written(out)
     not_an_input(out, recording)
     machine = load(machine_name, effects)
     measured = read_recording(recording, machine)
     simulated = run_simulation(machine, measured)
     write_recording(simulated, out)
-    answer = Answer(json_to)
     added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.plant.effects) or "nothing"
     answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
     answer.write({"simulation": out, "rows": len(simulated.time), "effects": [vars(effect) for effect in machine.plant.effects]})
@@ -68,9 +71,9 @@ def compare(
     from hil.recording import read_recording
     from hil.simulation import compare as compare_recordings
 
+    answer = Answer(json_to)
     machine = None if machine_name is None else load(machine_name)
     comparison = compare_recordings(read_recording(recording, machine), read_recording(simulation, machine))
-    answer = Answer(json_to)
     answer.say(comparison.table())
     answer.write(comparison.document())
 

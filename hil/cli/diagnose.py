@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, load
+from hil.cli.options import MachineArgument, folder_can_be_written, load
 from hil.cli.output import Answer, JsonOption, plain, progress
-from hil.errors import RecordingError, UnusableInput
+from hil.errors import RecordingError
 
 if TYPE_CHECKING:
     from hil.diagnosis.diagnose import Outcome
@@ -46,11 +45,11 @@ def diagnose(
 
     answer = Answer(json_to)
     machine = load(machine_name)
-    _check_folder(out)
+    folder_can_be_written(out)
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
-    _check_another_motion(train, held)
+    _check_no_copies(train, held)
     with progress(Answer("-").console) as bars:
         task = bars.add_task("reading", total=1.0)
 
@@ -61,15 +60,6 @@ def diagnose(
     write_diagnosis(outcome, machine, out)
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
-
-
-def _check_folder(out: Path) -> None:
-    """UnusableInput where the answer could not be written: said before a diagnosis of minutes, not after it."""
-    nearest = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
-    if not nearest.is_dir():
-        raise UnusableInput(f"{out if nearest == out.absolute() else nearest}: is a file; give a folder for the answer")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise UnusableInput(f"{out}: cannot be written to: no permission; give another folder")
 
 
 def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
@@ -104,13 +94,22 @@ def _check_axes(path: Path, recording: Recording, machine: Machine) -> None:
         raise RecordingError(f"{path}: recorded of {has}: give recordings of this machine, or the other one's file")
 
 
-def _check_another_motion(train: Mapping[str, Recording], held: Mapping[str, Recording]) -> None:
-    """RecordingError where a held-out recording holds the same rows as one to fit to: a copy under another name."""
-    for label, recording in held.items():
-        for other, fitted_to in train.items():
-            names = set(recording.channels)
-            if names == set(fitted_to.channels) and all(np.array_equal(recording[n], fitted_to[n], equal_nan=True) for n in names):
+def _check_no_copies(train: Mapping[str, Recording], held: Mapping[str, Recording]) -> None:
+    """RecordingError where a recording holds the same rows as another one: a copy under another name, or a run of the same seed."""
+    earlier: dict[str, Recording] = {}
+    for label, recording in {**train, **held}.items():
+        for other, its in earlier.items():
+            if not _same_rows(recording, its):
+                continue
+            if label in held and other in train:
                 raise RecordingError(f"{label}: holds the same rows as {other}, which is fitted to; hold out a recording of another motion")
+            raise RecordingError(f"{label}: holds the same rows as {other}; give each recording once (emulated: its own --seed each)")
+        earlier[label] = recording
+
+
+def _same_rows(one: Recording, other: Recording) -> bool:
+    names = set(one.channels)
+    return names == set(other.channels) and all(np.array_equal(one[n], other[n], equal_nan=True) for n in names)
 
 
 def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
@@ -129,7 +128,7 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     judged = diagnosis.fit.held_out or diagnosis.fit.train
     where = "held-out" if diagnosis.fit.held_out is not None else "training"
     stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
-    answer.say(f"misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
+    answer.say(f"E, misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
     if outcome.proposal is not None:
         proposal = outcome.proposal
         by = " and ".join(f"{max(both):.3g}" for both in proposal.separations)

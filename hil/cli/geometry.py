@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli import exchange
-from hil.cli.options import MachineArgument, PoseOption, can_be_written, load, not_an_input, parse_pose
+from hil.cli.options import MachineArgument, PoseOption, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
 
@@ -186,6 +186,7 @@ def compensate(
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    folder_can_be_written(out)
     tifffile = imaging_package("tifffile", "images")
     scan = read_scan(scan_folder)
     if out.exists() and out.samefile(scan_folder):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.output import refuse_unwritable, refuse_unwritable_folder
 from hil.errors import ExperimentError, UnusableInput
 
 if TYPE_CHECKING:
@@ -144,15 +145,28 @@ def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
     Raises
     ------
     UnusableInput
-        The folder does not exist, or the suffix is none of `suffixes`.
+        The folder does not exist or cannot be written to, the path is a folder, or its suffix is none of `suffixes`.
     """
     for path in paths:
         if path is None:
             continue
-        if not path.absolute().parent.is_dir():
-            raise UnusableInput(f"{path}: there is no folder {path.parent}; make it first")
+        refuse_unwritable(path, str(path))
         if suffixes and path.suffix.lower() not in suffixes:
             raise UnusableInput(f"{path}: must end in {', '.join(suffixes)}")
+
+
+def folder_can_be_written(folder: Path) -> None:
+    """The same for a folder that is made when there is something to put into it.
+
+    Raises
+    ------
+    UnusableInput
+        It is a file or lies in one, or cannot be written to.
+    """
+    nearest = next(there for there in (folder.absolute(), *folder.absolute().parents) if there.exists())
+    if not nearest.is_dir():
+        raise UnusableInput(f"{folder if nearest == folder.absolute() else nearest}: is a file; give a folder for the answer")
+    refuse_unwritable_folder(nearest, str(folder))
 
 
 def keep_earlier(path: Path) -> str:

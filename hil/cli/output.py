@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,8 +32,8 @@ class Answer:
     """One command's answer. Text goes to standard output, or to standard error when JSON has taken standard output."""
 
     def __init__(self, json_to: str | None) -> None:
-        if json_to not in (None, "-") and not Path(json_to).parent.is_dir():
-            raise UnusableInput(f"--json {json_to}: there is no folder {Path(json_to).parent}")  # said now, not when all is done
+        if json_to is not None and json_to != "-":
+            refuse_unwritable(Path(json_to), f"--json {json_to}")
         self._json_to = json_to
         self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
 
@@ -60,6 +61,45 @@ class Answer:
             sys.stdout.flush()
         else:
             Path(self._json_to).write_text(text, encoding="utf-8")
+
+
+def refuse_unwritable(file: Path, named: str) -> None:
+    """Refuse a file that cannot be written, before the work is done and not after it.
+
+    Nothing is written: where there is no such file yet, one without a name is made in its folder and gone at once, for neither permissions
+    nor mount options say all that may stand against it. A device or a pipe is left alone.
+
+    Raises
+    ------
+    UnusableInput
+        `named` and what is wrong.
+    """
+    folder = file.absolute().parent
+    if not folder.is_dir():
+        raise UnusableInput(f"{named}: there is no folder {file.parent}; make it first")
+    if file.is_dir():
+        raise UnusableInput(f"{named}: is a folder; give a file in it")
+    try:
+        if file.is_file():
+            file.open("ab").close()
+        elif not file.exists():
+            refuse_unwritable_folder(folder, named)
+    except OSError as error:
+        raise UnusableInput(f"{named}: cannot be written: {error.strerror}; give another place") from None
+
+
+def refuse_unwritable_folder(folder: Path, named: str) -> None:
+    """The same for a folder that is there.
+
+    Raises
+    ------
+    UnusableInput
+        `named` and what is wrong.
+    """
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise UnusableInput(f"{named}: cannot be written to: {error.strerror}; give another place") from None
 
 
 def plain(value: Any) -> Any:

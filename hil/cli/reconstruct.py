@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, load
+from hil.cli.options import MachineArgument, folder_can_be_written, load
 from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
 
@@ -58,6 +58,7 @@ def reconstruct(
         raise UnusableInput("--lookup and --geometry: give the one or the other")
     machine = load(machine_name)
     answer = Answer(json_to)
+    folder_can_be_written(out)
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
     beam = nominal_beam(machine, positions)

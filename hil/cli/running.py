@@ -89,7 +89,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     for note in dict.fromkeys((*notes, *(note for plan in plans for note in plan.notes))):
         answer.say(note)
     paths = recording_paths(run.out, plans)
-    can_be_written(*paths, run.frame_log, run.truth)
+    can_be_written(*(path for path in paths if not path.is_file()), run.frame_log, run.truth)  # a file that is there is moved aside
     inputs = [path for path in (run.observer, run.data, run.effects) if path is not None]
     for written in (run.frame_log, run.truth):
         if written is not None:

@@ -130,13 +130,13 @@ class Gate:
         if self.followed is not None:
             by_chance = f"one of all that was tried gains as much and is followed so by chance with a probability of {self.chance:.2g}"
         lines = [
-            (self.significant, f"misfit falls by {self.gain:.4g} in units of noise; {by_chance}"),
+            (self.significant, f"the sum of squares in units of noise falls by {self.gain:.4g}; {by_chance}"),
             (self.beats_placebo, f"the best response run backwards in time gains {self.placebo_gain:.4g}"),
             (self.explains, f"explains {self.share:.1%} of what is above noise"),
         ]
         if self.held_out_deviations is not None and self.followed is not None:
             follow = f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations"
-            fall = f"their misfit falls by {self.held_out_gain:.4g}, by chance with a probability of {self.followed:.2g}"
+            fall = f"their sum of squares falls by {self.held_out_gain:.4g}, by chance with a probability of {self.followed:.2g}"
             lines.insert(1, (self.confirmed, f"{follow}; {fall}"))
         if self.beyond is not None and not self.is_first:
             lines.append((self.significant, f"of the gain, {self.beyond:.4g} is nothing that an error of what was found before explains"))

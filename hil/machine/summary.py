@@ -79,9 +79,10 @@ def machine_lines(machine: Machine) -> list[str]:
     plant = machine.plant
     joints = plant.tree.joints
     driven = {drive.joint for drive in plant.drives}
+    freedom = f"{len(joints)} degree{'' if len(joints) == 1 else 's'} of freedom"
     lines = [
         f"{machine.name}: {machine.description}",
-        f"{len(joints)} degrees of freedom, {machine.sample_rate_Hz:g} Hz, {plant.substeps} plant steps a sample, hash {machine.hash[:12]}",
+        f"{freedom}, {machine.sample_rate_Hz:g} Hz, {plant.substeps} plant steps a sample, hash {machine.hash[:12]}",
         "",
         "axes",
     ]

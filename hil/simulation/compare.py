@@ -64,7 +64,7 @@ class Comparison:
         lines = [f"{'channel':<{width}}  {'rms':>10}  {'largest':>10}  {'unit':<6}  {'NRMSE':>8}  lag"]
         for channel in self.channels:
             nrmse = f"{channel.nrmse:8.2%}" if np.isfinite(channel.nrmse) else "     n/a"
-            lag = f"{channel.lag_rows:+d} rows" if channel.lag_rows else ""
+            lag = f"{channel.lag_rows:+d} row{'' if abs(channel.lag_rows) == 1 else 's'}" if channel.lag_rows else ""
             lines.append(
                 f"{channel.name:<{width}}  {channel.rms:10.4g}  {channel.largest:10.4g}  {channel.unit:<6}  {nrmse}  {lag}".rstrip()
             )

@@ -203,11 +203,12 @@ def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_i
 
 
 def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch, out):
-    out.mkdir()
     part = out.with_name("run.mf4.part")
 
     class Failing(LosingBus):
         def recv(self, timeout=None):
+            if part.exists():
+                out.mkdir(exist_ok=True)  # in the recording's place
             self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
             return super().recv(timeout)
 
@@ -221,6 +222,7 @@ OUTS = {
     "missing folder": ("nowhere/run.mf4", ["nowhere", "there is no folder"]),
     "no format": ("run.xls", [".xls", ".mf4"]),
     "reading only": ("run.mat", [".mat", ".mf4"]),
+    "a folder": (".", ["is a folder"]),
 }
 
 
@@ -231,18 +233,30 @@ def test_a_recording_that_could_not_be_written_is_refused_before_anything_moves(
     assert refused.status == 2 and all(word in refused.line for word in says), refused.line
 
 
-def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter, tmp_path):
-    (tmp_path / "run.mf4").mkdir()
-    refused = isocenter(*STATIC, "--machine", "carm", "-o", tmp_path / "run.mf4")
+@pytest.fixture
+def taken(monkeypatch, out):
+    """A folder gets in the recording's place while it is recorded."""
+
+    class Taking(LosingBus):
+        def recv(self, timeout=None):
+            if out.with_name("run.mf4.part").exists():
+                out.mkdir(exist_ok=True)
+            return super().recv(timeout)
+
+    monkeypatch.setattr("hil.wiring.LockstepBus", Taking)
+    return out
+
+
+def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter, tmp_path, taken):
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", taken)
     assert refused.status == 2 and "128 rows are kept in run.mf4.part" in refused.line
     assert read_recording(tmp_path / "run.mf4.part").rows == 128
 
 
-def test_an_unfinished_recording_is_not_overwritten(isocenter, tmp_path, out):
-    (tmp_path / "run.mf4").mkdir()
-    isocenter(*STATIC, "--machine", "carm", "-o", out)
-    (tmp_path / "run.mf4").rmdir()
-    refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
+def test_an_unfinished_recording_is_not_overwritten(isocenter, tmp_path, taken):
+    isocenter(*STATIC, "--machine", "carm", "-o", taken)
+    taken.rmdir()
+    refused = isocenter(*STATIC, "--machine", "carm", "-o", taken)
     assert refused.status == 2 and "128 rows of a recording that was cut short" in refused.line
     assert read_recording(tmp_path / "run.mf4.part").rows == 128
 

@@ -22,6 +22,7 @@ def folder(tmp_path, monkeypatch):
             write_recording(recording, tmp_path / day / f"{name}.csv")
     shutil.copytree("monday", "copies")
     (tmp_path / "file").touch()
+    return tmp_path
 
 
 REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
@@ -33,18 +34,38 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
         (("monday", "-o", "answer"), "monday: is a folder; give the recordings in it"),
         ((*REPEATS, "-o", "file"), "file: is a file; give a folder"),
         ((*REPEATS, "-o", "file/answer"), "file: is a file; give a folder"),
+        ((*REPEATS, "-o", "answer", "--json", "nowhere/a.json"), "--json nowhere/a.json: there is no folder nowhere"),
+        ((*REPEATS, "-o", "answer", "--json", "monday"), "--json monday: is a folder; give a file in it"),
+        ((*REPEATS, "-o", "answer", "--json", "file/a.json"), "--json file/a.json: there is no folder file"),
         ((*REPEATS, "--held-out", "monday/../monday/run_0_1.csv", "-o", "answer"), "is given to fit to and as --held-out"),
         ((*REPEATS, "tuesday/../monday/run_0_0.csv", "-o", "answer"), "monday/run_0_0.csv: is given twice"),
         ((*REPEATS, "--held-out", "copies/run_0_1.csv", "-o", "answer"), "copies/run_0_1.csv: holds the same rows as run_0_1"),
+        ((*REPEATS, "copies/run_0_1.csv", "-o", "answer"), "copies/run_0_1.csv: holds the same rows as run_0_1; give each"),
         ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
     ],
 )
-def test_files_given_twice_and_folders_in_the_wrong_place_are_one_line(folder, capsys, words, said):
+def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_line(folder, capsys, monkeypatch, words, said):
+    monkeypatch.setattr("hil.diagnosis.diagnose.diagnose", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *words])
     assert left.value.code == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert said in line
+
+
+@pytest.mark.parametrize("words", [("-o", "answer"), ("-o", "new/folder/answer"), ("-o", "monday", "--json", "a.json")])
+def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(folder, capsys, monkeypatch, words):
+    def refuse(dir):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # who runs the tests may be allowed everything
+    monkeypatch.setattr("hil.diagnosis.diagnose.diagnose", lambda *_, **__: pytest.fail("it computed"))
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", "emps", *REPEATS, *words])
+    assert left.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert words[-1] in line and "Permission denied" in line
+    assert not (folder / "new").exists() and not (folder / "a.json").exists()
 
 
 def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folder, capsys):

@@ -186,3 +186,8 @@ def test_the_summary_names_every_body_and_node():
         assert name in page
     assert [axis["name"] for axis in document["axes"]] == list(carm.axes)
     assert document["bodies"][-1]["joint"]["name"] == "detector_mount"
+
+
+@pytest.mark.parametrize(("name", "said"), [("carm", "7 degrees of freedom, "), ("emps", "1 degree of freedom, ")])
+def test_the_summary_counts_degrees_of_freedom(name, said):
+    assert said in machine_lines(load_machine(name))[1]

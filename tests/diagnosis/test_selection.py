@@ -1,0 +1,85 @@
+"""What competes for the name beside the set that was found, by the search from its first screening to its end."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from hil.diagnosis import selection
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.form_error import FormError
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened
+
+ENTRIES = 4000
+FRICTION, MODE, LOAD = (EffectAt(name, "carriage") for name in ("coulomb_friction", "structural_mode", "constant_load"))
+SWINGS, LOST = np.array([1.0, 16.0, 0.01]), np.array([1.0, 16.0, 1.0])
+"""J, f and zeta of a mode, and of one that no longer swings."""
+
+RUBS, PULLS, ELSE = np.linalg.qr(np.random.default_rng(2).standard_normal((ENTRIES, 3)))[0].T
+ALONG = {FRICTION: RUBS, MODE: 0.999 * RUBS + np.sqrt(1.0 - 0.999**2) * ELSE, LOAD: PULLS}
+"""The mode imitates the friction: alone it leaves 0.2 % more of it."""
+
+
+def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[EffectAt]]:
+    """Sets that compete where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
+
+    `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there.
+    """
+    noise = np.random.default_rng(3).standard_normal(ENTRIES)
+    noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE))
+    measured = noise + 30.0 * RUBS + 7.0 * PULLS
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
+    sets = {"train": SimpleNamespace(channels=("a",), groups=[SimpleNamespace(time_s=np.zeros(ENTRIES))])}
+    layout = SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
+    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [[noise]], sets=sets, noise=layout, count=0)
+
+    def fitted(effects: tuple[EffectAt, ...]) -> Fitted:
+        basis = np.stack([ALONG[effect] for effect in effects], axis=1)
+        predicted = basis @ np.linalg.lstsq(basis, measured, rcond=None)[0]
+        values = {effect: np.ones(1) for effect in effects} | {MODE: SWINGS}
+        if set(effects) == {MODE, LOAD}:
+            predicted, values[MODE] = predicted - less * PULLS, mode_beside
+        free = tuple((number, 0) for number in range(len(effects)))
+        cost = float(np.sum((measured - predicted) ** 2))
+        own = tuple(values[effect] for effect in effects)
+        return Fitted(effects, own, np.zeros(0), predicted, cost, free, basis, np.full(len(effects), 100.0))
+
+    def screened(runs, tuning, found, residual, present) -> list[Screened]:
+        def one(effect: EffectAt) -> Screened:
+            along = float(ALONG[effect] @ residual)
+            return Screened(effect, np.ones(1), along * ALONG[effect], along**2)
+
+        return sorted((one(candidate.effect) for candidate in found), key=lambda s: -s.score)
+
+    monkeypatch.setattr(selection, "screen", screened)
+    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
+    monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits, *_: list(fits))
+    monkeypatch.setattr(selection, "with_half_orders", lambda runs, tuning, measured, fits: fits)
+    monkeypatch.setattr(selection, "pairs", lambda *_: [])
+    monkeypatch.setattr(selection, "placebo_gain", lambda *_: 0.0)
+    monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        return [] if chosen is not None and len(chosen.effects) > 1 else [Candidate(effect, ()) for effect in ALONG]
+
+    found = selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
+    assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
+    return [set(one.fitted.effects) for one in found.contenders]
+
+
+def test_a_rival_with_what_was_found_beside_it_competes(monkeypatch):
+    assert {MODE, LOAD} in search(monkeypatch, SWINGS)
+
+
+def test_a_rival_that_lost_its_form_beside_what_was_found_does_not_compete(monkeypatch):
+    competing = search(monkeypatch, LOST)
+    assert {FRICTION, LOAD} in competing and {MODE, LOAD} not in competing
+
+
+def test_a_rival_that_gains_nothing_by_what_was_found_beside_it_does_not_compete(monkeypatch):
+    competing = search(monkeypatch, SWINGS, less=7.0)
+    assert {FRICTION, LOAD} in competing and {MODE, LOAD} not in competing
