@@ -9,7 +9,8 @@ import numpy as np
 
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.starts import lowest_seen, shapes_of, starts_of
+from hil.diagnosis.shape_limits import shape_limit
+from hil.diagnosis.starts import shapes_of, starts_of
 from virtual_bus.effects.effect import CLOCK, DROPOUT, ELASTIC, SIGN, SPRING_CHANGE, TRANSMISSION
 from virtual_bus.effects.places import joint_at, places, spring_at
 from virtual_bus.effects.registry import effects
@@ -31,7 +32,7 @@ class Candidate:
     effect: EffectAt
     starts: tuple[np.ndarray, ...]  # each (parameters,)
     shapes: float = 1.0  # searched between starts and fit, see `starts.shapes_of`
-    lowest: float = 0.0  # order or frequency of which the motion shows half a cycle, see `starts.lowest_seen`
+    limit: float = 0.0  # of what the motion shows of its shape, see `shape_limits.py`
 
     def setting(self, values: np.ndarray) -> EffectSetting:
         """The effect with these parameters."""
@@ -59,7 +60,7 @@ def candidates(motion: Motion, channels: Sequence[str]) -> list[Candidate]:
         starts = starts_of(place.effect, place.at, motion)
         if starts:
             shapes = shapes_of(place.effect, place.at, motion, len(starts))
-            found.append(Candidate(place, tuple(starts), shapes, lowest_seen(place.effect, place.at, motion)))
+            found.append(Candidate(place, tuple(starts), shapes, shape_limit(place.effect, place.at, motion)))
     return found
 
 

@@ -2,14 +2,14 @@
 
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
-motion shows less than a part of a cycle: an offset and a slope. A strength at the bound that no real machine exceeds is not that machine's
-either, and no oil is viscous one way only: a load beside dry friction looks like that. A gap in which a spring keeps nearly all of its
-stiffness is a spring that hardens.
+motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring. A strength at the bound
+that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like that.
+A gap in which a spring keeps nearly all of its stiffness is a spring that hardens.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -18,8 +18,13 @@ from hil.diagnosis.result import EffectAt
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 
-NO_LONGER_SWINGS = (("structural_mode", "zeta"),)
-"""Numbers without a unit whose upper bound is the end of the law; others are exponents and shares, which may be there."""
+DAMPING = (("structural_mode", "zeta"),)
+"""Damping ratios of what must swing."""
+
+LEFT_AFTER_A_CYCLE = 0.1
+"""Of a mode's amplitude, a cycle later: below it, at damping ratios above 0.34, it is a damper on a spring. Jointed structures have ratios
+of 0.01 to 0.1, which leave half and more; hidden modes were fitted at 0.0003 to 0.034, sloshing masses and an IMU's low pass as modes at
+0.41 to 0.63."""
 
 DECIDE_THE_SHAPE = ("rad/s", "Hz", "cycles/turn", "Nm/rad", "rad")
 """Units of numbers whose bounds, but zero, are far outside of what the law is made for. A time longer than any recording is none: it is a
@@ -49,29 +54,51 @@ AT_BOUND = 1e-6
 """Of a bound's size."""
 
 
-def lost_form(fitted: Fitted, lowest: Mapping[EffectAt, float]) -> str:
+def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float]) -> str:
     """What left its equation, as a sentence; "" where every effect kept it.
 
     Parameters
     ----------
     fitted : Fitted
-    lowest : mapping of EffectAt to float
-        Of effects that are waves, the number of cycles per turn or second below which the recordings show no wave.
+    limits : mapping of EffectAt to float
+        What the recordings can show of effects' shapes, see `shape_limits.py`.
     """
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effect.effect in ONE_WAY and (name := _one_way(fitted, number)):
             return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
         if effect.effect == "backlash" and (inside := _stiffness_within(*values)) > NO_GAP:
             return f"{effect} leaves the spring {inside:.0%} of its stiffness within the gap: what fits is no longer that effect"
+        limit = limits.get(effect, 0.0)
+        if effect.effect in SLIDES_AT and limit > 0.0 and (slides_at := SLIDES_AT[effect.effect](*values)) > limit:
+            return f"{effect} slides at {slides_at:.3g}, more than the {limit:.3g} that the recordings can show: what fits may be a spring"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
             bound = _bound(effect.effect, parameter, float(value))
             if bound is not None:
                 return f"{effect} has {parameter.name} at its bound of {bound:g}: what fits is no longer that effect"
-            if parameter.unit in OF_WAVES and value < lowest.get(effect, 0.0):
+            if (effect.effect, parameter.name) in DAMPING and _left_after_a_cycle(float(value)) < LEFT_AFTER_A_CYCLE:
+                return f"{effect} has {parameter.name} = {value:.2g} and no longer swings: what fits is no longer that effect"
+            if parameter.unit in OF_WAVES and value < limit:
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
+
+
+def _left_after_a_cycle(damping_ratio: float) -> float:
+    """Of the amplitude of a free oscillation."""
+    return float(np.exp(-2.0 * np.pi * damping_ratio / np.sqrt(1.0 - damping_ratio**2))) if damping_ratio < 1.0 else 0.0
+
+
+def _bouc_wen_slides_at(k: float, A: float, z_max: float, beta_share: float, n: float) -> float:
+    return float(z_max / A) if A > 0.0 else 0.0
+
+
+def _bristles_slide_at(Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, sigma1: float) -> float:
+    return float(Fc / sigma0)
+
+
+SLIDES_AT: Mapping[str, Callable[..., float]] = {"bouc_wen_hysteresis": _bouc_wen_slides_at, "presliding_hysteresis": _bristles_slide_at}
+"""Displacement [rad or m] at which a hysteresis that went on at its first slope would have its steady effort, by its parameters."""
 
 
 def _stiffness_within(b: float, flank: float) -> float:
@@ -84,8 +111,6 @@ def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     ends = [parameter.low, parameter.high] if parameter.unit in DECIDE_THE_SHAPE or parameter.is_strength else []
     if parameter.name in SHARES or (name, parameter.name) in WITHOUT:
         ends = []
-    if (name, parameter.name) in NO_LONGER_SWINGS:
-        ends = [parameter.high]
     return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)
 
 

@@ -191,7 +191,7 @@ class Judgement:
         return replace(stand, errors=errors, held_out_errors=there, known=True)
 
     def contenders(
-        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, lowest: Mapping[EffectAt, float], earlier: int = 0
+        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, limits: Mapping[EffectAt, float], earlier: int = 0
     ) -> list[Contender]:
         """Every set with its gate: against the stand where it holds the stand's effects, against nothing where it does not.
 
@@ -202,7 +202,7 @@ class Judgement:
         tried : Tried
         placebo : float
             Largest gain of a placebo.
-        lowest : mapping
+        limits : mapping
             See `form.lost_form`.
         earlier : int
             Sets that the held-out recordings have been asked about before these, in the same step.
@@ -211,7 +211,7 @@ class Judgement:
         for fitted in fits:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
             after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
-            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=lost_form(fitted, lowest))
+            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=lost_form(fitted, limits))
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(
                 Contender(

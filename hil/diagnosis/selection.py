@@ -117,7 +117,7 @@ def select(
     singles: list[Fitted] = []
     smaller: list[Fitted] = []
     closest: Fitted | None = None
-    lowest: dict[EffectAt, float] = {}
+    limits: dict[EffectAt, float] = {}
     tried: Tried | None = None
     further = np.inf
     for size in range(MOST_EFFECTS):
@@ -145,7 +145,7 @@ def select(
             fits = with_half_orders(runs, tuning, measured, fits)
         if size == 0:
             first, singles = screened, fits
-            lowest = {candidate.effect: candidate.lowest for candidate in found}
+            limits = {candidate.effect: candidate.limit for candidate in found}
             ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
@@ -158,7 +158,7 @@ def select(
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
-        judged = judgement.contenders(stand, fits, tried, placebo, lowest)
+        judged = judgement.contenders(stand, fits, tried, placebo, limits)
         further = least_by_chance(judged, stand)
         needed = [one for one in judged if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
         smaller = [*smaller, *fits]
@@ -169,12 +169,12 @@ def select(
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
         rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
-            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, lowest, len(fits)) if one.passed]
+            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits)) if one.passed]
             known = _not_told_apart(contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-            more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, lowest, len(fits))
+            more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, limits, len(fits))
             rivals += [one for one in more if one.passed and has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
         contenders = (*rivals, *_still_in(contenders, rivals))
         if not passed:

@@ -80,7 +80,7 @@ def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
         guessed = initial_guess(name, residual)
     except (np.linalg.LinAlgError, ValueError, IndexError, ZeroDivisionError):
         guessed = {parameter.name: 0.0 for parameter in effect.parameters}
-    typical = _Typical(motion, at, residual)
+    typical = Typical(motion, at, residual)
     first = _first(effect, guessed, typical)
     others = _OTHERS.get(name, _nothing)(first, residual, typical)
     found: list[np.ndarray] = []
@@ -102,7 +102,7 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     """
     effect = effects()[name]
     residual = motion.residual(at, coupled=effect.kind is COUPLING)
-    typical = _Typical(motion, at, residual)
+    typical = Typical(motion, at, residual)
     if name in _WAVES:
         lowest, highest = _range_of_orders(residual, typical)
         return max(_WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
@@ -113,16 +113,6 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     return float(max(starts, 1))
 
 
-def lowest_seen(name: str, at: str, motion: Motion) -> float:
-    """Order [cycles per turn, as the effect counts it] or frequency [Hz] of which the motion shows half a cycle; 0 for what is no wave."""
-    if name in TURNING_WITH_THE_MOTOR:
-        residual = motion.residual(at)
-        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * residual.ratio)
-    if name == "base_motion":
-        return 0.5 / max(float(np.ptp(motion.residual(at).time_s)), 1e-6)
-    return 0.0
-
-
 def is_neutral(effect: Effect, values: np.ndarray) -> bool:
     """Whether an effect of these values does nothing."""
     return all(not p.is_strength or value == p.neutral for p, value in zip(effect.parameters, values, strict=True))
@@ -131,7 +121,7 @@ def is_neutral(effect: Effect, values: np.ndarray) -> bool:
 Start = dict[str, float]
 
 
-class _Typical:
+class Typical:
     """What size things have at a place."""
 
     def __init__(self, motion: Motion, at: str, residual: Residual) -> None:
@@ -190,7 +180,7 @@ class _Typical:
         }.get(parameter.unit, 0.02)
 
 
-def _first(effect: Effect, guessed: Start, typical: _Typical) -> Start:
+def _first(effect: Effect, guessed: Start, typical: Typical) -> Start:
     """The guess, with typical strengths where it sees nothing: of a refinement none, unless the effect has nothing else."""
     strengths = [p for p in effect.parameters if p.is_strength]
     refinements = [p.name for p in strengths if p.name in REFINEMENTS and guessed[p.name] == 0.0]
@@ -199,20 +189,18 @@ def _first(effect: Effect, guessed: Start, typical: _Typical) -> Start:
     return {**guessed, **{p.name: _strength(p, guessed[p.name], typical) for p in strengths if p.name not in refinements}}
 
 
-def _strength(parameter: Parameter, guessed: float, typical: _Typical) -> float:
+def _strength(parameter: Parameter, guessed: float, typical: Typical) -> float:
     """The guess, unless it sees nothing."""
     at_bound = guessed <= parameter.low if parameter.low >= 0.0 else False
     unseen = guessed == parameter.neutral or at_bound or guessed >= parameter.high
     return typical.of(parameter) if unseen else guessed
 
 
-def _nothing(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _nothing(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return []
 
 
-def _several(
-    name: str, values: Callable[[Start, Residual, _Typical], Iterable[float]]
-) -> Callable[[Start, Residual, _Typical], list[Start]]:
+def _several(name: str, values: Callable[[Start, Residual, Typical], Iterable[float]]) -> Callable[[Start, Residual, Typical], list[Start]]:
     """Other values of one parameter."""
     return lambda first, residual, typical: [{**first, name: float(value)} for value in values(first, residual, typical)]
 
@@ -223,10 +211,10 @@ def _orders(
     phases: tuple[str, str],
     per: Callable[[Residual], np.ndarray],
     scale: Callable[[Residual], float],
-) -> Callable[[Start, Residual, _Typical], list[Start]]:
+) -> Callable[[Start, Residual, Typical], list[Start]]:
     """The strongest orders over position of what is missing, whole or not."""
 
-    def find(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    def find(first: Start, residual: Residual, typical: Typical) -> list[Start]:
         found = []
         ratio = scale(residual)
         strongest = _strongest_orders(residual, per(residual), typical, 2)
@@ -241,13 +229,13 @@ def _orders(
     return find
 
 
-def _range_of_orders(residual: Residual, typical: _Typical) -> tuple[float, float]:
+def _range_of_orders(residual: Residual, typical: Typical) -> tuple[float, float]:
     """Radians per radian (or metre) of the joint between which orders are looked for."""
     usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
     return 2.0 * np.pi / typical.travel * 0.75, 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
 
 
-def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
+def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, count: int) -> list[float]:
     """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort.
 
     As many (`count`) that stand out most of the orders around them, and as many of the largest power: what is missing is an effort, and
@@ -275,7 +263,7 @@ def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical,
     return found
 
 
-def _position_friction(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _position_friction(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     moving = residual.moves
     against = -np.sign(residual.speed) * residual.effort * moving
     found = []
@@ -288,7 +276,7 @@ def _position_friction(first: Start, residual: Residual, typical: _Typical) -> l
     return found
 
 
-def _encoder_orders(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _encoder_orders(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     found = []
     for value in _strongest_orders(residual, residual.difference, typical, 1):
         (b, _), _ = harmonics(value * residual.position, residual.difference)
@@ -296,7 +284,7 @@ def _encoder_orders(first: Start, residual: Residual, typical: _Typical) -> list
     return [*found, {**first, "a": max(first["a"], 1e-4 * typical.travel), "b": 0.0}]
 
 
-def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _stops(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     q = residual.position
     found = []
     for side, end in ((1.0, q.max()), (-1.0, q.min())):
@@ -309,7 +297,7 @@ def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return found
 
 
-def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _springs(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     """Hardening and softening throughout, and springs that another one comes to, stiff within a tenth of the deflection."""
     found = [{**first, "k3": share * typical.stiffness / typical.deflection**2} for share in (0.3, -0.1)]
     for share in CORNERS:
@@ -318,7 +306,7 @@ def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]
     return found
 
 
-def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _lines(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     """The two strongest lines of the missing effort."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
     window = np.hanning(len(residual.time_s))
@@ -334,7 +322,7 @@ def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return found
 
 
-def _warming(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _warming(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     """Friction that has fallen to a third when it is warm, soon and late: a guess sees nothing cold where re-tuned dampers took it."""
     cold = max(first["Fv0"], typical.effort / typical.speed)
     power = cold * max(float(np.mean(residual.speed**2)), 1e-12)
@@ -342,7 +330,7 @@ def _warming(first: Start, residual: Residual, typical: _Typical) -> list[Start]
     return [{**start, "tau": share * typical.duration_s} for start in (first, warm) for share in (0.1, 1.0)]
 
 
-def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+def _modes(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     """Where the missing effort is large against the motion, and a grid over the band."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
     window = np.hanning(len(residual.time_s))
@@ -358,11 +346,11 @@ def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return [{"J": inertia, "f": f, "zeta": LIGHT} for f in dict.fromkeys(grid)]
 
 
-def _highest_mode_Hz(typical: _Typical) -> float:
+def _highest_mode_Hz(typical: Typical) -> float:
     return min(HIGHEST_MODE_Hz, 0.3 / typical.sample_s)
 
 
-def _resonances(residual: Residual, typical: _Typical, count: int) -> list[float]:
+def _resonances(residual: Residual, typical: Typical, count: int) -> list[float]:
     """Frequencies [Hz] at which a lightly damped mass that hangs on the joint takes most out of the missing effort.
 
     Beside a mass, a damper and a spring, every line weighs as much as its effort stands out of the lines around it.
@@ -420,7 +408,7 @@ def _deflection(residual: Residual) -> np.ndarray:
     return residual.difference
 
 
-_OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
+_OTHERS: dict[str, Callable[[Start, Residual, Typical], list[Start]]] = {
     "stribeck_friction": _several("vs", lambda f, r, t: [0.02 * t.speed, 0.1 * t.speed, 0.3 * t.speed]),
     "presliding_hysteresis": _several("sigma0", lambda f, r, t: [f["Fc"] / t.travel * k for k in (10.0, 100.0, 1000.0)]),
     "bouc_wen_hysteresis": lambda f, r, t: [

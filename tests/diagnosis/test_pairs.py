@@ -80,7 +80,13 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
     ("name", "values", "lost"),
     [
         ("structural_mode", [1.0, 16.0, 1.0], True),  # J, f, zeta: it no longer swings
+        ("structural_mode", [1.0, 16.0, 0.5], True),  # a cycle later 3 % are left
+        ("structural_mode", [1.0, 16.0, 0.2], False),  # 28 %
         ("structural_mode", [1.0, 16.0, 0.0], False),
+        ("bouc_wen_hysteresis", [1.0, 0.8, 0.03, 0.5, 1.0], True),  # k, A, z_max, beta_share, n: slides at 0.0375, 0.025 is shown
+        ("bouc_wen_hysteresis", [1.0, 1.0, 0.02, 0.5, 1.0], False),
+        ("presliding_hysteresis", [0.06, 0.0, 0.1, 2.0, 0.0], True),  # Fc, Fs - Fc, vs, sigma0, sigma1
+        ("presliding_hysteresis", [0.06, 0.0, 0.1, 3.0, 0.0], False),
         ("stribeck_friction", [5.0, 1.0, 1.4], True),  # Fs - Fc, vs, delta
         ("stribeck_friction", [5.0, 0.1, 2.0], False),
         ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
@@ -94,7 +100,8 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
-    assert bool(lost_form(fitted(name, values), {EffectAt("cogging", "carriage"): 1.0})) == lost
+    limits = {"cogging": 1.0, "bouc_wen_hysteresis": 0.025, "presliding_hysteresis": 0.025}
+    assert bool(lost_form(fitted(name, values), {EffectAt(effect, "carriage"): limit for effect, limit in limits.items()})) == lost
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from hil.diagnosis.coordinates import Coordinates, Point
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.shape_limits import shape_limit
 from hil.diagnosis.starts import starts_of
 from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
@@ -25,8 +26,8 @@ RATIO = 500.0
 DEFLECTION = 1e-4
 
 
-def starts(name: str, at: str, effort: np.ndarray, stiffness: float = 0.0) -> dict[str, np.ndarray]:
-    """Start values by parameter, of a propeller or roll that lacks this effort and whose spring gives way by DEFLECTION."""
+def moved(at: str, effort: np.ndarray, stiffness: float = 0.0) -> SimpleNamespace:
+    """Motion of a propeller or roll that lacks this effort and whose spring gives way by DEFLECTION."""
     none = np.zeros(ROWS)
     spring = DEFLECTION * np.sin(2.0 * np.pi * 0.7 * TIME_s)
     readings = np.random.default_rng(1).standard_normal((ROWS, 6))
@@ -35,14 +36,18 @@ def starts(name: str, at: str, effort: np.ndarray, stiffness: float = 0.0) -> di
         TIME_s, POSITION, SPEED, np.gradient(SPEED, TIME_s), effort, none, readings if is_imu else none, readings if is_imu else none,
         100.0 + none, spring, np.gradient(spring, TIME_s), none, RATIO, stiffness,
     )  # fmt: skip
-    motion = SimpleNamespace(
+    return SimpleNamespace(
         residual=lambda at, coupled=False: residual,
         machine=CARM,
         plant=SimpleNamespace(settings=CARM.plant, joint_of_axis=lambda: {"propeller": 2, "roll": 4}),
         inertia=np.ones(len(CARM.plant.tree.joints)),
         axis_of=lambda at: 0,
     )
-    found = np.array(starts_of(name, at, motion))
+
+
+def starts(name: str, at: str, effort: np.ndarray, stiffness: float = 0.0) -> dict[str, np.ndarray]:
+    """Start values by parameter."""
+    found = np.array(starts_of(name, at, moved(at, effort, stiffness)))
     return {parameter.name: found[:, k] for k, parameter in enumerate(effects()[name].parameters)}
 
 
@@ -77,6 +82,13 @@ def test_a_hysteresis_starts_at_displacements_that_its_joint_has(at, size):
     """The arc hangs on the spring behind roll's drive and moves as far as that gives way; roll itself turns."""
     flat_at = starts("bouc_wen_hysteresis", at, 5.0 * np.sign(SPEED), stiffness=9e5)["z_max"]
     assert sum((flat_at > 0.01 * size) & (flat_at < size)) >= 3
+
+
+@pytest.mark.parametrize(("at", "size"), [("roll", np.ptp(POSITION)), ("c_arc", 2.0 * DEFLECTION)])
+@pytest.mark.parametrize("name", ["bouc_wen_hysteresis", "presliding_hysteresis"])
+def test_a_hysteresis_is_shown_where_it_slides_for_half_of_a_stroke(name, at, size):
+    """After a reversal a spring with a slider gives way from one steady effort to the other, which is twice where it slides."""
+    assert 2.0 * shape_limit(name, at, moved(at, 5.0 * np.sign(SPEED), 9e5)) == pytest.approx(0.5 * size, rel=1e-3)
 
 
 def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
