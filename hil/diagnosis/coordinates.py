@@ -19,6 +19,9 @@ from virtual_bus.settings import EffectSetting
 STEP_SHARE = 0.01
 """Difference for sensitivities, as a share of a parameter's size."""
 
+FINE_SHARE = 0.003
+"""The same of those that intervals are computed from, to both sides, where they move the simulation by no more than noise does."""
+
 SMALLEST_SHARE = 1e-7
 """Of a parameter's range: the size of one that starts at zero is never taken for less."""
 
@@ -89,6 +92,17 @@ class Coordinates:
             if neighbour > parameter.high:
                 neighbour = value - step * size
             found.append((Point(at.offset, _with(at.values, e, k, neighbour)), (neighbour - value) / size))
+        return found
+
+    def around(self, at: Point, shares: np.ndarray) -> list[tuple[Point, Point, float]]:
+        """Neighbours on both sides of every free parameter, these shares (F,) of its size away, as far as its range goes, and how far they
+        are apart in its unit.
+        """
+        found = []
+        for (e, k), size, share in zip(self.free, self._sizes(at), shares, strict=True):
+            parameter, value = self._parameters[e][k], at.values[e][k]
+            up, down = min(value + share * size, parameter.high), max(value - share * size, parameter.low)
+            found.append((Point(at.offset, _with(at.values, e, k, up)), Point(at.offset, _with(at.values, e, k, down)), up - down))
         return found
 
     def reach(self, at: Point, radius: float) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import numpy as np
 from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.drift import chance_of_drift
-from hil.diagnosis.estimates import covariance_of, effect_estimates, retuned_values
+from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
@@ -26,6 +26,7 @@ from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
+from hil.diagnosis.spread import spread_of
 from hil.diagnosis.sufficiency import what_is_missing
 from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_read_off
 from hil.machine import Machine
@@ -152,10 +153,10 @@ def diagnose(
             further=selection.further if chosen is selection.chosen else math.inf,
         )
         verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
-        covariance = covariance_of(runs, tuning, chosen)
+        spread = spread_of(runs, tuning, chosen)
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
-            estimates = effect_estimates(runs, tuning, chosen, covariance)
+            estimates = effect_estimates(machine.plant, believed(runs, tuning, hypotheses, spread))
             findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(_cap(runs)))
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
@@ -169,7 +170,7 @@ def diagnose(
             proposal = _next_experiment(machine, train, tuning, hypotheses, jobs, report)
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
-        retuned, frozen = retuned_values(tuning, chosen, covariance)
+        retuned, frozen = retuned_values(tuning, chosen, spread)
         explainable = max(misfits[1] - noise, 0.0)
         diagnosis = Diagnosis(
             verdict=verdict,

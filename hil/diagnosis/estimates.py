@@ -2,87 +2,103 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.optimize
+import scipy.stats
 
-from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.naming import PLAUSIBLE, Weighed
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import Estimate, RetunedValue
-from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, UNDECIDED, Tuning, sensitivities
+from hil.diagnosis.result import EffectAt, Estimate, RetunedValue, Span
+from hil.diagnosis.retune import UNDECIDED, Tuning
+from hil.diagnosis.spread import TWO_SIDED_95, spread_of
 from virtual_bus.effects.effect import DRIVE_UNIT
 from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
+from virtual_bus.settings import PlantSettings
 
-TWO_SIDED_95 = 1.96
-
-
-def covariance_of(runs: FreeRuns, tuning: Tuning, fitted: Fitted | None) -> np.ndarray:
-    """(P + F, P + F) covariance of tuned coordinates and, where there are effects, their free parameters, widened by the repeats' own
-    scatter.
-
-    The noise model's covariance is inverse curvature of the cost. Each repeat's own small deviation of the parameters gives a second
-    estimate of every variance; the larger one counts (a sandwich on its diagonal; White 1982).
-    """
-    offset = tuning.offset if fitted is None else fitted.offset
-    columns = tuning.jacobian
-    if fitted is not None:  # beside the effects: what scales a machine's every number alike scales its friction too
-        columns = np.hstack([sensitivities(runs, tuning, offset, fitted.settings), fitted.jacobian])
-    count = len(tuning.offset)
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
-    scale[:count] = 1.0
-    scaled = columns / scale
-    hessian = scaled.T @ scaled
-    hessian[:count, :count] += np.eye(count)
-    free = np.concatenate([np.abs(offset) < LARGEST_CHANGE / PRIOR, np.ones(len(hessian) - count, dtype=bool)])
-    inverse = np.zeros_like(hessian)
-    inverse[np.ix_(free, free)] = np.linalg.pinv(hessian[np.ix_(free, free)], rcond=1e-12, hermitian=True)
-    widening = _widening(runs, scaled, inverse)
-    return inverse * np.outer(widening, widening) / np.outer(scale, scale)
+FARTHEST = 40.0
+"""Standard deviations of the widest part within which a mixture's 95 % are looked for."""
 
 
-def _widening(runs: FreeRuns, columns: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """(P + F,) factors on standard deviations, at least 1, from how parameters fitted to each repeat scatter."""
-    total = np.zeros(len(inverse))
-    repeats_in_all = 0.0
-    start = 0
-    for group in runs.repeats(TRAIN):
-        repeats = np.stack(group)
-        own = columns[start : start + repeats.shape[1]]
-        start += repeats.shape[1]
-        if len(repeats) < 2:
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """A fitted set, how likely it is, and how far its free parameters may be off."""
+
+    fitted: Fitted
+    confidence: float
+    spread: np.ndarray  # (F,)
+
+    def parameter(self, effect: EffectAt, number: int) -> tuple[float, float, float] | None:
+        """Confidence, value and spread of an effect's parameter; None where the set is without the effect."""
+        if effect not in self.fitted.effects:
+            return None
+        at = self.fitted.effects.index(effect)
+        spread = dict(zip(self.fitted.free, self.spread, strict=True)).get((at, number), 0.0)
+        return self.confidence, float(self.fitted.values[at][number]), float(spread)
+
+
+def believed(runs: FreeRuns, tuning: Tuning, hypotheses: Sequence[Weighed], spread: np.ndarray) -> list[Believed]:
+    """The likeliest set, the spread of whose coordinates is known, and the plausible ones that have an effect in common with it."""
+    first, count = hypotheses[0], len(tuning.offset)
+    assert first.fitted is not None
+    found = [Believed(first.fitted, first.confidence, spread[count:])]
+    for other in hypotheses[1:]:
+        if other.fitted is None or other.confidence < PLAUSIBLE or not set(other.fitted.effects) & set(first.fitted.effects):
             continue
-        moved = (repeats - repeats.mean(axis=0)) @ own @ inverse * np.sqrt(len(repeats))
-        total += (moved**2).sum(axis=0) / len(repeats)
-        repeats_in_all += len(repeats) - 1.0
-    if repeats_in_all == 0.0:
-        return np.ones(len(inverse))
-    expected = np.maximum(np.diag(inverse), 1e-300)
-    prior_weight = 4.0  # repeats that the noise model counts for: few repeats alone give a poor variance
-    return np.sqrt(np.maximum((prior_weight + total / expected) / (prior_weight + repeats_in_all), 1.0))
+        found.append(Believed(other.fitted, other.confidence, spread_of(runs, tuning, other.fitted)[count:]))
+    return found
 
 
-def effect_estimates(runs: FreeRuns, tuning: Tuning, fitted: Fitted, covariance: np.ndarray) -> list[Mapping[str, Estimate]]:
-    """Parameters of every effect of a set."""
-    spread = dict(zip(fitted.free, np.sqrt(np.maximum(np.diag(covariance)[len(tuning.offset) :], 0.0)), strict=True))
-    settings = runs.machine.plant
+def effect_estimates(settings: PlantSettings, sets: Sequence[Believed]) -> list[Mapping[str, Estimate]]:
+    """Parameters of every effect of the likeliest set, the first: its values, in intervals that hold 95 % of what all sets that have the
+    effect say together.
+    """
     found: list[Mapping[str, Estimate]] = []
-    for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
+    for effect, values in zip(sets[0].fitted.effects, sets[0].fitted.values, strict=True):
         table = {}
         for k, (parameter, value) in enumerate(zip(effects()[effect.effect].parameters, values, strict=True)):
-            reach = TWO_SIDED_95 * float(spread.get((number, k), 0.0))
-            low, high = max(float(value) - reach, parameter.low), min(float(value) + reach, parameter.high)
+            parts = [part for part in (one.parameter(effect, k) for one in sets) if part is not None]
+            if parameter.unit == "phase" and not parameter.is_strength:
+                parts = [(share, float(value) + _turned_back(other - float(value)), spread) for share, other, spread in parts]
+            low, high = interval(parts)
+            low, high = max(min(low, float(value)), parameter.low), min(max(high, float(value)), parameter.high)
             unit = parameter.unit_at(is_prismatic(effect.at, settings), drive_unit(effect.at, settings) or DRIVE_UNIT)
             table[parameter.name] = Estimate(float(value), unit, (low, high))
         found.append(table)
     return found
 
 
-def retuned_values(tuning: Tuning, fitted: Fitted | None, covariance: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
+def interval(parts: Sequence[tuple[float, float, float]]) -> Span:
+    """The central 95 % of normal distributions, each with its weight, mean and standard deviation."""
+    weights, means, spreads = (np.array(each) for each in zip(*parts, strict=True))
+    widest = float(spreads.max())
+    if widest == 0.0:
+        return float(means.min()), float(means.max())
+    weights = weights / weights.sum() if weights.sum() > 0.0 else np.full(len(weights), 1.0 / len(weights))
+    spreads = np.maximum(spreads, 1e-9 * widest)
+    around = float(means.min()) - FARTHEST * widest, float(means.max()) + FARTHEST * widest
+
+    def below(x: float) -> float:
+        return float(weights @ scipy.stats.norm.cdf(x, means, spreads))
+
+    low, high = (scipy.optimize.brentq(lambda x, share=share: below(x) - share, *around, xtol=1e-9 * widest) for share in (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _turned_back(angle: float) -> float:
+    """Within half a turn of zero."""
+    return float(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def retuned_values(tuning: Tuning, fitted: Fitted | None, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
     """Re-tuned numbers that the recordings show, and the others with the reason why they stay."""
     offset = tuning.offset if fitted is None else fitted.offset
-    count = len(offset)  # a number at its bound is held in the joint fit; effects beside it never narrow it
-    spread = np.sqrt(np.maximum(np.diag(covariance)[:count], np.diag(tuning.covariance)))
+    count = len(offset)  # effects beside a number never narrow it
+    spread = np.maximum(spread[:count], np.sqrt(np.diag(tuning.covariance)))
     values = tuning.at(offset)
     shown, frozen = {}, {}
     tuned = {int(index): k for k, index in enumerate(tuning.indices)}
