@@ -121,8 +121,13 @@ class Gate:
         return not self.is_first or self.share > LEAST_SHARE
 
     @property
+    def something_is_there(self) -> bool:
+        """Whether this effect or what it imitates."""
+        return self.significant and self.confirmed and self.beats_placebo and self.explains
+
+    @property
     def passed(self) -> bool:
-        return self.significant and self.confirmed and self.beats_placebo and self.explains and not self.lost_form
+        return self.something_is_there and not self.lost_form
 
     def evidence(self) -> tuple[list[str], list[str]]:
         """Sentences for and against."""

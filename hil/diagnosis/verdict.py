@@ -90,6 +90,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         if not also and left > UNKNOWN_LEFT * explainable:
             return "ambiguous", f"{names}, which leaves {left / explainable:.0%} of what is above noise, if the noise is what repeats say"
         return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"
+    if imitated := next((gate.lost_form for gate in standing.gates[:1] if gate.something_is_there), ""):
+        return "unknown_physics", f"something is there for certain, but {imitated}"
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"

@@ -124,6 +124,15 @@ def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, sa
     assert verdict_of(standing)[0] == said
 
 
+@pytest.mark.parametrize(
+    ("passes", "form", "said"), [(True, "it no longer swings", "unknown_physics"), (False, "it no longer swings", "retuned")]
+)
+def test_what_passes_but_for_its_form_is_there_without_a_name(passes, form, said):
+    imitated = replace(gate(0.9, passes=passes), gain=30.0, lost_form=form)
+    standing = Standing((imitated,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, 1.02 * NOISE, 1.02 * NOISE, NOISE, 8, "")
+    assert verdict_of(standing)[0] == said
+
+
 def named(**standing) -> str:
     """The verdict on one set that passed and stands alone."""
     one = contender("viscous_friction", 0.9)
