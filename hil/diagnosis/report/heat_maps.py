@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.whitened import in_noise_units
@@ -51,34 +52,37 @@ def over_pose_and_speed(found: Mismatch, axis: int, channel: int) -> HeatMap | N
         return None
     x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
     y_edges = np.linspace(y.min(), y.max(), SPEED_CELLS + 1)
-    return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges, LEAST_ROWS))
+    return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges))
 
 
 def over_pose_and_frequency(found: Mismatch, axis: int, channel: int) -> HeatMap | None:
-    """Of one axis's position; short spectra belong to the pose in the middle of their window."""
+    """Of one axis's position; a row of a recording has the spectrum of the window whose middle is nearest."""
     rate_Hz = found.noise.rate_Hz
     width = round(WINDOW_s * rate_Hz)
-    positions, frequencies, powers = [], [], []
+    seen = []
     for group in found.groups:
         w = in_noise_units(found.noise, group.mean - group.simulated)
         if len(w.rows) < 2 * width or width < 8:
             continue
-        bands_Hz, times_s, spectrum = scipy.signal.spectrogram(
+        lines_Hz, times_s, spectrum = scipy.signal.spectrogram(
             w.rows[:, channel], rate_Hz, window="hann", nperseg=width, noverlap=width // 2, detrend=False, scaling="density", mode="psd"
         )
-        middle = np.clip(np.round(times_s * rate_Hz).astype(int), 0, len(w.rows) - 1) + w.first_row
-        pose, band = np.meshgrid(group.position[middle, axis], bands_Hz[1:])
-        positions.append(pose.ravel())
-        frequencies.append(band.ravel())
-        powers.append((spectrum[1:] * rate_Hz / 2.0).ravel())  # white noise of unit variance has density 2 / rate
-    if not positions:
-        return None
-    x, y, power = np.concatenate(positions), np.concatenate(frequencies), np.concatenate(powers)
+        position = group.position[w.first_row :, axis]
+        window = np.searchsorted(0.5 * (times_s[1:] + times_s[:-1]), np.arange(len(position)) / rate_Hz)
+        seen.append((position, window, spectrum[1:] * rate_Hz / 2.0))  # white noise of unit variance has density 2 / rate
+    x = np.concatenate([position for position, *_ in seen]) if seen else np.zeros(1)
     if not np.ptp(x) > 0.0:
         return None
     x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
-    y_edges = _edges_between_lines(np.unique(y))
-    return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges, 1))
+    y_edges = _edges_between_lines(lines_Hz[1:])
+    first_line = np.searchsorted(lines_Hz[1:], y_edges[:-1])
+    rows, sums = np.zeros((POSE_CELLS, 1)), np.zeros((POSE_CELLS, len(first_line)))
+    for position, window, spectrum in seen:
+        bands = np.add.reduceat(spectrum, first_line) / np.diff(first_line, append=len(spectrum))[:, None]
+        visits = np.histogram2d(position, window, bins=(x_edges, np.arange(bands.shape[1] + 1) - 0.5))[0]
+        rows += visits.sum(axis=1, keepdims=True)
+        sums += visits @ bands.T
+    return HeatMap(x_edges, y_edges, np.where(rows >= LEAST_ROWS, sums / np.maximum(rows, 1.0), np.nan))
 
 
 def _edges_between_lines(lines_Hz: np.ndarray) -> np.ndarray:
@@ -88,11 +92,11 @@ def _edges_between_lines(lines_Hz: np.ndarray) -> np.ndarray:
     return np.concatenate([lines_Hz[numbers[:-1] - 1], [lines_Hz[-1] + step]]) - 0.5 * step
 
 
-def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.ndarray, y_edges: np.ndarray, least: int) -> np.ndarray:
+def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.ndarray, y_edges: np.ndarray) -> np.ndarray:
     edges = (x_edges, y_edges)
     rows = np.histogram2d(x, y, bins=edges)[0]
     sums = np.histogram2d(x, y, bins=edges, weights=power)[0]
-    return np.where(rows >= least, sums / np.maximum(rows, 1.0), np.nan)
+    return np.where(rows >= LEAST_ROWS, sums / np.maximum(rows, 1.0), np.nan)
 
 
 def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
@@ -122,8 +126,8 @@ def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
         place.set_xlabel(f"position of {units.axis} [{units.position}]")
     top, last, width = axes[0, -1].get_position(), axes[-1, -1].get_position(), figure.get_figwidth()
     bar = figure.add_axes((last.x1 + 0.2 / width, last.y0, 0.15 / width, top.y1 - last.y0))
-    figure.colorbar(drawn[-1], cax=bar, label="rms of the residual\nin units of one repeat's noise")
-    figure.suptitle(f"Residual of the {stage} simulation over the pose of {units.axis}\nhatched: not visited", fontsize="medium")
+    figure.colorbar(drawn[-1], cax=bar, extend="max", label="rms of the residual\nin units of one repeat's noise")
+    figure.suptitle(f"Residual over the pose of {units.axis}, {stage}\nhatched: not visited", fontsize="medium")
     return figure
 
 
@@ -149,4 +153,5 @@ def _draw(axes: Axes, heat_map: HeatMap):  # type: ignore[no-untyped-def]
     drawn = axes.pcolormesh(x, y, size, norm=LogNorm(0.5, BRIGHTEST, clip=True), cmap="cividis", zorder=1)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     axes.tick_params(labelsize="small")
+    axes.xaxis.set_major_locator(MaxNLocator(4))  # or their numbers run into each other
     return drawn

@@ -8,12 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.report.style import BLACK, STAGE_COLOURS, STAGE_NAMES
+from hil.diagnosis.report.style import STAGE_COLOURS, STAGE_NAMES
 
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""
 
 LEAST_ROWS = 50
+RECORDED = "0.65"
+"""A wide grey line under the coloured ones: what is recorded may be noise from edge to edge."""
+
 KINDS = (("current_", "effort_", "command_"), ("position_", "link_position_", "speed_"), ("imu_", "gyro_"))
 """One column each; of every kind the channel with the largest mismatch."""
 
@@ -35,16 +38,15 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
     time_s = group.time_s[rows]
     for place, c in enumerate(columns):
         above, below = axes[0, place], axes[1, place]
-        above.plot(time_s, group.mean[rows, c], color=BLACK, lw=2.6, label="recorded")
+        above.plot(time_s, group.mean[rows, c], color=RECORDED, lw=2.6, label="recorded")
         for stage, simulated in stages.items():
             colour = STAGE_COLOURS[stage]
             above.plot(time_s, simulated[number][rows, c], color=colour, lw=1.0, label=STAGE_NAMES[stage])
             below.plot(time_s, (group.mean - simulated[number])[rows, c], color=colour, lw=0.9)
         sigma = float(found.noise.std[c])
         below.axhspan(-2.0 * sigma, 2.0 * sigma, color="0.85", lw=0, label="noise, ±2 standard deviations")
-        above.set_title(found.channels[c], fontsize="medium")
-        above.set_ylabel(f"[{found.units[c]}]")
-        below.set_ylabel(f"recorded less simulated [{found.units[c]}]")
+        above.set_ylabel(f"{found.channels[c]} [{found.units[c]}]")
+        below.set_ylabel(f"recorded less\nsimulated [{found.units[c]}]")
         below.set_xlabel("time [s]")
         for each in (above, below):
             each.grid(alpha=0.3, lw=0.5)
@@ -52,12 +54,21 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
     handles, labels = axes[0, 0].get_legend_handles_labels()
     more, names = axes[1, 0].get_legend_handles_labels()
     figure.legend(handles + more, labels + names, loc="outside lower center", ncols=5, fontsize="small", frameon=False)
-    figure.suptitle(f"{title}: {group.labels[0]}" + (f" and {group.repeats - 1} repeats, mean" if group.repeats > 1 else ""))
+    of = f", mean of {group.repeats} repeats" if group.repeats > 1 else ""
+    figure.suptitle(f"{title}: {group.labels[0]}{of}\n{_window_words(group.time_s, rows)}", fontsize="medium")
     return figure
 
 
+def _window_words(time_s: np.ndarray, rows: slice) -> str:
+    """Which part of the record is drawn, and why that one."""
+    shown, whole = time_s[rows], float(time_s[-1] - time_s[0])
+    if len(shown) == len(time_s):
+        return f"all {whole:.3g} s of it"
+    return f"{shown[0]:.3g} s to {shown[-1]:.3g} s of {whole:.3g} s: where the simulations differ most"
+
+
 def _stretch(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]]) -> tuple[int, slice]:
-    """The group and the rows in which the effects change most, in units of noise."""
+    """The group and the rows in which the nominal simulation and the last one differ most, in units of noise."""
     best = (-1.0, 0, slice(0, 1))
     for number, group in enumerate(found.groups):
         width = max(LEAST_ROWS, round(SHOWN_s * found.noise.rate_Hz))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 
@@ -19,8 +19,10 @@ from hil.diagnosis.report.effect_map import effect_map, effect_map_figure
 from hil.diagnosis.report.heat_maps import heat_map_figure
 from hil.diagnosis.report.matrix import matrix_figure
 from hil.diagnosis.report.overlay import overlay_figure
+from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.waterfall import waterfall_figure
 from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Stages
+from hil.machine.model import AxisUnits
 from virtual_bus.effects.registry import effects
 
 _TEMPLATE = Path(__file__).with_name("page.html")
@@ -53,10 +55,9 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
             found = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
             sections["effect"].append((str(finding.effect), None if found is None else effect_map_figure(found)))
     for axis in range(len(train.axes)):
-        shown = [("re-tuned", "retuned"), ("extended", "extended")] if named else [("re-tuned", "retuned")]
-        for words, stage in shown:
-            drawn = heat_map_figure(train.with_simulated(on_train[stage]), axis, words)
-            sections["heat"].append((f"Residual of the {words} simulation, {train.axes[axis]}", drawn))
+        for stage in ("retuned", "extended") if named else ("retuned",):
+            drawn = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
+            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", drawn))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
 
@@ -94,7 +95,7 @@ def _document(outcome: Outcome) -> str:
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
         "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions) + _findings(diagnosis),
         "hypotheses": _hypotheses(diagnosis),
-        "location": _location(diagnosis),
+        "location": _location(diagnosis, {units.axis: units for units in machine.units}),
         "fit": _fit(diagnosis),
         "retuned": _retuned(diagnosis),
         **{f"figure_{name}": text or absent.get(name, "") for name, text in figures.items()},
@@ -128,7 +129,7 @@ def _findings(diagnosis: Diagnosis) -> str:
             others = ", ".join(str(other) for other in finding.ambiguous_with)
             lines.append(f"<p>In its place, alone or with one another, these recordings allow: {html.escape(others)}.</p>")
         if finding.separating_experiment:
-            lines.append(f"<p>The experiment that would: <code>{html.escape(finding.separating_experiment)}</code></p>")
+            lines.append(f"<p>The experiment that would tell them apart: <code>{html.escape(finding.separating_experiment)}</code></p>")
         parts.append("\n".join(lines))
     return "\n".join(parts) or "<p>No effect is named.</p>"
 
@@ -140,10 +141,11 @@ def _estimate(estimate: Estimate) -> str:
 
 def _hypotheses(diagnosis: Diagnosis) -> str:
     rows = [(" and ".join(str(e) for e in h.effects) or "no effect", f"{h.confidence:.3f}") for h in diagnosis.hypotheses]
-    return _table(("hypothesis", "confidence"), rows)
+    lacking = "<p>What these confidences lack of 1 is for physics that none of them holds.</p>" if rows else ""
+    return _table(("hypothesis", "confidence"), rows) + lacking
 
 
-def _location(diagnosis: Diagnosis) -> str:
+def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> str:
     location = diagnosis.location
     rows = [("channels", ", ".join(f"{name} {share:.0%}" for name, share in _falling(location.channels)))]
     for name, spans in location.time_s.items():
@@ -152,7 +154,9 @@ def _location(diagnosis: Diagnosis) -> str:
         rows.append(("frequency", _spans(location.frequency_hz, "Hz")))
     for quantity in ("position", "speed", "effort"):
         for axis, spans in getattr(location, quantity).items():
-            rows.append((f"{quantity} of {axis}", _spans(spans, "")))
+            own = units[axis]
+            unit = {"position": own.position, "speed": f"{own.position}/s", "effort": own.effort}[quantity]
+            rows.append((f"{quantity} of {axis}", _spans(spans, unit)))
     rows += [(f"direction of {axis}", way) for axis, way in location.direction.items()]
     return _table(("dimension", "where"), rows)
 
@@ -172,7 +176,7 @@ def _fit(diagnosis: Diagnosis) -> str:
     rows.append(("E, training (units of noise)", *_numbers(fit.train)))
     if fit.held_out is not None:
         rows.append(("E, held-out (units of noise)", *_numbers(fit.held_out)))
-    return _table(("free-run NRMSE", *(stage.replace("_", " ") for stage in STAGES)), rows)
+    return _table(("free-run NRMSE", *(STAGE_NAMES.get(stage, stage.replace("_", " ")) for stage in STAGES)), rows)
 
 
 def _percent(stages: Stages) -> list[str]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK = (
-    "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
-)  # fmt: skip
-"""Okabe and Ito's palette: told apart by colour-blind readers and in grey."""
+ORANGE, SKY, GREEN, BLUE, VERMILION = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00"
+"""Of Okabe and Ito's palette: told apart by colour-blind readers and in grey."""
 
 STAGE_COLOURS = {"nominal": ORANGE, "retuned": SKY, "extended": VERMILION}
 STAGE_NAMES = {"nominal": "nominal", "retuned": "re-tuned", "extended": "with the effects"}
