@@ -42,7 +42,7 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
             for group, simulated in zip(train.groups, rows, strict=True)
             if len(simulated) == longest
         ]
-        return candidates(replace(first, others=tuple(others)), train.channels)
+        return candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
 
     return found_beside
 
@@ -63,7 +63,8 @@ def with_bounded_noise(train: Mismatch, jobs: int, report: Callable[[str, float]
         report("bounding the noise", 0.01)
         with FreeRuns({TRAIN: train}, train.noise, jobs) as runs:
             tuning = retune(runs)
-            selection = select(runs, tuning, None, float(len(tuning.predicted)), candidates_for(runs, tuning), lambda what, share: None)
+            entries = float(len(tuning.predicted))  # one way is enough for a bound, and half the time
+            selection = select(runs, tuning, None, entries, candidates_for(runs, tuning), lambda what, share: None, another_way=False)
             closest = selection.closest
             trial = Trial(tuning.values) if closest is None else Trial(tuning.at(closest.offset), closest.settings)
             rows = runs.rows(trial)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def setting_of(effect: EffectAt, values: np.ndarray) -> EffectSetting:
     return EffectSetting(effect.effect, effect.at, dict(zip(names, (float(value) for value in values), strict=True)))
 
 
-def candidates(motion: Motion, channels: Sequence[str]) -> list[Candidate]:
+def candidates(motion: Motion, channels: Sequence[str], present: Sequence[EffectAt] = ()) -> list[Candidate]:
     """All effects of the catalogue at the places of this machine where recordings could show them.
 
     Parameters
@@ -54,9 +54,13 @@ def candidates(motion: Motion, channels: Sequence[str]) -> list[Candidate]:
         How the machine moved and what is missing at each place.
     channels : sequence of str
         Recorded and compared.
+    present : sequence of EffectAt
+        Found already. Of those that may act at a place several times, the next one is tried there.
     """
     found = []
     for place in places_to_try(motion.machine.plant, channels):
+        if effects()[place.effect].several:
+            place = replace(place, number=1 + sum((one.effect, one.at) == (place.effect, place.at) for one in present))
         starts = starts_of(place.effect, place.at, motion)
         if starts:
             shapes = shapes_of(place.effect, place.at, motion, len(starts))

@@ -18,13 +18,14 @@ STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor")
 
 @dataclass(frozen=True, order=True)
 class EffectAt:
-    """One effect of the catalogue at one place of the machine."""
+    """One effect of the catalogue at one place of the machine; of those that may act there several times, which one."""
 
     effect: str
     at: str
+    number: int = 1
 
     def __str__(self) -> str:
-        return f"{self.effect} at {self.at}"
+        return f"{self.effect} at {self.at}" if self.number == 1 else f"{self.effect} {self.number} at {self.at}"
 
     def document(self) -> dict[str, str]:
         return {"effect": self.effect, "at": self.at}

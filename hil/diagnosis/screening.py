@@ -158,12 +158,13 @@ def shortlist(screened: Sequence[Screened], most: int, worth: float) -> list[Scr
     for candidate in screened[most:]:
         if len(chosen) == most + MOST_UNLIKE:
             break
-        if candidate.score > least and all(_squared_cosine(candidate.response, other.response) < UNLIKE for other in chosen):
+        if candidate.score > least and all(squared_cosine(candidate.response, other.response) < UNLIKE for other in chosen):
             chosen.append(candidate)
     return chosen
 
 
-def _squared_cosine(one: np.ndarray, other: np.ndarray) -> float:
+def squared_cosine(one: np.ndarray, other: np.ndarray) -> float:
+    """Of two responses; 1 where one is nothing."""
     energies = float(one @ one) * float(other @ other)
     return float(one @ other) ** 2 / energies if energies > 0.0 else 1.0
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +21,7 @@ from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import Screened, screen, shortlist
+from hil.diagnosis.screening import UNLIKE, Screened, screen, shortlist, squared_cosine
 
 REFITTED = 8
 """Candidates refitted after the first screening."""
@@ -92,8 +92,10 @@ def select(
     noise_energy: float,
     candidates_of: Callable[[Fitted | None], Sequence[Candidate]],
     report: Report,
+    *,
+    another_way: bool = True,
 ) -> Selection:
-    """Add effects one at a time.
+    """Add effects one at a time, and once more from another first one that was not told apart, where further ones were found.
 
     Parameters
     ----------
@@ -107,45 +109,82 @@ def select(
         Candidates with start values, given the effects found so far.
     report : callable
         Told what is being done, and how far the whole is.
+    another_way : bool
+        Whether effects are added from another first one at all.
     """
-    measured = runs.measured()
     judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs))
-    nothing = stand = judgement.nothing
-    gates: list[Gate] = []
+    search = _Search(runs, tuning, judgement, noise_energy, candidates_of, report)
+    first = search.step(Way(judgement.nothing))
+    way = search.to_the_end(first)
+    rival = another_first(first.contenders, way.stand.effects, first.stand, judgement.nothing, noise_energy)
+    if another_way and rival is not None:
+        other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,)))
+        way = joined(way, other, judgement.nothing.cost, noise_energy)
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further)
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """How far effects were added, and what was fitted and judged on the way; see `Selection`."""
+
+    stand: Stand
+    gates: tuple[Gate, ...] = ()
     contenders: tuple[Contender, ...] = ()
-    first: list[Screened] = []
-    singles: list[Fitted] = []
-    smaller: list[Fitted] = []
+    screened: tuple[Screened, ...] = ()
     closest: Fitted | None = None
-    limits: dict[EffectAt, float] = {}
+    further: float = np.inf
+    singles: tuple[Fitted, ...] = ()
+    smaller: tuple[Fitted, ...] = ()  # of all steps
+    limits: Mapping[EffectAt, float] = field(default_factory=dict)
     tried: Tried | None = None
-    further = np.inf
-    for size in range(MOST_EFFECTS):
-        chosen = stand.fitted
-        if len(stand.effects) >= MOST_EFFECTS:
-            break
-        report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
-        found = [candidate for candidate in candidates_of(chosen) if candidate.effect not in stand.effects]
-        tried = Tried(found, tried)
+    is_at_its_end: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is the same at every step; see `select`."""
+
+    runs: FreeRuns
+    tuning: Tuning
+    judgement: Judgement
+    noise_energy: float
+    candidates_of: Callable[[Fitted | None], Sequence[Candidate]]
+    report: Report
+
+    def to_the_end(self, way: Way) -> Way:
+        """Steps until none passes the gate."""
+        while not way.is_at_its_end and max(len(way.stand.effects), len(way.gates)) < MOST_EFFECTS:
+            way = self.step(way)
+        return way
+
+    def step(self, way: Way) -> Way:
+        """One effect more, or a pair at the first step or in place of what was found."""
+        runs, tuning, judgement, noise_energy = self.runs, self.tuning, self.judgement, self.noise_energy
+        stand, chosen, nothing, measured = way.stand, way.stand.fitted, self.judgement.nothing, self.runs.measured()
+        end, size = replace(way, is_at_its_end=True), len(way.stand.effects)
+        self.report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
+        found = [candidate for candidate in self.candidates_of(chosen) if candidate.effect not in stand.effects]
+        limits = {**{candidate.effect: candidate.limit for candidate in found}, **way.limits}
+        tried = Tried(found, way.tried)
         residual = measured - stand.tuning.predicted
         screened = screen(runs, stand.tuning, found, residual, () if chosen is None else chosen.settings)
         screened.sort(key=lambda s: -s.score / judgement.scatter.along(s.response[: len(residual)].astype(float)))
         if not screened:
-            break
+            return end
         most = REFITTED if size == 0 else REFITTED_BESIDE
         worth = shortlist(screened, most, WORTH_A_FIT)
-        report("fitting", 0.35 + 0.2 * size)
+        self.report("fitting", 0.35 + 0.2 * size)
         starts = [*(_beside(chosen, s) for s in worth), *_instead(chosen, worth[0])]
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
-            break
+            return end
         fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_half_orders(runs, tuning, measured, fits)
+        first, singles = way.screened, way.singles
         if size == 0:
-            first, singles = screened, fits
-            limits = {candidate.effect: candidate.limit for candidate in found}
+            first, singles = tuple(screened), tuple(fits)
             ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
@@ -154,33 +193,69 @@ def select(
         fits = [fit for fit in exact if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
-            break
+            return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, limits)
-        further = least_by_chance(judged, stand)
-        needed = [one for one in judged if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
-        smaller = [*smaller, *fits]
+        needed = [one for one in judged if has_no_surplus(one.fitted, stand, way.smaller, tried, len(residual))]
+        smaller = (*way.smaller, *fits)
         passed = [one for one in needed if one.passed]
-        gates.append(passed[0].gate if passed else _refused(judged[0], needed))
+        gates = (*way.gates, passed[0].gate if passed else _refused(judged[0], needed))
+        end = Way(stand, gates, way.contenders, first, closest, least_by_chance(judged, stand), singles, smaller, limits, tried, True)
         if not passed and chosen is not None:
-            break
+            return end
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
         rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits)) if one.passed]
-            known = _not_told_apart(contenders, rivals, nothing.cost, noise_energy)
-            there = [set(one.fitted.effects) for one in (*contenders, *rivals)]
+            known = _not_told_apart(way.contenders, rivals, nothing.cost, noise_energy)
+            there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
             more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, limits, len(fits))
             rivals += [one for one in more if one.passed and has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
-        contenders = (*rivals, *_still_in(contenders, rivals))
-        if not passed:
-            break
-        stand, further = judgement.after(passed[0]), np.inf
-    return Selection(stand.fitted, tuple(gates), contenders, tuple(first), closest, further)
+        end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
+        return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
+
+
+def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
+    """The likelier of two ways by training, with the sets of both; `base` is the cost of no effect at all."""
+    ends = [next(c for c in way.contenders if c.fitted is way.stand.fitted) for way in (one, other)]
+    temper = temperature_of([(base - end.gained, end.by_numbers[0]) for end in ends], base, noise_energy)
+    evidence = [0.5 * end.gained / temper - _price(end.fitted, temper, end.searched) for end in ends]
+    likelier = one if evidence[0] >= evidence[1] else other
+    closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
+    return replace(likelier, contenders=tuple(each_once((*one.contenders, *other.contenders))), closest=closest)
+
+
+def another_first(
+    contenders: Sequence[Contender], found: Sequence[EffectAt], stand: Stand, nothing: Stand, noise_energy: float
+) -> Contender | None:
+    """A set of the first step from which effects should be added as well: one that an equation's error may hold beside the first stand and
+    that does something else, where further effects were found beside that. None where there is none.
+    """
+    if stand.fitted is None or len(found) <= len(stand.effects):
+        return None
+    own = stand.fitted.predicted - nothing.tuning.predicted
+    known = _not_told_apart(contenders, contenders, nothing.cost, noise_energy)
+    for one in contenders:
+        response = one.fitted.predicted - nothing.tuning.predicted
+        is_another = not set(one.fitted.effects) <= set(found) and squared_cosine(own, response) < UNLIKE
+        if one.fitted in known and is_another:
+            return one
+    return None
+
+
+def each_once(contenders: Sequence[Contender]) -> list[Contender]:
+    """Of sets that were fitted twice the closer one; without those that are part of another, or gain too little to compete."""
+    closest: dict[frozenset[EffectAt], Contender] = {}
+    for one in contenders:
+        known = closest.setdefault(frozenset(one.fitted.effects), one)
+        if one.fitted.cost < known.fitted.cost:
+            closest[frozenset(one.fitted.effects)] = one
+    most = max((one.gained for one in closest.values()), default=0.0)
+    return [one for own, one in closest.items() if one.gained > RIVAL_SHARE * most and not any(own < others for others in closest)]
 
 
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
@@ -226,7 +301,7 @@ def _pairs_worth_a_fit(
     best, entries = singles[0], len(residual)
     temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - entries)
     price = price_of_a_parameter(base - best.cost, temper)
-    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried) - PAIR_MARGIN
+    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried.searched(best.effects)) - PAIR_MARGIN
 
     def evidence(pair: Pair) -> float:
         return 0.5 * pair.gain / temper - pair.freedom * price - tried.searched(pair.start[0])
@@ -316,9 +391,8 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
         return known if set(stand.effects) <= set(fit.effects) else 0.0
 
     temper = temperature_of([(fit.cost, by_numbers(fit)) for fit in fits], base, noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried))
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried.searched(fit.effects)))
 
 
-def _price(fitted: Fitted, temper: float, tried: Tried) -> float:
-    information = tuple(fitted.information.tolist())
-    return Weighed(fitted, 0.0, 0.0, information, searched=tried.searched(fitted.effects)).price(temper)
+def _price(fitted: Fitted, temper: float, searched: float) -> float:
+    return Weighed(fitted, 0.0, 0.0, tuple(fitted.information.tolist()), searched=searched).price(temper)

@@ -102,7 +102,7 @@ def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
     assert len(asked) == len(set(asked)) > 10
 
 
-def pieces(count=24, **cogging) -> dict[str, Recording]:
+def pieces(count=24, *others: EffectSetting, **cogging) -> dict[str, Recording]:
     """Pieces of 20 ms of a rotor with this cogging, at various places and speeds."""
     hidden = EffectSetting("cogging", "rotor", cogging)
     random = np.random.default_rng(3)
@@ -110,8 +110,41 @@ def pieces(count=24, **cogging) -> dict[str, Recording]:
     for number in range(count):
         inputs = driven(ROTOR, np.full(20, 0.2), speeds=[float(random.uniform(4.0, 8.0))])
         start = {"position_rotor": Channel("rad", np.full(20, random.uniform(0.0, 30.0)))}
-        found[str(number)] = recorded(ROTOR, Recording({**inputs.channels, **start}, inputs.metadata), hidden)
+        found[str(number)] = recorded(ROTOR, Recording({**inputs.channels, **start}, inputs.metadata), hidden, *others)
     return found
+
+
+def wave(order: float, amplitude: float, phase: float) -> EffectSetting:
+    """A cogging of one order."""
+    return EffectSetting("cogging", "rotor", {"Np": order, "A1": amplitude, "phi1": phase, "A2": 0.0, "phi2": 0.0})
+
+
+def test_coggings_of_several_orders_at_one_place_add_up():
+    """One law of two harmonics is two laws of one each."""
+    both = {"Np": 36.0, "A1": 0.04, "phi1": -0.9, "A2": 0.1, "phi2": 0.4}
+    inputs = driven(ROTOR, np.full(50, 0.2), speeds=[5.0])
+    whole = recorded(ROTOR, inputs, EffectSetting("cogging", "rotor", both))["position_rotor"]
+    apart = recorded(ROTOR, inputs, wave(36.0, 0.04, -0.9), wave(72.0, 0.1, 0.4))["position_rotor"]
+    np.testing.assert_allclose(apart, whole, atol=1e-12)
+    assert np.abs(whole - recorded(ROTOR, inputs, wave(36.0, 0.04, -0.9))["position_rotor"]).max() > 1e-3
+
+
+def test_a_cogging_of_another_order_is_found_beside_the_first():
+    recordings = pieces(24, wave(96.0, 0.04, -1.1), Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
+    first, second = EffectAt("cogging", "rotor"), EffectAt("cogging", "rotor", 2)
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
+        tuning = retune(runs)
+        candidates = candidates_for(runs, tuning)
+        (one,) = refit(runs, tuning, runs.measured(), [((first,), (np.array([72.0, 0.1, 0.4, 0.0, 0.0]),))])
+        offered = {candidate.effect: candidate for candidate in candidates(one)}
+        assert first not in offered and {effect for effect in offered if effect.number > 1} == {second}
+        nearest = min(offered[second].starts, key=lambda start: abs(start[0] - 96.0))
+        assert nearest[0] == pytest.approx(96.0, abs=0.5)
+        (two,) = polish(runs, tuning, runs.measured(), refit(runs, tuning, runs.measured(), [((first, second), (one.values[0], nearest))]))
+        assert {effect.number for effect in (c.effect for c in candidates(two)) if effect.effect == "cogging"} == {3}
+    orders = [values[0] for values in two.values]
+    amplitudes = [values[1] for values in two.values]
+    assert (*orders, *amplitudes) == pytest.approx((72.0, 96.0, 0.1, 0.04), rel=0.05)
 
 
 def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth():

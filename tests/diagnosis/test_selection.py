@@ -83,3 +83,10 @@ def test_a_rival_that_lost_its_form_beside_what_was_found_does_not_compete(monke
 def test_a_rival_that_gains_nothing_by_what_was_found_beside_it_does_not_compete(monkeypatch):
     competing = search(monkeypatch, SWINGS, less=7.0)
     assert {FRICTION, LOAD} in competing and {MODE, LOAD} not in competing
+
+
+def test_a_search_goes_on_from_another_first_effect_that_does_something_else(monkeypatch):
+    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+    assert {MODE, LOAD} not in search(monkeypatch, SWINGS)  # what imitates the friction is the same thing
+    monkeypatch.setattr(selection, "UNLIKE", 1.0)
+    assert {MODE, LOAD} in search(monkeypatch, SWINGS)

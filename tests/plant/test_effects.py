@@ -62,6 +62,16 @@ def test_the_same_effect_twice_at_one_place_is_refused() -> None:
         bind_effects([entry, entry], block())
 
 
+def test_a_wave_over_position_may_act_at_a_place_with_several_orders() -> None:
+    first = {"name": "cogging", "at": "rail", "Np_rad_m": 70.0, "A1_N": 1.0, "phi1_rad": 0.0, "A2_N": 0.0, "phi2_rad": 0.0}
+    bound = bind_effects([first, {**first, "Np_rad_m": 90.0}], block())
+    assert [effect.parameters["Np"] for effect in bound] == [70.0, 90.0]
+    with pytest.raises(EffectError, match="given twice"):
+        bind_effects([first, {**first, "A1_N": 2.0}], block())
+    several = {entry["name"]: entry["several"] for entry in catalogue() if entry["several"]}
+    assert several == {"cogging": "Np"}
+
+
 def test_another_choice_of_effects_is_the_same_compiled_plant() -> None:
     without, with_friction = compile_plant(block()), compile_plant(block(effects=(EffectSetting("coulomb_friction", "rail", {"Fc": 1.0}),)))
     assert without.module is with_friction.module

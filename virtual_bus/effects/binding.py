@@ -36,10 +36,16 @@ def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSetting
     bound: list[EffectSetting] = []
     for number, entry in enumerate(entries, start=1):
         setting = _bind(entry, settings, f"{where}: effect {number}")
-        if any((setting.name, setting.at) == (other.name, other.at) for other in bound):
+        if any(_is_the_same(setting, other) for other in bound):
             raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; once is enough")
         bound.append(setting)
     return tuple(bound)
+
+
+def _is_the_same(one: EffectSetting, other: EffectSetting) -> bool:
+    """Whether an effect acts at a place already: of those that may act there several times, with this order."""
+    apart = effects()[one.name].several
+    return (one.name, one.at) == (other.name, other.at) and (not apart or one.parameters[apart] == other.parameters[apart])
 
 
 def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[dict[str, object]]:

@@ -32,6 +32,7 @@ EFFECT = Effect(
     ),
     neighbours=("torque_ripple", "transmission_error", "encoder_eccentricity"),
     source="Hanselman 2006, Sec. 7",
+    several="Np",
 )
 
 

@@ -114,3 +114,4 @@ class Effect:
     convention: str  # sign, half or full gap, which side of the gear
     neighbours: tuple[str, ...]  # what it is mistaken for
     source: str
+    several: str = ""  # the parameter in which several at one place differ; "" where there is but one

@@ -107,6 +107,7 @@ def catalogue() -> list[dict]:
             "convention": effect.convention,
             "neighbours": list(effect.neighbours),
             "source": effect.source,
+            "several": effect.several,
         }
         for effect in effects().values()
     ]

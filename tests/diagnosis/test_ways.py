@@ -1,0 +1,69 @@
+"""A search that went on beside one of two first effects goes on beside the other as well, and both ways' sets compete."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.selection import Way, another_first, each_once, joined
+
+ENTRIES = 100
+ALONG = np.eye(ENTRIES)
+COGGING, RUBBING, DELAY, RIPPLE = (EffectAt(name, "rotor") for name in ("cogging", "position_dependent_friction", "delay", "torque_ripple"))
+NOTHING = SimpleNamespace(tuning=SimpleNamespace(predicted=np.zeros(ENTRIES)), cost=20_000.0)
+
+
+def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool = True):
+    """A set that a search has come to, with this change of the free run."""
+    nothing = np.zeros((ENTRIES, 0))
+    cost = NOTHING.cost - gained
+    fitted = Fitted(effects, (np.ones(1),) * len(effects), np.zeros(0), response, cost, (), nothing, np.zeros(0))
+    return SimpleNamespace(fitted=fitted, gained=gained, passed=passed, by_numbers=(0.0, 0.0), searched=0.0)
+
+
+def another(*rivals, found=(RUBBING, DELAY), first=(RUBBING,)):
+    stand = contender(16_000.0, *first)
+    own = SimpleNamespace(fitted=stand.fitted, effects=first)
+    return another_first((stand, *rivals), found, own, NOTHING, float(ENTRIES))
+
+
+def test_another_first_effect_is_one_that_the_equations_errors_may_hold():
+    """Of 16 000 units of noise an equation may err by 160 or so, and a twenty-fifth of the likelihood is six of them."""
+    rival = contender(15_200.0, COGGING, response=ALONG[1])
+    assert another(rival) is rival
+    assert another(contender(17_000.0, COGGING, response=ALONG[1])) is not None  # one of more parameters comes closer and comes second
+    assert another(contender(14_000.0, COGGING, response=ALONG[1])) is None
+    assert another(contender(15_200.0, COGGING, response=ALONG[1], passed=False)) is None
+
+
+def test_another_first_effect_does_something_else():
+    alike = ALONG[0] + 0.2 * ALONG[1]
+    assert another(contender(15_900.0, COGGING, response=alike)) is None
+    assert another(contender(15_900.0, COGGING, response=ALONG[0] + 0.5 * ALONG[1])) is not None
+
+
+def test_a_search_that_found_nothing_further_or_the_rival_itself_is_not_taken_up_again():
+    rival = contender(15_200.0, COGGING, response=ALONG[1])
+    assert another(rival, found=(RUBBING,)) is None
+    assert another(rival, found=(RUBBING, COGGING)) is None
+    pair = (RUBBING, DELAY)  # found together at the first step, and nothing beside
+    assert another(rival, found=pair, first=pair) is None
+
+
+def test_of_two_ways_the_likelier_stands_and_all_sets_compete_once():
+    def way(*contenders):
+        """At its end with the first of its sets."""
+        return Way(SimpleNamespace(fitted=contenders[0].fitted), contenders=contenders, closest=contenders[0].fitted)
+
+    one = way(contender(16_500.0, RUBBING, DELAY), contender(15_900.0, COGGING, DELAY), contender(15_200.0, COGGING))
+    other = way(contender(18_500.0, COGGING, RIPPLE), contender(16_100.0, DELAY, COGGING), contender(4_000.0, RIPPLE))
+    both = joined(one, other, NOTHING.cost, float(ENTRIES))
+    assert both.stand is other.stand and both.closest is other.closest
+    assert [set(c.fitted.effects) for c in both.contenders] == [{RUBBING, DELAY}, {COGGING, DELAY}, {COGGING, RIPPLE}]
+    assert [c.gained for c in both.contenders] == pytest.approx([16_500.0, 16_100.0, 18_500.0])
+    assert joined(other, one, NOTHING.cost, float(ENTRIES)).stand is other.stand
+    assert each_once([]) == []
