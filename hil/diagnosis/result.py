@@ -63,7 +63,8 @@ class Finding:
     effect: EffectAt
     confidence: float
     parameters: Mapping[str, Estimate]
-    ambiguous_with: tuple[EffectAt, ...] = ()
+    ambiguous_with: tuple[EffectAt, ...] = ()  # what those sets have that the likeliest one has not
+    ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones without this effect
     separating_experiment: str | None = None  # file that `isocenter run` takes
     evidence_for: tuple[str, ...] = ()
     evidence_against: tuple[str, ...] = ()
@@ -74,6 +75,7 @@ class Finding:
             "confidence": self.confidence,
             "parameters": {name: estimate.document() for name, estimate in self.parameters.items()},
             "ambiguous_with": [other.document() for other in self.ambiguous_with],
+            "ambiguous_sets": [[other.document() for other in one] for one in self.ambiguous_sets],
             "separating_experiment": self.separating_experiment,
             "evidence_for": list(self.evidence_for),
             "evidence_against": list(self.evidence_against),

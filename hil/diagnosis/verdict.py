@@ -121,16 +121,10 @@ def with_read_off(verdict: Verdict, reason: str, seen: Sequence[str]) -> tuple[V
     return ("explained" if verdict in ("consistent", "retuned") else verdict), f"{', '.join(seen)}; besides, {reason}"
 
 
-def alternatives(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[EffectAt, ...]:
-    """Effects that stand in another plausible set where this one does not."""
-    found: list[EffectAt] = []
-    for other in hypotheses:
-        if other.fitted is None or other.confidence < PLAUSIBLE or effect in other.fitted.effects:
-            continue
-        best = hypotheses[0].fitted
-        known = set(best.effects) if best is not None else set()
-        found += [name for name in other.fitted.effects if name not in known and name not in found]
-    return tuple(found)
+def sets_without(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[tuple[EffectAt, ...], ...]:
+    """Plausible sets that an effect of the likeliest set is not in."""
+    sets = [h.fitted.effects for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE]
+    return tuple(found for found in sets if effect not in found)
 
 
 def findings_of(
@@ -156,8 +150,17 @@ def findings_of(
         for_it, against = gate.evidence()
         among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
         largest = cap if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
-        others = alternatives(hypotheses, effect)
-        against += [f"{other} fits nearly as well" for other in others]
-        confidence = min(sum(h.confidence for h in among), largest)
-        found.append(Finding(effect, confidence, parameters, others, None, tuple(for_it), tuple(against)))
+        others = sets_without(hypotheses, effect)
+        against += [f"{' and '.join(map(str, other))} {'fits' if len(other) == 1 else 'fit'} nearly as well" for other in others]
+        found.append(
+            Finding(
+                effect,
+                confidence=min(sum(h.confidence for h in among), largest),
+                parameters=parameters,
+                ambiguous_with=tuple(dict.fromkeys(one for other in others for one in other if one not in best.fitted.effects)),
+                ambiguous_sets=others,
+                evidence_for=tuple(for_it),
+                evidence_against=tuple(against),
+            )
+        )
     return tuple(found)

@@ -85,6 +85,23 @@ def first_finding(*sets: tuple[Contender, float], cap: float):
     return found
 
 
+def test_sets_that_a_name_is_not_told_apart_from_stay_sets():
+    def of(*names: str) -> Fitted:
+        nothing = np.zeros(0)
+        effects = tuple(EffectAt(name, "carriage") for name in names)
+        return Fitted(effects, (nothing,) * len(effects), nothing, nothing, 0.0, (), np.zeros((0, 0)), np.zeros(0))
+
+    passed = gate(0.6, passes=True)
+    sets = [(of("cogging", "end_stop"), 0.3), (of("end_stop", "delay"), 0.2), (of("delay", "backlash"), 0.1), (of("cable_spring"), 0.01)]
+    contenders = [Contender(one, 0.0, 0.0, 0.0, (passed,) * len(one.effects)) for one, _ in sets]
+    cogging, _ = findings_of(contenders, [Weighed(one, 0.0, 0.0, (1.0,), share) for one, share in sets], [{}, {}], 0.999)
+    said = cogging.document()
+    assert [other["effect"] for other in said["ambiguous_with"]] == ["delay", "backlash"]
+    assert [[other["effect"] for other in one] for one in said["ambiguous_sets"]] == [["end_stop", "delay"], ["delay", "backlash"]]
+    assert "end_stop at carriage and delay at carriage fit nearly as well" in cogging.evidence_against
+    assert "delay at carriage fits nearly as well" not in cogging.evidence_against
+
+
 def test_a_findings_evidence_is_its_own_sets():
     found = first_finding((contender("viscous_friction", 0.6), 0.6), (contender("coulomb_friction", 0.3), 0.3), cap=0.999)
     assert found.effect.effect == "viscous_friction" and any("explains 60.0%" in text for text in found.evidence_for)

@@ -125,9 +125,9 @@ def _findings(diagnosis: Diagnosis) -> str:
         for heading, evidence in (("For", finding.evidence_for), ("Against", finding.evidence_against)):
             if evidence:
                 lines.append(f"<p>{heading}:</p><ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in evidence) + "</ul>")
-        if finding.ambiguous_with:
-            others = ", ".join(str(other) for other in finding.ambiguous_with)
-            lines.append(f"<p>In its place, alone or with one another, these recordings allow: {html.escape(others)}.</p>")
+        if finding.ambiguous_sets:
+            others = "; ".join(" and ".join(map(str, one)) for one in finding.ambiguous_sets)
+            lines.append(f"<p>Without it these recordings allow: {html.escape(others)}.</p>")
         if finding.separating_experiment:
             lines.append(f"<p>The experiment that would tell them apart: <code>{html.escape(finding.separating_experiment)}</code></p>")
         parts.append("\n".join(lines))
