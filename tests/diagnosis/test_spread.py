@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from carriage import MACHINE
 
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.estimates import interval
+from hil.diagnosis.estimates import believed, effect_estimates, interval
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.naming import Weighed
 from hil.diagnosis.refit import Fitted, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import PRIOR, retune
@@ -119,3 +122,24 @@ def test_an_interval_of_several_sets_holds_95_percent_of_what_they_say_together(
     assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.95, abs=0.002)
     assert low == pytest.approx(np.quantile(drawn, 0.025), abs=0.01)
     assert high == pytest.approx(np.quantile(drawn, 0.975), abs=0.01)
+
+
+def test_a_parameter_s_interval_is_that_of_all_plausible_sets_with_its_effect(with_friction):
+    """A set with the friction beside the likeliest, one without it and one that is not plausible."""
+    found = mismatch(MACHINE, with_friction[0])
+    friction, load = EffectAt("coulomb_friction", "carriage"), EffectAt("constant_load", "carriage")
+    starts = [((friction,), (np.array([10.0]),)), ((load, friction), (np.array([0.1]), np.array([10.0]))), ((load,), (np.array([0.1]),))]
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning = retune(runs)
+        alone, both, without = (fit for fit in refit(runs, tuning, runs.measured(), starts) if fit is not None)
+        both = replace(both, values=(both.values[0], 1.5 * alone.values[0]))
+        sets = [Weighed(fit, 0.0, 0.0, (), share) for fit, share in ((alone, 0.3), (both, 0.1), (without, 0.1), (both, 0.01))]
+        first, second = believed(runs, tuning, sets, spread_of(runs, tuning, alone))
+    (own,), (mixed,) = effect_estimates(MACHINE.plant, [first]), effect_estimates(MACHINE.plant, [first, second])
+    value = float(alone.values[0][0])
+    assert (first.confidence, second.confidence) == (0.3, 0.1)
+    assert own["Fc"].ci95 == pytest.approx((value - 1.96 * first.spread[0], value + 1.96 * first.spread[0]), rel=1e-4)
+    parts = [(0.3, value, float(first.spread[0])), (0.1, 1.5 * value, float(second.spread[1]))]
+    assert mixed["Fc"].ci95 == pytest.approx(interval(parts))
+    assert mixed["Fc"].value == value
+    assert mixed["Fc"].ci95[1] > 1.5 * value
