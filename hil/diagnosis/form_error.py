@@ -11,7 +11,7 @@ discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -198,6 +198,8 @@ def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, effect: EffectAt, 
     places = [driven] if spring is None else [joints.index(spring)]
     if kind is TRANSMISSION:
         places = [driven, *places]
+    if kind is ELASTIC and spring is not None and (own := joints.index(spring)) not in motions[0].plant.joint_of_axis().values():
+        parts = [replace(part, other_position=motion.deflection(own)) for part, motion in zip(parts, motions, strict=True)]
     functions = _functions(effect, values, joined(parts), np.concatenate([since_reversal(part) for part in parts]))
     ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
     return [[(joint, function[a:b]) for function in functions for joint in places] for a, b in pairwise(ends)]

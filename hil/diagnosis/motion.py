@@ -19,6 +19,9 @@ ACCELERATION_WINDOW_s = 0.08
 HIGHEST_EFFORT_Hz = 25.0
 """Above it the missing effort is tapered off: the inverse of a plant from force to position grows with the square of frequency."""
 
+LEAST_DAMPING = 0.005
+"""Damping ratio of a spring that the machine file gives no damper: no structure has less."""
+
 HIGHEST_SHARE = 0.12
 """Of the sample rate, for machines that are sampled faster than loops of that bandwidth ask for: they were, to see more."""
 
@@ -108,6 +111,25 @@ class Motion:
             inverse *= _taper(frequencies, highest_seen_Hz(HIGHEST_EFFORT_Hz, machine.sample_rate_Hz))[:, None]
             missing[:, seen] += np.fft.irfft(inverse, len(extended), axis=0)[:rows]
         return missing * self.gains
+
+    def deflection(self, joint: int) -> np.ndarray:
+        """(N,) of a sprung joint without a drive [rad or m]: what gravity and the motion of the driven joints push it by, through its own
+        equation of motion.
+        """
+        plant, model, sprung = self.plant, self.plant.model(self.values), self.machine.plant.tree.joints[joint]
+        driven = list(plant.joint_of_axis().values())
+        position = np.tile([each.rest_position for each in self.machine.plant.tree.joints], (len(self.group.position), 1))
+        speed = np.zeros_like(position)
+        position[:, driven], speed[:, driven] = self.group.position, self.group.speed
+        inertia, bias = plant.inertia_and_bias(model, position, speed)
+        shared, own = inertia[:, joint, driven].mean(axis=0), float(inertia[:, joint, joint].mean())
+        moved, pushed = (_odd_extension(each) for each in (self.group.position, bias[:, joint : joint + 1]))
+        w = 2.0 * np.pi * np.fft.rfftfreq(len(pushed), 1.0 / self.machine.sample_rate_Hz)
+        damping = max(sprung.damping, 2.0 * LEAST_DAMPING * np.sqrt(sprung.stiffness * own))
+        lines = (w**2 * (np.fft.rfft(moved, axis=0) @ shared) - np.fft.rfft(pushed[:, 0])) / (
+            sprung.stiffness + 1j * w * damping - own * w**2
+        )
+        return np.fft.irfft(lines, len(pushed))[: len(bias)]
 
     @cached_property
     def drive_effort(self) -> np.ndarray:

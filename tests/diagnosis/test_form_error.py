@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,14 +15,16 @@ from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.form_error import NO_ERROR, FormError, can_err, form_error, since_reversal
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.motion import Motion
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
-from hil.machine import load_machine
+from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
 
 ENTRIES = 60
+SPRING_MASS = Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines" / "spring_mass.toml"
 
 
 def test_energy_taken_and_gain_are_those_of_generalized_least_squares():
@@ -52,22 +55,36 @@ def carriage():
         yield runs, retune(runs)
 
 
-@pytest.fixture(scope="module")
-def rotor():
-    """A motor that nothing holds, driven in open loop, in three noisy repeats."""
-    machine, random = load_machine("laas_anti_cogging"), np.random.default_rng(3)
-    time_s = np.arange(1000) / machine.sample_rate_Hz
-    channels = {"time": Channel("s", time_s), "command_rotor": Channel("A", 0.05 + 0.3 * np.sin(20.0 * time_s))}
+def driven(machine: Machine, command: Channel, noise: float):
+    """A machine under a command, in three repeats with noise of this size on every channel."""
+    random = np.random.default_rng(3)
+    (axis,), rows = machine.axes, len(command.values)
+    channels = {"time": Channel("s", np.arange(rows) / machine.sample_rate_Hz), f"command_{axis}": command}
     answer = simulate(machine, Recording(channels, recording_metadata(machine))).channels
 
     def repeat() -> Recording:
         measured = {name: own for name, own in answer.items() if name != "time"}
-        noisy = {name: Channel(own.unit, own.values + 1e-3 * random.standard_normal(1000)) for name, own in measured.items()}
+        noisy = {name: Channel(own.unit, own.values + noise * random.standard_normal(rows)) for name, own in measured.items()}
         return Recording(channels | noisy, recording_metadata(machine))
 
     found = mismatch(machine, {f"repeat {k}": repeat() for k in range(3)})
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         yield runs, retune(runs)
+
+
+@pytest.fixture(scope="module")
+def rotor():
+    """A motor that nothing holds."""
+    machine = load_machine("laas_anti_cogging")
+    yield from driven(machine, Channel("A", 0.05 + 0.3 * np.sin(20.0 * np.arange(1000) / machine.sample_rate_Hz)), 1e-3)
+
+
+@pytest.fixture(scope="module")
+def rider():
+    """Two masses on springs, the first of which is pushed at 2 and 4.5 Hz."""
+    machine = load_machine(SPRING_MASS)
+    time_s = np.arange(2000) / machine.sample_rate_Hz
+    yield from driven(machine, Channel("N", 5.0 * np.sin(2.0 * np.pi * 2.0 * time_s) + 5.0 * np.sin(2.0 * np.pi * 4.5 * time_s)), 1e-4)
 
 
 def fitted(runs, tuning, *found: tuple[str, list[float]]) -> Fitted:
@@ -135,3 +152,22 @@ def test_a_sign_is_known_to_err_by_nothing(carriage):
     errors = form_error(runs, TRAIN, tuning, turned)
     assert errors.effects == turned.effects
     assert errors.gain(tuning.predicted, tuning.predicted) == pytest.approx(tuning.predicted @ tuning.predicted)
+
+
+def test_a_spring_behind_a_joint_errs_by_its_own_deflection_not_by_the_drive_s_effort(rider):
+    hardening = "nonlinear_stiffness", [2e5, 1.0, 0.002]
+    assert within(rider, hardening, hardening)[2] > 0.8
+
+
+@pytest.mark.parametrize("shaken_Hz", [1.0, 4.0, 8.0])
+def test_a_spring_behind_a_joint_deflects_as_a_shaken_oscillator_does(shaken_Hz):
+    """A rider of 2 kg on 2200 N/m and 3 N s/m, whose cart moves to and fro: below, near and above its 5.3 Hz."""
+    machine = load_machine(SPRING_MASS)
+    w, time_s = 2.0 * np.pi * shaken_Hz, np.arange(2000) / machine.sample_rate_Hz
+    turning = 0.01 * np.exp(1j * w * time_s)
+    cart = SimpleNamespace(position=turning.imag[:, None], speed=(1j * w * turning).imag[:, None])
+    motion = Motion(machine, None, cart, ())
+    wanted = (turning * 2.0 * w**2 / (2200.0 - 2.0 * w**2 + 3.0j * w)).imag
+    rider = [joint.name for joint in machine.plant.tree.joints].index("rider_spring")
+    later = slice(1400, None)  # it begins at full speed: what that sets ringing falls to a 190th by then
+    assert motion.deflection(rider)[later] == pytest.approx(wanted[later], abs=0.01 * np.ptp(wanted))
