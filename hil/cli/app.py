@@ -8,9 +8,12 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import zip_longest
 from typing import Any
 
 import typer
+
+from hil.errors import UnusableInput
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 
@@ -76,10 +79,12 @@ def _json_to_standard_output(arguments: list[str]) -> list[str]:
 
 
 def _held_out_each(arguments: list[str]) -> list[str]:
-    """`--held-out A B` is `--held-out A --held-out B`."""
+    """`--held-out A B` is `--held-out A --held-out B`; with nothing after it, it would take the next option for a recording."""
     complete: list[str] = []
     held_out = False
-    for argument in arguments:
+    for argument, following in zip_longest(arguments, arguments[1:], fillvalue="-"):
+        if argument == "--held-out" and following.startswith("-"):
+            raise UnusableInput("--held-out: give a recording or more after it")
         if argument == "--held-out" or argument.startswith("-"):
             held_out = argument == "--held-out"
         elif held_out and complete[-1] != "--held-out":

@@ -33,6 +33,8 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
     [
         (("monday", "-o", "answer"), "monday: is a folder; give the recordings in it"),
         ((*REPEATS, "-o", "file"), "file: is a file; give a folder"),
+        ((*REPEATS, "--held-out", "-o", "answer"), "--held-out: give a recording or more after it"),
+        ((*REPEATS, "-o", "answer", "--held-out"), "--held-out: give a recording or more after it"),
         ((*REPEATS, "-o", "file/answer"), "file: is a file; give a folder"),
         ((*REPEATS, "-o", "answer", "--json", "nowhere/a.json"), "--json nowhere/a.json: there is no folder nowhere"),
         ((*REPEATS, "-o", "answer", "--json", "monday"), "--json monday: is a folder; give a file in it"),
