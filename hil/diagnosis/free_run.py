@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
 
 import numpy as np
 
 from controllers.errors import ControlError
-from hil.diagnosis.mismatch import Mismatch, simulated_matrix
+from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.noise import NoiseModel
+from hil.diagnosis.simulated import simulated_matrix, smooth
 from hil.errors import BenchError
 from hil.machine import Machine
 from hil.simulation import Simulator
@@ -25,10 +25,9 @@ from virtual_bus.settings import EffectSetting
 
 TRAIN, HELD_OUT = "train", "held_out"
 
-LARGEST_STEP_s = 1.0 / 500.0
 FINE_STEPS = 4
-"""Of the plant's integration here, and by how much finer the steps are whose difference corrects all runs (see `FreeRuns.correct`): the
-second-order error of a 20 Hz mode stands out of the noise of four repeats at 1.6 kHz still."""
+"""By how much finer the plant's steps are whose difference corrects all runs (see `FreeRuns.correct`): the second-order error of a 20 Hz
+mode stands out of the noise of four repeats at 1.6 kHz still."""
 
 RUN_AWAY = 1e12
 """A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""
@@ -40,27 +39,6 @@ class Trial:
 
     values: np.ndarray
     effects: tuple[EffectSetting, ...] = ()
-
-
-def smooth(machine: Machine, finer: int = 1) -> Machine:
-    """The same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s over `finer`.
-
-    Rounding is noise to a recording, and it hides what a small change of a parameter does: a sensitivity through a coarse encoder is zero
-    or a jump.
-    """
-    plant = machine.plant
-    return replace(
-        machine,
-        plant=replace(
-            plant,
-            substeps=finer * math.ceil(plant.sample_period_s / LARGEST_STEP_s - 1e-9),
-            drives=tuple(replace(drive, resolution=0.0) for drive in plant.drives),
-            encoders=tuple(replace(encoder, resolution=0.0) for encoder in plant.encoders),
-            currents=tuple(replace(current, resolution=0.0) for current in plant.currents),
-            speeds=tuple(replace(sensor, resolution=0.0) for sensor in plant.speeds),
-            imus=tuple(replace(imu, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for imu in plant.imus),
-        ),
-    )
 
 
 class _Runner:
@@ -108,7 +86,9 @@ class _Runner:
     def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) rows of all groups in units of the noise of the repeats' mean."""
         pairs = zip(self._sets[name].groups, rows, strict=True)
-        return np.concatenate([np.sqrt(group.repeats) * self._noise.whiten(values, group.imu) for group, values in pairs])
+        return np.concatenate(
+            [np.sqrt(group.repeats) * self._noise.of_mean(group.repeats).whiten(values, group.imu) for group, values in pairs]
+        )
 
 
 _runner: _Runner | None = None  # of a worker process
@@ -173,7 +153,8 @@ class FreeRuns:
 
     def repeats(self, name: str = TRAIN) -> list[list[np.ndarray]]:
         """Whitened repeats per group, each in units of one repeat's noise."""
-        return [[self.noise.whiten(rows, group.imu) for rows in group.complete] for group in self.sets[name].groups]
+        groups = self.sets[name].groups
+        return [[self.noise.of_mean(group.repeats).whiten(rows, group.imu) for rows in group.complete] for group in groups]
 
     def run(self, trials: Sequence[Trial], name: str = TRAIN) -> list[np.ndarray | None]:
         """(M,) simulated channels of every trial; None where it cannot be simulated."""

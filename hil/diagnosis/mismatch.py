@@ -18,15 +18,16 @@ import scipy.signal
 from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.lattice import Lattice, coarser_lattices, with_lattices
+from hil.diagnosis.loop_lattices import loop_lattices
 from hil.diagnosis.noise import FILTER_ORDER, NoiseModel, noise_model
+from hil.diagnosis.simulated import channel_outputs
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
 from hil.recording import Recording, RecordingWarning
-from hil.simulation import Inputs, Outputs, Simulator, inputs_of
+from hil.simulation import Inputs, Simulator, inputs_of
 from virtual_bus.settings import EffectSetting
 
-IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 SILENT = 1e-12
 """A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
 
@@ -109,7 +110,8 @@ class RepeatGroup:
 class Mismatch:
     """Every group of repeats beside its simulation, in the same channels.
 
-    `noise` whitens residuals: `noise.whiten(residual, group.imu)` takes (N, C) and gives numbers of unit variance for one repeat's noise.
+    `noise` whitens residuals: `noise.of_mean(group.repeats).whiten(residual, group.imu)` takes (N, C) and gives numbers of unit variance
+    for one repeat's noise.
     `noise.std` (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is
     without these. `lattices` are those of encoders that are coarser than the machine file's.
     """
@@ -134,26 +136,6 @@ class Mismatch:
     def with_simulated(self, simulated: Sequence[np.ndarray]) -> Mismatch:
         """The same recordings beside other simulations, one (N, C) per group."""
         return replace(self, groups=tuple(replace(group, simulated=rows) for group, rows in zip(self.groups, simulated, strict=True)))
-
-
-def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]:
-    """Simulated channels by name, each (N,)."""
-    channels: dict[str, np.ndarray] = {}
-    for i, units in enumerate(machine.units):
-        channels[f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"] = outputs.effort[:, i]
-        channels[f"command_{units.axis}"] = outputs.command[:, i]
-        channels[f"position_{units.axis}"] = outputs.position[:, i]
-        channels[f"link_position_{units.axis}"] = outputs.link_position[:, i]
-        channels[f"speed_{units.axis}"] = outputs.speed[:, i]
-    if machine.plant.imus:
-        channels.update(zip(IMU_CHANNELS, outputs.imu[:, :6].T, strict=True))
-    return {name: values for name, values in channels.items() if not np.isnan(values).all()}
-
-
-def simulated_matrix(machine: Machine, outputs: Outputs, channels: Sequence[str]) -> np.ndarray:
-    """(N, C) simulated channels in this order."""
-    found = channel_outputs(machine, outputs)
-    return np.column_stack([found[name] for name in channels])
 
 
 def mismatch(
@@ -211,7 +193,8 @@ def mismatch(
     first = next(iter(recordings.values()))
     units = tuple(first.channel(name).unit for name in channels)
     if noise is None:
-        noise = noise_model(made, channels, with_lattices(machine, lattices, max(group.repeats for group in made)))
+        floor = with_lattices(machine, lattices, max(group.repeats for group in made))
+        noise = noise_model(made, channels, floor, loop_lattices(made, channels))
     return Mismatch(machine, channels, units, made, noise, by_sensor(lost), lattices)
 
 

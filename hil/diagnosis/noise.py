@@ -12,7 +12,7 @@ Pintelon and Schoukens 2012, ch. 2.5 and 4.3 (sample covariances of repeats); Ka
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -85,6 +85,8 @@ class NoiseModel:
         Least complex degrees of freedom any S was averaged over.
     end_s : float
         At either end of a record, in which it fades and whitened rows are left out.
+    shared : (G, C, C) complex array, optional
+        S of the filtered channels of what repeats have in common, besides what they do not: a mean of them keeps it. See `of_mean`.
     """
 
     kind: NoiseKind
@@ -96,6 +98,11 @@ class NoiseModel:
     own: np.ndarray
     freedom: float
     end_s: float
+    shared: np.ndarray | None = None
+
+    def of_mean(self, repeats: int) -> NoiseModel:
+        """The noise of a mean of so many repeats, in units of one's: times sqrt(repeats). The same where repeats have nothing in common."""
+        return self if self.shared is None else _of_mean(self, repeats)
 
     def spectrum(self, values: np.ndarray, imu: CarriedImu | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Whitened lines of a record that fades in and out.
@@ -140,6 +147,15 @@ class NoiseModel:
 
 
 @lru_cache(maxsize=16)
+def _of_mean(noise: NoiseModel, repeats: int) -> NoiseModel:
+    assert noise.shared is not None
+    inverse = np.linalg.inv(noise.roots)
+    own = inverse @ np.conj(np.swapaxes(inverse, 1, 2))
+    roots = np.stack([_inverse_root(s) for s in own + repeats * noise.shared])
+    return replace(noise, roots=roots, shared=None)
+
+
+@lru_cache(maxsize=16)
 def _roots_of(noise: NoiseModel, rows: int) -> np.ndarray:
     """(K, C, C) S^(-1/2) at the lines of a record of this many rows, linear between the grid's neighbours."""
     frequencies = np.fft.rfftfreq(rows - FILTER_ORDER, 1.0 / noise.rate_Hz)
@@ -173,7 +189,12 @@ def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.column_stack([scipy.signal.lfilter(row, [1.0], column)[order:] for row, column in zip(filters, values.T, strict=True)])
 
 
-def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine: Machine) -> NoiseModel:
+def noise_model(
+    groups: Sequence[RepeatGroup],
+    channels: Sequence[str],
+    machine: Machine,
+    shared: Sequence[tuple[RepeatGroup, np.ndarray]] = (),
+) -> NoiseModel:
     """Noise from all groups that have repeats; else bounded from the residual and `assumed`.
 
     Parameters
@@ -182,6 +203,8 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
     channels : sequence of str
     machine : Machine
         Its sensors' noise and resolution are the least a channel has.
+    shared : sequence of (RepeatGroup, (N, C) array), optional
+        Records of what all repeats of a group have in common and simulations lack (`loop_lattices.py`).
 
     Raises
     ------
@@ -202,8 +225,10 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
         )
     std = _rms([row for group in recorded for row in group], floor)
     rows = [row for group in deviations for row in group]
-    left = _rms(rows, floor)
-    filters = np.stack([_prediction_error_filter([row[:, c] for row in rows], left[c]) for c in range(len(channels))])
+    common = [each for _, each in shared]
+    uncarried = [each if group.imu is None else group.imu.without(each) for group, each in shared]
+    left = _rms(rows + uncarried, floor)
+    filters = np.stack([_prediction_error_filter([row[:, c] for row in rows + uncarried], left[c]) for c in range(len(channels))])
     rate_Hz = machine.sample_rate_Hz
     frequencies, lines = _lines_of_all(filters, rows, rate_Hz)
     # the mean was taken from the same repeats: R - 1 of R deviations are free, and their scale says so already
@@ -217,8 +242,20 @@ def noise_model(groups: Sequence[RepeatGroup], channels: Sequence[str], machine:
         power = np.maximum(_power(roots, grid, lines, frequencies), 1.0)
     _, with_carried = _lines_of_all(filters, [row for group in recorded for row in group], rate_Hz)
     whole, _ = _smoothed(with_carried, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
-    own = np.sqrt(np.diagonal(whole, axis1=1, axis2=2).real + floors)
-    return NoiseModel(kind, std, rate_Hz, filters, grid, roots / np.sqrt(power)[:, :, None], own, float(freedom.min()), END_s)
+    own = np.diagonal(whole, axis1=1, axis2=2).real + floors
+    roots = roots / np.sqrt(power)[:, :, None]
+    between = None
+    if shared:
+        std = np.hypot(std, _rms(common, np.zeros_like(floor)))
+        own = own + np.diagonal(_spectra_of_common(filters, common, rate_Hz, grid), axis1=1, axis2=2).real
+        between = _spectra_of_common(filters, uncarried, rate_Hz, grid)
+    return NoiseModel(kind, std, rate_Hz, filters, grid, roots, np.sqrt(own), float(freedom.min()), END_s, between)
+
+
+def _spectra_of_common(filters: np.ndarray, rows: Sequence[np.ndarray], rate_Hz: float, grid: np.ndarray) -> np.ndarray:
+    """S (G, C, C) on the grid of records that stand for themselves, not for deviations from a mean."""
+    frequencies, lines = _lines_of_all(filters, rows, rate_Hz)
+    return _smoothed(lines, frequencies, grid, 1.0, FREEDOM_PER_CHANNEL * len(filters))[0]
 
 
 def _rms(rows: Sequence[np.ndarray], floor: np.ndarray) -> np.ndarray:

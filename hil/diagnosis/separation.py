@@ -25,11 +25,10 @@ import numpy as np
 from controllers.errors import ControlError
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.carried import CarriedImu, carried_imu
-from hil.diagnosis.free_run import smooth
-from hil.diagnosis.mismatch import simulated_matrix
 from hil.diagnosis.noise import NoiseModel
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+from hil.diagnosis.simulated import simulated_matrix, smooth
 from hil.errors import BadAnswer, BenchError
 from hil.experiments import Plan
 from hil.machine import Machine
@@ -170,7 +169,7 @@ class _Runner:
         key = reference.tobytes()
         if self._along[0] != key:  # a plan's runs come one after the other
             self._along = key, carried_imu(self._machine, self._channels, reference)
-        return self._noise.whiten(rows[_kept(plan) :], self._along[1])
+        return self._noise.of_mean(1).whiten(rows[_kept(plan) :], self._along[1])
 
 
 _runner: _Runner | None = None  # of a worker process

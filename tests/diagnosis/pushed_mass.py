@@ -16,23 +16,31 @@ STEPS = 20
 NOISE = np.array([0.02, 5e-6])  # V and m rms, white
 
 
-def pushed_mass(reference, push, excitation=None) -> tuple[np.ndarray, np.ndarray]:
-    """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper."""
+def pushed_mass(reference, push, excitation=None, *, count=0.0, target_step=0.0, zero=0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper.
+
+    The encoder reads multiples of `count` and is `zero` off, the drive applies multiples of `target_step`.
+    """
     period_s = 1.0 / RAIL.sample_rate_Hz
     sections = RAIL.controllers[0].position_sections
     state = np.zeros((len(sections), 2))
     position, speed, command = float(reference[0]), 0.0, 0.0
     rows = np.zeros((len(reference), 2))
     for k in range(len(reference)):
-        effort = command
-        fed_back, state = sosfilt(sections, [reference[k] - position], zi=state)
+        effort = rounded(command, target_step)
+        reading = rounded(position, count) + zero
+        fed_back, state = sosfilt(sections, [reference[k] - reading], zi=state)
         command = float(fed_back[0]) + (0.0 if excitation is None else float(excitation[k]))
-        rows[k] = position, command
+        rows[k] = reading, command
         for _ in range(STEPS):
             force = GAIN_N_V * effort - DAMPING_N_s_m * speed + push(k * period_s, position, speed)
             speed += force / MASS_kg * period_s / STEPS
             position += speed * period_s / STEPS
     return rows[:, 0], rows[:, 1]
+
+
+def rounded(value: float, step: float) -> float:
+    return step * np.floor(value / step + 0.5) if step else value
 
 
 def recorded(reference, push, seed: int, *, excitation=None, experiment=None, noise=1.0) -> Recording:

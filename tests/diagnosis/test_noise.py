@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import scipy.signal
 from carriage import MACHINE, RATE_Hz
 
@@ -60,6 +61,20 @@ def test_rms_is_the_noise_s_own_and_its_kind_is_said():
     np.testing.assert_allclose(model.std, noise.std(axis=(0, 1)), rtol=0.15)
     assert model.kind == "repeats"
     assert noise_model([group_of(noise[:1])], CHANNELS, MACHINE).kind == "assumed"
+
+
+def test_a_mean_of_repeats_keeps_what_they_share():
+    """White noise, 1 of each repeat and 2 of all of them: of their mean 1 / R + 4, and in units of one repeat's 1 + 4 R."""
+    random = np.random.default_rng(7)
+    group = group_of(random.standard_normal((4, ROWS, 2)))
+    shared = [(group, 2.0 * random.standard_normal((ROWS, 2))) for _ in range(8)]
+    model = noise_model([group], CHANNELS, MACHINE, shared)
+    fresh = random.standard_normal((ROWS, 2))
+    for repeats in (1, 4, 9):
+        assert 1.0 / np.mean(model.of_mean(repeats).whiten(fresh) ** 2) == pytest.approx(1.0 + 4.0 * repeats, rel=0.15)
+    np.testing.assert_allclose(model.std, np.sqrt(5.0), rtol=0.1)
+    alone = noise_model([group], CHANNELS, MACHINE)
+    assert alone.of_mean(4) is alone
 
 
 def test_whitening_is_linear_and_of_unit_variance():

@@ -56,7 +56,7 @@ def test_a_run_that_diverges_is_refused_before_its_numbers_overflow(runs, monkey
 
 def test_a_coarse_encoder_hides_no_sensitivity():
     plant = MACHINE.plant
-    coarse = replace(MACHINE, plant=replace(plant, encoders=tuple(replace(e, resolution=1e-3) for e in plant.encoders)))
+    coarse = replace(MACHINE, plant=replace(plant, encoders=tuple(replace(e, resolution=3e-4) for e in plant.encoders)))
     found = mismatch(coarse, repeats(3, duration_s=1.0))
     sensitivity = retune(FreeRuns({TRAIN: found}, found.noise)).jacobian
     assert (np.linalg.norm(sensitivity, axis=0) > 1.0).all()

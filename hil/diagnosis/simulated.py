@@ -1,0 +1,59 @@
+"""The machine as free runs take it, without lattices, and its simulated channels by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.machine import Machine
+from hil.simulation import Outputs
+
+IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
+
+LARGEST_STEP_s = 1.0 / 500.0
+"""Of the plant's integration."""
+
+
+def smooth(machine: Machine, finer: int = 1, rounded: str | None = None) -> Machine:
+    """The same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s over `finer`.
+
+    Rounding is noise to a recording, and it hides what a small change of a parameter does: a sensitivity through a coarse encoder is zero
+    or a jump. The axis `rounded` keeps its encoders' lattices and its target's.
+    """
+    plant = machine.plant
+    kept = (f"position_{rounded}", f"link_position_{rounded}")
+    return replace(
+        machine,
+        plant=replace(
+            plant,
+            substeps=finer * math.ceil(plant.sample_period_s / LARGEST_STEP_s - 1e-9),
+            drives=tuple(drive if drive.axis == rounded else replace(drive, resolution=0.0) for drive in plant.drives),
+            encoders=tuple(one if one.channel in kept else replace(one, resolution=0.0) for one in plant.encoders),
+            currents=tuple(replace(current, resolution=0.0) for current in plant.currents),
+            speeds=tuple(replace(sensor, resolution=0.0) for sensor in plant.speeds),
+            imus=tuple(replace(imu, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for imu in plant.imus),
+        ),
+    )
+
+
+def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]:
+    """Simulated channels by name, each (N,)."""
+    channels: dict[str, np.ndarray] = {}
+    for i, units in enumerate(machine.units):
+        channels[f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"] = outputs.effort[:, i]
+        channels[f"command_{units.axis}"] = outputs.command[:, i]
+        channels[f"position_{units.axis}"] = outputs.position[:, i]
+        channels[f"link_position_{units.axis}"] = outputs.link_position[:, i]
+        channels[f"speed_{units.axis}"] = outputs.speed[:, i]
+    if machine.plant.imus:
+        channels.update(zip(IMU_CHANNELS, outputs.imu[:, :6].T, strict=True))
+    return {name: values for name, values in channels.items() if not np.isnan(values).all()}
+
+
+def simulated_matrix(machine: Machine, outputs: Outputs, channels: Sequence[str]) -> np.ndarray:
+    """(N, C) simulated channels in this order."""
+    found = channel_outputs(machine, outputs)
+    return np.column_stack([found[name] for name in channels])
