@@ -39,6 +39,10 @@ INVERSE = ("fc",)
 """Corner frequencies: what they do is in proportion to one over them."""
 
 ORDER_UNIT = "cycles/turn"
+FREQUENCY_UNIT = "Hz"
+UNDAMPED = ("base_motion",)
+"""Effects whose frequency turns a phase by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
+
 PHASE_STEP = 0.02
 
 WEAKER = (0.3, 0.1, 0.03)
@@ -64,14 +68,32 @@ class Point:
     values: tuple[np.ndarray, ...]
 
 
+@dataclass(frozen=True)
+class Visited:
+    """How far the training recordings go: the longest way of any motor [rad or m of its own coordinate], and the longest time."""
+
+    way: float
+    time_s: float
+
+    @classmethod
+    def by(cls, runs: FreeRuns) -> Visited:
+        groups = runs.sets[TRAIN].groups
+        positions = np.concatenate([group.position for group in groups])
+        ratios = [drive.ratio for drive in runs.machine.plant.drives]
+        return cls(float((np.ptp(positions, axis=0) * ratios).max()), max(float(np.ptp(group.time_s)) for group in groups))
+
+
 class Coordinates:
     """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
 
-    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], way: float) -> None:
+    def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], visited: Visited) -> None:
         self._tuning, self._names = tuning, names
         self._parameters = [effects()[name.effect].parameters for name in names]
         self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
-        self._least = [_least_size(self._parameters[e][k], starts[e][k], way) for e, k in self.free]
+        phases = [_of_a_phase(names[e], self._parameters[e][k], visited) for e, k in self.free]
+        self._of_phases = [phase is not None for phase in phases]
+        least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
+        self._least = [own if phase is None else phase for own, phase in zip(least, phases, strict=True)]
 
     def settings(self, at: Point) -> tuple[EffectSetting, ...]:
         return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
@@ -152,9 +174,8 @@ class Coordinates:
 
     def _sizes(self, at: Point) -> list[float]:
         found = []
-        for (e, k), least in zip(self.free, self._least, strict=True):
-            fixed = _is_phase(self._parameters[e][k]) or _is_order(self._parameters[e][k])
-            found.append(least if fixed else max(abs(at.values[e][k]), least))
+        for (e, k), least, turns in zip(self.free, self._least, self._of_phases, strict=True):
+            found.append(least if turns else max(abs(at.values[e][k]), least))
         return found
 
 
@@ -181,21 +202,19 @@ def _is_inverse(parameter: Parameter, value: float) -> bool:
     return parameter.name in INVERSE and value > 0.0
 
 
-def way_of(runs: FreeRuns) -> float:
-    """Longest way of any motor over all training recordings [rad or m of its own coordinate]."""
-    positions = np.concatenate([group.position for group in runs.sets[TRAIN].groups])
-    return float((np.ptp(positions, axis=0) * [drive.ratio for drive in runs.machine.plant.drives]).max())
-
-
-def _least_size(parameter: Parameter, start: float, way: float) -> float:
-    """What a parameter's size, a large change of it, is never taken for less than; of phases and orders it is the size itself.
-
-    An order over position turns a phase by one radian over the motor's way when it changes by one over that way.
-    """
+def _of_a_phase(effect: EffectAt, parameter: Parameter, visited: Visited) -> float | None:
+    """Size of what turns a phase, one radian of it: an order over position over the motor's way, a frequency over the time."""
     if _is_phase(parameter):
         return 1.0
     if _is_order(parameter):
-        return 1.0 / max(way, 1e-12)
+        return 1.0 / max(visited.way, 1e-12)
+    if effect.effect in UNDAMPED and parameter.unit == FREQUENCY_UNIT:
+        return 1.0 / (2.0 * np.pi * max(visited.time_s, 1e-12))
+    return None
+
+
+def _least_size(parameter: Parameter, start: float) -> float:
+    """What a parameter's size, a large change of it, is never taken for less than."""
     of_range = SMALLEST_SHARE if parameter.is_strength or parameter.unit else SHAPE_FROM_ZERO
     return max(SMALLEST_OF_START * abs(start) if start != 0.0 else of_range * (parameter.high - parameter.low), 1e-12)
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, way_of, weaker
+from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, Visited, weaker
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.information import information_of
 from hil.diagnosis.result import EffectAt
@@ -126,13 +126,13 @@ def refit(
     Far from the noise, what is missing has bent the tuned numbers: there every set is also fitted from the nominal ones, and the better fit
     counts.
     """
-    way = way_of(runs)
+    visited = Visited.by(runs)
     offsets: list[np.ndarray | None] = [None]
     base = _cost(measured, tuning.predicted, tuning.offset)
     if base > NEAR * len(measured):
         offsets.append(np.zeros_like(tuning.offset))
     tuned, race = TunedSensitivities.of(tuning.jacobian), _Race(base)
-    fits = [_fit(tuning, tuned, measured, names, values, STEPS, way, offset, race) for names, values in starts for offset in offsets]
+    fits = [_fit(tuning, tuned, measured, names, values, STEPS, visited, offset, race) for names, values in starts for offset in offsets]
     done = together(runs, fits)
     best = []
     for first in range(0, len(done), len(offsets)):
@@ -143,18 +143,18 @@ def refit(
 
 def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], rounds: int = POLISHING_ROUNDS) -> list[Fitted]:
     """Fit on, with the tuned numbers' sensitivities taken where the effects are, as long as that helps."""
-    way = way_of(runs)
-    done = together(runs, [_polished(tuning, measured, fitted, way, rounds) for fitted in fits])
+    visited = Visited.by(runs)
+    done = together(runs, [_polished(tuning, measured, fitted, visited, rounds) for fitted in fits])
     return [before if after is None else after for before, after in zip(fits, done, strict=True)]
 
 
 def _polished(
-    tuning: Tuning, measured: np.ndarray, fitted: Fitted, way: float, rounds: int
+    tuning: Tuning, measured: np.ndarray, fitted: Fitted, visited: Visited, rounds: int
 ) -> Generator[list[Trial], Answers, Fitted | None]:
     for _ in range(rounds):
         at = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
         tuned = yield from _taken_anew(tuning, fitted.offset, fitted.settings, fitted.predicted)
-        again = yield from _fit(at, tuned, measured, fitted.effects, fitted.values, POLISHING_STEPS, way, None, None)
+        again = yield from _fit(at, tuned, measured, fitted.effects, fitted.values, POLISHING_STEPS, visited, None, None)
         if again is None or again.cost > fitted.cost - POLISHED_GAIN:
             return fitted if again is None or again.cost > fitted.cost else again
         fitted = again
@@ -163,7 +163,7 @@ def _polished(
 
 def sensitivities_to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted, name: str) -> np.ndarray | None:
     """(M, F) of the whitened free run with a set's free parameters, per unit of each; None where the run itself cannot be simulated."""
-    fitting, at = Coordinates(tuning, fitted.effects, fitted.values, way_of(runs)), Point(fitted.offset, fitted.values)
+    fitting, at = Coordinates(tuning, fitted.effects, fitted.values, Visited.by(runs)), Point(fitted.offset, fitted.values)
     moves = fitting.moves(at)
     base, *answers = runs.run([fitting.trial(at), *(fitting.trial(to) for to, _ in moves)], name)
     if base is None:
@@ -212,7 +212,7 @@ def _fit(
     names: tuple[EffectAt, ...],
     values: tuple[np.ndarray, ...],
     steps: int,
-    way: float,
+    visited: Visited,
     offset: np.ndarray | None,
     race: _Race | None,
 ) -> Generator[list[Trial], Answers, Fitted | None]:
@@ -220,7 +220,7 @@ def _fit(
 
     Without a race a fit goes on, and the sensitivities are of this very point.
     """
-    fitting = Coordinates(tuning, names, values, way)
+    fitting = Coordinates(tuning, names, values, visited)
     base = _cost(measured, tuning.predicted, tuning.offset) if offset is None else np.inf
     at = Point(tuning.offset.copy() if offset is None else offset, tuple(np.array(v, dtype=float) for v in values))
     starts = [at, *(Point(at.offset, weaker(names[-1], at.values, share)) for share in WEAKER)]

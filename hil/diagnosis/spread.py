@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point, way_of
+from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point, Visited
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.gate import Scatter
 from hil.diagnosis.refit import Fitted
@@ -96,7 +96,7 @@ def _to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> np.ndarray:
     of a frequency turns a phase by radians at a long record's end. So what moves the simulation by more than noise moves an estimate is
     taken again, nearer.
     """
-    fitting, at = Coordinates(tuning, fitted.effects, fitted.values, way_of(runs)), Point(fitted.offset, fitted.values)
+    fitting, at = Coordinates(tuning, fitted.effects, fitted.values, Visited.by(runs)), Point(fitted.offset, fitted.values)
 
     def differences(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moves = fitting.around(at, shares)

@@ -147,6 +147,19 @@ def test_a_cogging_of_another_order_is_found_beside_the_first():
     assert (*orders, *amplitudes) == pytest.approx((72.0, 96.0, 0.1, 0.04), rel=0.05)
 
 
+def test_a_frequency_is_fitted_to_a_part_of_a_cycle_over_the_record():
+    """It starts a fifth of a cycle off at the end; a hundredth of the frequency would be two cycles."""
+    command = 0.1 * np.random.default_rng(3).standard_normal(6000)
+    time_s = len(command) / SILVERBOX.sample_rate_Hz
+    shaken = EffectSetting("base_motion", "mass", {"A": 2e-3, "f": 20.0, "phi": 0.3})
+    recording = recorded(SILVERBOX, driven(SILVERBOX, command), shaken)
+    start = np.array([1.5e-3, 20.0 + 0.2 / time_s, 0.0])
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, {"1": recording}))}, found.noise) as runs:
+        tuning = retune(runs)
+        (fit,) = refit(runs, tuning, runs.measured(), [((EffectAt("base_motion", "mass"),), (start,))])
+    assert fit.values[0][1] == pytest.approx(20.0, abs=0.01 / time_s)
+
+
 def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth():
     recordings = pieces(Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:

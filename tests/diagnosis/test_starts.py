@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis.coordinates import Coordinates, Point
+from hil.diagnosis.coordinates import Coordinates, Point, Visited
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.shape_limits import shape_limit
 from hil.diagnosis.starts import starts_of
@@ -112,7 +112,7 @@ def test_a_refinement_that_its_guess_does_not_see_is_none():
 def test_a_shape_that_starts_at_zero_may_leave_it():
     imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, 0.0])
     none = SimpleNamespace(at=lambda offset: offset)
-    fit, at = Coordinates(none, (imu,), (start,), 1.0), Point(np.zeros(0), (start,))
+    fit, at = Coordinates(none, (imu,), (start,), Visited(1.0, 10.0)), Point(np.zeros(0), (start,))
     _, highest = fit.reach(at, 1.0)
     assert fit.moved(at, highest).values[0][1] > 0.2
 
