@@ -64,8 +64,10 @@ def _shared(group: RepeatGroup, axis: str, channels: Sequence[str]) -> float:
     """
     name = f"position_{axis}"
     count = next((encoder.resolution for encoder in group.machine.plant.encoders if encoder.channel == name), 0.0)
-    if name not in channels or count <= 0.0:
+    if count <= 0.0:
         return 0.0
+    if name not in channels:
+        return 0.0 if np.ptp(group.position[:, group.machine.axis_index(axis)]) else 1.0
     read = group.measured[:, :, list(channels).index(name)]
     pairs = [np.abs(read[i] - read[j]) for i in range(len(read)) for j in range(i)]
     if not pairs:
@@ -86,7 +88,8 @@ def _rounded(simulator: Simulator, inputs: Inputs, channels: Sequence[str], axis
     off = np.where([one == axis for one in machine.axes], offset, 0.0)
     shifted = replace(inputs, reference=inputs.reference - off, start_pose=inputs.start_pose - off)
     rows = _rows(simulator, shifted, channels)
-    rows[:, list(channels).index(name)] += offset
+    if name in channels:
+        rows[:, list(channels).index(name)] += offset
     return rows
 
 

@@ -65,3 +65,16 @@ def test_beside_the_true_machine_nothing_is_left_but_noise(together):
 def test_repeats_that_are_counts_apart_have_errors_of_their_own(together):
     assert together.noise.shared is not None
     assert mismatch(CARRIAGE, repeats(apart=3.0 * COUNT_m, count=2)).noise.shared is None
+
+
+def test_repeats_that_stand_within_a_count_share_what_the_loop_does_there():
+    """The encoder that never changes is no channel then."""
+    still = repeats(apart=0.0, count=2)
+    zero = np.zeros(len(TIME_s))
+    still = {
+        name: Recording({**run.channels, "reference_carriage": Channel("m", zero), "position_carriage": Channel("m", zero)}, run.metadata)
+        for name, run in still.items()
+    }
+    found = mismatch(CARRIAGE, still)
+    assert found.channels == ("command_carriage",)
+    assert found.noise.shared is not None

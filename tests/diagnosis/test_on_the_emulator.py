@@ -15,17 +15,20 @@ TABLE = Path(__file__).parents[2] / "benchmarks" / "turntable.toml"
 FRICTION = '[[effect]]\nname = "coulomb_friction"\nat = "turn"\nFc_Nm = 0.3\n'
 
 
+def recorded(path, machine, *experiment):
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in ("run", *experiment, "-m", TABLE, "-b", "lockstep:", "-o", path)])
+    assert left.value.code == 0
+    return read_recording(path, machine)
+
+
 def answer(folder, hidden):
     """Three jogs and a held-out one, as the documentation's commands record them, diagnosed."""
     machine = load_machine(TABLE)
     recordings = {}
     for seed, amplitude, period in ((1, 3.4, 10), (2, 3.4, 10), (3, 3.4, 10), (11, 2.6, 8)):
-        path = folder / f"{seed}.mf4"
-        words = ["run", "jog", "-m", TABLE, "-b", "lockstep:", "--amplitude", amplitude, "--period", period, "--periods", 1]
-        with pytest.raises(SystemExit) as left:
-            main([str(word) for word in (*words, "--seed", seed, *hidden, "-o", path)])
-        assert left.value.code == 0
-        recordings[str(seed)] = read_recording(path, machine)
+        jog = ("jog", "--amplitude", amplitude, "--period", period, "--periods", 1, "--seed", seed)
+        recordings[str(seed)] = recorded(folder / f"{seed}.mf4", machine, *jog, *hidden)
     held_out = {"11": recordings.pop("11")}
     return diagnose(machine, recordings, held_out, look_further=False).diagnosis
 
@@ -46,3 +49,12 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
     found = answer(tmp_path, ())
     assert found.verdict == "consistent"
     assert 0.5 < found.fit.held_out.nominal < 1.3
+
+
+def test_a_table_that_stands_is_no_spring(tmp_path):
+    """Its encoder's reading never changes, and what the loop does within that count is seen on the link."""
+    machine = load_machine(TABLE)
+    still = {str(seed): recorded(tmp_path / f"{seed}.mf4", machine, "static", "--seconds", 4, "--seed", seed) for seed in (1, 2)}
+    found = diagnose(machine, still, look_further=False).diagnosis
+    assert found.verdict == "inconclusive"
+    assert found.fit.train.nominal < 1.3
