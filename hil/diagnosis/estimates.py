@@ -12,7 +12,7 @@ import scipy.stats
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.naming import PLAUSIBLE, Weighed
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import EffectAt, Estimate, RetunedValue, Span
+from hil.diagnosis.result import Estimate, RetunedValue, Span
 from hil.diagnosis.retune import UNDECIDED, Tuning
 from hil.diagnosis.spread import TWO_SIDED_95, spread_of
 from virtual_bus.effects.effect import DRIVE_UNIT
@@ -32,13 +32,16 @@ class Believed:
     confidence: float
     spread: np.ndarray  # (F,)
 
-    def parameter(self, effect: EffectAt, number: int) -> tuple[float, float, float] | None:
-        """Confidence, value and spread of an effect's parameter; None where the set is without the effect."""
-        if effect not in self.fitted.effects:
+    def parameter(self, likeliest: Fitted, at: int, number: int) -> tuple[float, float, float] | None:
+        """Confidence, value and spread of a parameter of the likeliest set's effect `at`; None where this set is without the effect.
+
+        Of several at one place, numbered as they were found, that one of this set is meant which is nearest to it, and it to that one.
+        """
+        own = _nearest(self.fitted, likeliest, at)
+        if own is None or _nearest(likeliest, self.fitted, own) != at:
             return None
-        at = self.fitted.effects.index(effect)
-        spread = dict(zip(self.fitted.free, self.spread, strict=True)).get((at, number), 0.0)
-        return self.confidence, float(self.fitted.values[at][number]), float(spread)
+        spread = dict(zip(self.fitted.free, self.spread, strict=True)).get((own, number), 0.0)
+        return self.confidence, float(self.fitted.values[own][number]), float(spread)
 
 
 def believed(runs: FreeRuns, tuning: Tuning, hypotheses: Sequence[Weighed], spread: np.ndarray) -> list[Believed]:
@@ -58,10 +61,11 @@ def effect_estimates(settings: PlantSettings, sets: Sequence[Believed]) -> list[
     effect say together.
     """
     found: list[Mapping[str, Estimate]] = []
-    for effect, values in zip(sets[0].fitted.effects, sets[0].fitted.values, strict=True):
+    likeliest = sets[0].fitted
+    for at, (effect, values) in enumerate(zip(likeliest.effects, likeliest.values, strict=True)):
         table = {}
         for k, (parameter, value) in enumerate(zip(effects()[effect.effect].parameters, values, strict=True)):
-            parts = [part for part in (one.parameter(effect, k) for one in sets) if part is not None]
+            parts = [part for part in (one.parameter(likeliest, at, k) for one in sets) if part is not None]
             if parameter.unit == "phase" and not parameter.is_strength:
                 parts = [(share, float(value) + _turned_back(other - float(value)), spread) for share, other, spread in parts]
             low, high = interval(parts)
@@ -70,6 +74,17 @@ def effect_estimates(settings: PlantSettings, sets: Sequence[Believed]) -> list[
             table[parameter.name] = Estimate(float(value), unit, (low, high))
         found.append(table)
     return found
+
+
+def _nearest(fitted: Fitted, other: Fitted, at: int) -> int | None:
+    """Which of a set's effects is another set's effect `at`: of several at its place the one that differs least; None where it has none."""
+    effect = other.effects[at]
+    same = [k for k, own in enumerate(fitted.effects) if (own.effect, own.at) == (effect.effect, effect.at)]
+    names = [parameter.name for parameter in effects()[effect.effect].parameters]
+    if not same or effects()[effect.effect].several not in names:
+        return same[0] if same else None
+    apart = names.index(effects()[effect.effect].several)
+    return min(same, key=lambda k: abs(float(fitted.values[k][apart] - other.values[at][apart])))
 
 
 def interval(parts: Sequence[tuple[float, float, float]]) -> Span:

@@ -67,6 +67,8 @@ def spread(columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarra
     freedom : float
         Degrees of freedom with which that is known.
     """
+    if not columns.shape[1]:  # of a machine that stood still
+        return np.zeros(0)
     gram = columns.T @ columns
     size = np.sqrt(np.diag(gram) + known)
     prior = known / size**2

@@ -9,7 +9,7 @@ import pytest
 from carriage import MACHINE
 
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.estimates import believed, effect_estimates, interval
+from hil.diagnosis.estimates import Believed, believed, effect_estimates, interval
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.naming import Weighed
@@ -83,6 +83,10 @@ def test_what_recordings_do_not_show_at_all_may_be_anything_beforehand():
     assert spread(np.zeros((ENTRIES, 1)), np.array([12.0 / 10.0**2]), white, CERTAIN) == pytest.approx(10.0 / np.sqrt(12.0))
 
 
+def test_a_machine_that_shows_none_of_its_numbers_has_none_to_give_an_interval():
+    assert spread(np.zeros((ENTRIES, 0)), np.zeros(0), white, CERTAIN).shape == (0,)
+
+
 def test_a_friction_is_known_no_better_than_the_force_it_is_measured_by(with_friction):
     """Mass, damping, drive constant and friction scaled alike change no recording; each of the three is known to a tenth."""
     found = mismatch(MACHINE, with_friction[0])
@@ -143,3 +147,21 @@ def test_a_parameter_s_interval_is_that_of_all_plausible_sets_with_its_effect(wi
     assert mixed["Fc"].ci95 == pytest.approx(interval(parts))
     assert mixed["Fc"].value == value
     assert mixed["Fc"].ci95[1] > 1.5 * value
+
+
+def test_of_two_coggings_at_a_place_the_same_order_s_intervals_are_mixed():
+    """A plausible set found them in the other sequence, another one has but one of them."""
+    first, second = EffectAt("cogging", "carriage"), EffectAt("cogging", "carriage", 2)
+
+    def held(share: float, effects: tuple[EffectAt, ...], *orders: float) -> Believed:
+        values = tuple(np.array([order, 0.1, 0.0, 0.0, 0.0]) for order in orders)
+        free = tuple((k, 0) for k in range(len(orders)))
+        nothing = np.zeros((0, len(orders)))
+        return Believed(
+            Fitted(effects, values, np.zeros(0), np.zeros(0), 0.0, free, nothing, np.zeros(0)), share, 0.01 * np.ones(len(orders))
+        )
+
+    sets = [held(0.4, (first, second), 12.0, 31.0), held(0.3, (first, second), 31.1, 12.0), held(0.1, (first,), 31.0)]
+    low, high = (table["Np"].ci95 for table in effect_estimates(MACHINE.plant, sets))
+    assert low == pytest.approx(interval([(0.4, 12.0, 0.01), (0.3, 12.0, 0.01)]))
+    assert high == pytest.approx(interval([(0.4, 31.0, 0.01), (0.3, 31.1, 0.01), (0.1, 31.0, 0.01)]))
