@@ -150,7 +150,7 @@ def diagnose(
             missing=what_is_missing(train, selection),
             held_out=None if judged is None else (evidence.base.held_out, hypotheses[0].held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
-            further=selection.further if chosen is selection.chosen else math.inf,
+            further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
         )
         verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
         spread = spread_of(runs, tuning, chosen)
@@ -230,6 +230,11 @@ def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
         return 1.0
     energies = erring(found.gained, found.by_numbers[0]), erring(found.gained_held_out, found.by_numbers[1])
     return chance_of_drift(runs, tuning, judged, found.fitted, energies)
+
+
+def _is_same_set(one: Fitted | None, other: Fitted | None) -> bool:
+    """Whether both are of the same effects: of a set that two ways came to, the fit that is closer competes for the name."""
+    return one is other or (one is not None and other is not None and set(one.effects) == set(other.effects))
 
 
 def _cap(runs: FreeRuns) -> float:

@@ -75,7 +75,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         said = f"one law would by chance with a probability of {standing.drift:.2g}"
         return "unknown_physics", f"the best known effects want other values in the held-out recordings than in training; {said}"
     if found and sum(h.confidence for h in standing.hypotheses) < confidence_of(NAMED):
-        return "unknown_physics", "the best known effects leave too much of the recordings above noise to be the whole of it"
+        return "unknown_physics", "the known effects that were found are together less likely than not to be the whole of it"
     if found:
         best = standing.hypotheses[0]
         assert best.fitted is not None
