@@ -19,7 +19,9 @@ from hil.machine import load_machine
 from hil.recording import read_recording
 
 TABLE = Path(__file__).parents[2] / "benchmarks" / "turntable.toml"
-CABLE = '[[effect]]\nname = "cable_spring"\nat = "turn"\nkc_Nm_rad = 2.0\nkc3_Nm_rad3 = 0.0\ntheta0_rad = 0.0\n'
+CABLE = '[[effect]]\nname = "cable_spring"\nat = "turn"\nkc_Nm_rad = 2.0\nkc3_Nm_rad3 = 0.0\ntheta0_rad = 0.3\n'
+"""Slack at 0.3 rad, far outside of a jog of 3 degrees, within which a weight on a lever pulls in the same way: of the same load and slope,
+its bend is 0.0008 Nm at the ends of the jog, and the table is shaken by 0.05 Nm."""
 SHAKEN = '[[effect]]\nname = "base_motion"\nat = "turn"\nA_Nm = 0.05\nf_Hz = {f:.3f}\nphi_rad = {phi:.3f}\n'
 
 
@@ -51,15 +53,15 @@ def test_the_experiment_it_writes_tells_a_cable_from_what_looks_like_one(tmp_pat
     files.write_diagnosis(outcome, machine, tmp_path / "answer")
     written = tmp_path / "answer" / NEXT_EXPERIMENT
     names = [model.name for model in outcome.proposal.models]
-    assert "cable_spring at turn" in names
+    assert {"cable_spring at turn", "gravity_imbalance at turn"} <= set(names)
     recording = run(tmp_path, 4, written)
     (plan,) = read_experiment(written, machine).plans(machine)
     channels = outcome.train.channels
     shown = Separation(machine, outcome.proposal.models, outcome.train.noise, channels).of_recording(plan, recording.matrix(channels))
     cable = names.index("cable_spring at turn")
     if cable == 0:
-        ahead, predicted = shown[0], outcome.proposal.separations[0, 0]
+        ahead, predicted = shown, outcome.proposal.separations[:, 0]
     else:
-        ahead, predicted = -shown[cable - 1], outcome.proposal.separations[cable - 1, 1]
-    assert predicted > 3.0
-    assert 0.5 * predicted < ahead < 2.0 * predicted
+        ahead, predicted = -shown[[cable - 1]], outcome.proposal.separations[[cable - 1], 1]
+    assert np.all(predicted > 3.0)
+    assert np.all((0.5 * predicted < ahead) & (ahead < 2.0 * predicted))
