@@ -145,8 +145,8 @@ def gate(trained: float, followed: float | None) -> Gate:
 def test_what_training_shows_weakly_and_another_motion_strongly_is_there():
     assert gate(0.3, 1e-4).passed
     assert not gate(0.3, 5e-3).passed
-    assert gate(1e-9, 0.009).passed
-    assert not gate(1e-9, 0.011).passed  # training alone does not do where there is a held-out recording
+    assert gate(1e-9, 0.049).passed
+    assert not gate(1e-9, 0.051).passed  # training alone does not do where there is a held-out recording
     assert not gate(0.3, None).passed
     assert gate(1e-3, None).passed
 
