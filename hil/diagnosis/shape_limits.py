@@ -13,8 +13,8 @@ HYSTERESES = ("bouc_wen_hysteresis", "presliding_hysteresis")
 LEAST_SLIDING = 0.5
 """Of a stroke, that a hysteresis slides at least: after each reversal it gives way like a spring for twice its displacement of sliding. One
 that mostly does is a spring with losses of any kind: two relaxing springs and one whose stiffness varies in time were fitted as one that
-slides for -0.05, 0.25 and 0.44 of a stroke, twelve hidden hystereses for 0.82 and more (the stroke of a spring without a drive taken as twice the
-largest effort of the drive over its stiffness, which is 0.09 to 3.5 of what `_stroke` gives)."""
+slides for -0.05, 0.25 and 0.44 of a stroke, twelve hidden hystereses for 0.82 and more; there the stroke of a spring without a drive was
+taken as twice the drive's largest effort over its stiffness, 0.3 to 11 times of what `_stroke` gives."""
 
 
 def shape_limit(name: str, at: str, motion: Motion) -> float:

@@ -42,6 +42,7 @@ def moved(at: str, effort: np.ndarray, stiffness: float = 0.0) -> SimpleNamespac
         plant=SimpleNamespace(settings=CARM.plant, joint_of_axis=lambda: {"propeller": 2, "roll": 4}),
         inertia=np.ones(len(CARM.plant.tree.joints)),
         axis_of=lambda at: 0,
+        deflection=lambda joint: spring,
     )
 
 
