@@ -19,8 +19,9 @@ from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.lattice import Lattice, coarser_lattices, with_lattices
 from hil.diagnosis.loop_lattices import loop_lattices
-from hil.diagnosis.noise import FILTER_ORDER, NoiseModel, noise_model
+from hil.diagnosis.noise import NoiseModel, noise_model
 from hil.diagnosis.simulated import channel_outputs
+from hil.diagnosis.spectra import FILTER_ORDER
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text

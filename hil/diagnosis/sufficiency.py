@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.noise import FILTER_ORDER
 from hil.diagnosis.selection import Selection
+from hil.diagnosis.spectra import FILTER_ORDER
 
 LEAST_DURATION_s = 1.0
 LEAST_ROWS = 8 * FILTER_ORDER

@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.diagnosis.noise import NoiseModel, filter_channels
+from hil.diagnosis.noise import NoiseModel
+from hil.diagnosis.spectra import filter_channels
 
 
 @dataclass(frozen=True, eq=False)
