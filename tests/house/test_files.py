@@ -35,6 +35,12 @@ def test_nothing_is_left_unfinished():
     assert [str(path.relative_to(ROOT)) for path in SOURCES if UNFINISHED.search(path.read_text())] == []
 
 
+def test_no_two_files_of_tests_share_a_name():
+    """pytest imports them by their names alone and collects only the first."""
+    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
+    assert sorted(name for name in set(names) if names.count(name) > 1) == []
+
+
 def test_no_path_of_one_persons_machine_is_tracked():
     assert [str(path.relative_to(ROOT)) for path in tracked_texts() if PRIVATE_PATH.search(path.read_text(errors="replace"))] == []
 
