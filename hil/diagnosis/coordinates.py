@@ -40,8 +40,7 @@ INVERSE = ("fc",)
 
 ORDER_UNIT = "cycles/turn"
 FREQUENCY_UNIT = "Hz"
-UNDAMPED = ("base_motion",)
-"""Effects whose frequency turns a phase by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
+"""Of an effect that has a phase too it turns that by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
 
 PHASE_STEP = 0.02
 
@@ -208,7 +207,7 @@ def _of_a_phase(effect: EffectAt, parameter: Parameter, visited: Visited) -> flo
         return 1.0
     if _is_order(parameter):
         return 1.0 / max(visited.way, 1e-12)
-    if effect.effect in UNDAMPED and parameter.unit == FREQUENCY_UNIT:
+    if parameter.unit == FREQUENCY_UNIT and any(map(_is_phase, effects()[effect.effect].parameters)):
         return 1.0 / (2.0 * np.pi * max(visited.time_s, 1e-12))
     return None
 

@@ -55,7 +55,8 @@ Later it was 0.82 for 185 sets (`benchmarks/diagnosis_noise.py --gate`). Of 2 to
 HELD_OUT_LEVEL = 0.05
 """Chance of the held-out fall alone below which held-out recordings confirm a set. The chances of both count together at LEVEL; alone the
 fall says that the change is not training's own. At 0.01 development case 7, a gap of the C-arm's roll, was refused with a chance of both of
-10^-6; no set in 67 answers to development nulls gains more than 24 in training and has a fall between the two."""
+10^-6; in the committed evidence of 67 answers to development nulls no set gains more than 24 in training and has a fall between the two,
+its scatter taken as 1 or as the first set's."""
 
 PLACEBO_FACTOR = 1.5
 """The effect must gain this many times what the best placebo gains."""

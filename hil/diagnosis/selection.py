@@ -118,7 +118,7 @@ def select(
     way = search.to_the_end(first)
     rival = another_first(first.contenders, way.stand.effects, first.stand, judgement.nothing, noise_energy)
     if another_way and rival is not None:
-        other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,)))
+        other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,), smaller=way.smaller))
         way = joined(way, other, judgement.nothing.cost, noise_energy)
     return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.starts import TURNING_WITH_THE_MOTOR
-from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.places import undriven_joint_at
 
 HYSTERESES = ("bouc_wen_hysteresis", "presliding_hysteresis")
 
@@ -36,8 +36,7 @@ def shape_limit(name: str, at: str, motion: Motion) -> float:
 def _stroke(motion: Motion, at: str) -> float:
     """From end to end [rad or m] of the joint a place belongs to: the axis' travel, or what a spring without a drive gives way."""
     settings = motion.machine.plant
-    if any(body.name == at and body.joint is not None for body in settings.tree.bodies):
-        name = joint_at(at, settings)
-        if name not in {drive.joint for drive in settings.drives}:
-            return float(np.ptp(motion.deflection(settings.tree.joint_index(name))))
-    return float(np.ptp(motion.residual(at).position))
+    hanging = undriven_joint_at(at, settings)
+    if hanging is None:
+        return float(np.ptp(motion.residual(at).position))
+    return float(np.ptp(motion.deflection(settings.tree.joint_index(hanging))))

@@ -14,7 +14,7 @@ import scipy.ndimage
 
 from hil.diagnosis.motion import Motion, highest_seen_Hz
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
-from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.places import joint_at, undriven_joint_at
 from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual, harmonics
 
@@ -80,7 +80,7 @@ def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
         guessed = initial_guess(name, residual)
     except (np.linalg.LinAlgError, ValueError, IndexError, ZeroDivisionError):
         guessed = {parameter.name: 0.0 for parameter in effect.parameters}
-    typical = Typical(motion, at, residual)
+    typical = _Typical(motion, at, residual)
     first = _first(effect, guessed, typical)
     others = _OTHERS.get(name, _nothing)(first, residual, typical)
     found: list[np.ndarray] = []
@@ -102,7 +102,7 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     """
     effect = effects()[name]
     residual = motion.residual(at, coupled=effect.kind is COUPLING)
-    typical = Typical(motion, at, residual)
+    typical = _Typical(motion, at, residual)
     if name in _WAVES:
         lowest, highest = _range_of_orders(residual, typical)
         return max(_WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
@@ -121,7 +121,7 @@ def is_neutral(effect: Effect, values: np.ndarray) -> bool:
 Start = dict[str, float]
 
 
-class Typical:
+class _Typical:
     """What size things have at a place."""
 
     def __init__(self, motion: Motion, at: str, residual: Residual) -> None:
@@ -139,7 +139,7 @@ class Typical:
         settings = motion.machine.plant
         self.mass = next((body.mass_kg for body in settings.tree.bodies if body.name == at), 1.0)
         self.inertia = self._inertia()
-        self.swing = self.travel if self._is_driven() else 2.0 * self.deflection
+        self.swing = self.travel if undriven_joint_at(at, settings) is None else 2.0 * self.deflection
         own = next((imu.accelerometer_bandwidth_Hz or imu.gyro_bandwidth_Hz for imu in settings.imus if imu.name == at), 0.0)
         self.low_pass_Hz = own or 0.2 / self.sample_s
 
@@ -151,13 +151,6 @@ class Typical:
         except (StopIteration, AssertionError):
             joint = list(plant.joint_of_axis().values())[self.motion.axis_of(self.at)]
         return float(self.motion.inertia[joint])
-
-    def _is_driven(self) -> bool:
-        """Whether the place's joint has a drive; one that has none moves as far as its spring gives way."""
-        settings = self.motion.machine.plant
-        if any(body.name == self.at and body.joint is not None for body in settings.tree.bodies):
-            return joint_at(self.at, settings) in {drive.joint for drive in settings.drives}
-        return True
 
     def of(self, parameter: Parameter) -> float:
         """A first strength of this unit."""
@@ -180,7 +173,7 @@ class Typical:
         }.get(parameter.unit, 0.02)
 
 
-def _first(effect: Effect, guessed: Start, typical: Typical) -> Start:
+def _first(effect: Effect, guessed: Start, typical: _Typical) -> Start:
     """The guess, with typical strengths where it sees nothing: of a refinement none, unless the effect has nothing else."""
     strengths = [p for p in effect.parameters if p.is_strength]
     refinements = [p.name for p in strengths if p.name in REFINEMENTS and guessed[p.name] == 0.0]
@@ -189,18 +182,20 @@ def _first(effect: Effect, guessed: Start, typical: Typical) -> Start:
     return {**guessed, **{p.name: _strength(p, guessed[p.name], typical) for p in strengths if p.name not in refinements}}
 
 
-def _strength(parameter: Parameter, guessed: float, typical: Typical) -> float:
+def _strength(parameter: Parameter, guessed: float, typical: _Typical) -> float:
     """The guess, unless it sees nothing."""
     at_bound = guessed <= parameter.low if parameter.low >= 0.0 else False
     unseen = guessed == parameter.neutral or at_bound or guessed >= parameter.high
     return typical.of(parameter) if unseen else guessed
 
 
-def _nothing(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _nothing(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     return []
 
 
-def _several(name: str, values: Callable[[Start, Residual, Typical], Iterable[float]]) -> Callable[[Start, Residual, Typical], list[Start]]:
+def _several(
+    name: str, values: Callable[[Start, Residual, _Typical], Iterable[float]]
+) -> Callable[[Start, Residual, _Typical], list[Start]]:
     """Other values of one parameter."""
     return lambda first, residual, typical: [{**first, name: float(value)} for value in values(first, residual, typical)]
 
@@ -211,10 +206,10 @@ def _orders(
     phases: tuple[str, str],
     per: Callable[[Residual], np.ndarray],
     scale: Callable[[Residual], float],
-) -> Callable[[Start, Residual, Typical], list[Start]]:
+) -> Callable[[Start, Residual, _Typical], list[Start]]:
     """The strongest orders over position of what is missing, whole or not."""
 
-    def find(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+    def find(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
         found = []
         ratio = scale(residual)
         strongest = _strongest_orders(residual, per(residual), typical, 2)
@@ -229,13 +224,13 @@ def _orders(
     return find
 
 
-def _range_of_orders(residual: Residual, typical: Typical) -> tuple[float, float]:
+def _range_of_orders(residual: Residual, typical: _Typical) -> tuple[float, float]:
     """Radians per radian (or metre) of the joint between which orders are looked for."""
     usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
     return 2.0 * np.pi / typical.travel * 0.75, 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
 
 
-def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, count: int) -> list[float]:
+def _strongest_orders(residual: Residual, values: np.ndarray, typical: _Typical, count: int) -> list[float]:
     """Cycles per radian (or metre) times 2 pi of the joint that explain most, beside a smooth motion's own effort.
 
     As many (`count`) that stand out most of the orders around them, and as many of the largest power: what is missing is an effort, and
@@ -263,7 +258,7 @@ def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, 
     return found
 
 
-def _position_friction(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _position_friction(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     moving = residual.moves
     against = -np.sign(residual.speed) * residual.effort * moving
     found = []
@@ -276,7 +271,7 @@ def _position_friction(first: Start, residual: Residual, typical: Typical) -> li
     return found
 
 
-def _encoder_orders(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _encoder_orders(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     found = []
     for value in _strongest_orders(residual, residual.difference, typical, 1):
         (b, _), _ = harmonics(value * residual.position, residual.difference)
@@ -284,7 +279,7 @@ def _encoder_orders(first: Start, residual: Residual, typical: Typical) -> list[
     return [*found, {**first, "a": max(first["a"], 1e-4 * typical.travel), "b": 0.0}]
 
 
-def _stops(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     q = residual.position
     found = []
     for side, end in ((1.0, q.max()), (-1.0, q.min())):
@@ -297,7 +292,7 @@ def _stops(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return found
 
 
-def _springs(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """Hardening and softening throughout, and springs that another one comes to, stiff within a tenth of the deflection."""
     found = [{**first, "k3": share * typical.stiffness / typical.deflection**2} for share in (0.3, -0.1)]
     for share in CORNERS:
@@ -306,7 +301,7 @@ def _springs(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return found
 
 
-def _lines(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _lines(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """The two strongest lines of the missing effort."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
     window = np.hanning(len(residual.time_s))
@@ -322,7 +317,7 @@ def _lines(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return found
 
 
-def _warming(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _warming(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """Friction that has fallen to a third when it is warm, soon and late: a guess sees nothing cold where re-tuned dampers took it."""
     cold = max(first["Fv0"], typical.effort / typical.speed)
     power = cold * max(float(np.mean(residual.speed**2)), 1e-12)
@@ -330,7 +325,7 @@ def _warming(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return [{**start, "tau": share * typical.duration_s} for start in (first, warm) for share in (0.1, 1.0)]
 
 
-def _modes(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+def _modes(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     """Where the missing effort is large against the motion, and a grid over the band."""
     frequencies = np.fft.rfftfreq(len(residual.time_s), typical.sample_s)
     window = np.hanning(len(residual.time_s))
@@ -346,11 +341,11 @@ def _modes(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return [{"J": inertia, "f": f, "zeta": LIGHT} for f in dict.fromkeys(grid)]
 
 
-def _highest_mode_Hz(typical: Typical) -> float:
+def _highest_mode_Hz(typical: _Typical) -> float:
     return min(HIGHEST_MODE_Hz, 0.3 / typical.sample_s)
 
 
-def _resonances(residual: Residual, typical: Typical, count: int) -> list[float]:
+def _resonances(residual: Residual, typical: _Typical, count: int) -> list[float]:
     """Frequencies [Hz] at which a lightly damped mass that hangs on the joint takes most out of the missing effort.
 
     Beside a mass, a damper and a spring, every line weighs as much as its effort stands out of the lines around it.
@@ -408,7 +403,7 @@ def _deflection(residual: Residual) -> np.ndarray:
     return residual.difference
 
 
-_OTHERS: dict[str, Callable[[Start, Residual, Typical], list[Start]]] = {
+_OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "stribeck_friction": _several("vs", lambda f, r, t: [0.02 * t.speed, 0.1 * t.speed, 0.3 * t.speed]),
     "presliding_hysteresis": _several("sigma0", lambda f, r, t: [f["Fc"] / t.travel * k for k in (10.0, 100.0, 1000.0)]),
     "bouc_wen_hysteresis": lambda f, r, t: [

@@ -55,11 +55,15 @@ def test_a_run_that_diverges_is_refused_before_its_numbers_overflow(runs, monkey
 
 
 def test_a_coarse_encoder_hides_no_sensitivity():
+    """Those of a machine that reads no finer than a millimetre are those of the fine one, in units of the same noise."""
     plant = MACHINE.plant
-    coarse = replace(MACHINE, plant=replace(plant, encoders=tuple(replace(e, resolution=3e-4) for e in plant.encoders)))
-    found = mismatch(coarse, repeats(3, duration_s=1.0))
-    sensitivity = retune(FreeRuns({TRAIN: found}, found.noise)).jacobian
-    assert (np.linalg.norm(sensitivity, axis=0) > 1.0).all()
+    coarse = replace(MACHINE, plant=replace(plant, encoders=tuple(replace(e, resolution=1e-3) for e in plant.encoders)))
+    recorded = repeats(3, duration_s=1.0)
+    found = mismatch(coarse, recorded)
+    fine = mismatch(MACHINE, recorded, channels=found.channels, noise=found.noise)
+    one, other = (retune(FreeRuns({TRAIN: each}, found.noise)).jacobian for each in (found, fine))
+    assert (np.linalg.norm(other, axis=0) > 0.5).all()
+    np.testing.assert_allclose(one, other, atol=1e-6)
 
 
 def test_nothing_that_retuning_imitates_is_left_after_projection(runs):

@@ -45,6 +45,14 @@ def spring_at(at: str, settings: PlantSettings) -> str | None:
     return None
 
 
+def undriven_joint_at(at: str, settings: PlantSettings) -> str | None:
+    """Name of the joint that carries a body and has no drive: it moves as far as its spring gives way. None at any other place."""
+    if not any(body.name == at and body.joint is not None for body in settings.tree.bodies):
+        return None
+    name = joint_at(at, settings)
+    return None if name in {drive.joint for drive in settings.drives} else name
+
+
 def next_axis(at: str, settings: PlantSettings) -> str:
     """The axis after this one in the machine's order; the first one after the last."""
     axes = [drive.axis for drive in settings.drives]
