@@ -122,6 +122,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
+        "rarity": round(h.rarity, 3),
     }
 
 
@@ -134,7 +135,8 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         if isinstance(by_numbers, int | float):  # rows before 82fd5e2 hold the sum: shared as the misfits fall
             falls = max(base["train"] - train, 0.0), max(base["held_out"] - held_out, 0.0)
             by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
-        return Weighed(None, train, held_out, information, searched=numbers["searched"], passed=passed, by_numbers=tuple(by_numbers))
+        searched, rarity = numbers["searched"], numbers.get("rarity", 0.0)
+        return Weighed(None, train, held_out, information, searched=searched, passed=passed, by_numbers=tuple(by_numbers), rarity=rarity)
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 

@@ -18,7 +18,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, erring, ranking
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, erring, ranking, rarity_of
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -211,6 +211,7 @@ def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection:
                 searched=c.searched,
                 passed=c.passed,
                 by_numbers=c.by_numbers,
+                rarity=rarity_of(c.fitted.effects, runs.machine.plant),
             )
             for c in rivals
         ),

@@ -9,11 +9,14 @@ from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.naming import (
     CAP_ASSUMED,
     CONFIDENT,
+    UNLIKE_ONE,
+    UNLIKE_ONE_PART,
     WEIGHTS,
     Evidence,
     Weighed,
     numbers_of,
     ranking,
+    rarity_of,
     temperature,
     temperature_of,
     unnamed_share,
@@ -21,6 +24,7 @@ from hil.diagnosis.naming import (
 )
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
+from hil.machine import load_machine
 
 NOISE = 20000.0
 ENTRIES = 19000.0
@@ -159,3 +163,36 @@ def test_a_channel_that_has_lost_a_part_of_its_sign_is_no_number_of_the_machine_
     assert known(1.0, 1.0) == known(0.0, -1.0) == {"viscous_friction", "rectified_sensor"}
     assert known(0.88, 1.0) == known(0.0, 0.02) == {"viscous_friction"}
     assert numbers_of(None) == set()
+
+
+def test_the_unknown_is_one_law_and_seldom_does_what_several_known_effects_do():
+    """Eight parameters and the search for two effects cost a little more than the unknown does."""
+
+    def share(rarity: float) -> float:
+        found = Weighed(None, ENTRIES, 0.0, (60.0,) * 8, searched=10.0, rarity=rarity)
+        ((ranked,), _) = weighed([found], Weighed(None, ENTRIES + 600.0, 0.0), (ENTRIES, 0.0), TRIED)
+        return ranked.share
+
+    assert share(0.0) < 0.45
+    assert 0.5 < share(UNLIKE_ONE) < CONFIDENT
+    assert share(UNLIKE_ONE_PART) > CONFIDENT
+
+
+def test_the_unknown_is_compared_with_the_likeliest_set_and_not_with_the_closest():
+    """The pair leaves less, but costs far more than the single effect, which is no rarer for one law than any."""
+
+    def share(rarity: float) -> float:
+        single = Weighed(None, ENTRIES + 4.0, 0.0, (60.0,) * 8, searched=9.0)
+        pair = Weighed(None, ENTRIES, 0.0, (60.0,) * 12, searched=20.0, rarity=rarity)
+        ranked, _ = weighed([single, pair], Weighed(None, ENTRIES + 600.0, 0.0), (ENTRIES, 0.0), TRIED)
+        return ranked[0].share
+
+    assert share(UNLIKE_ONE_PART) == share(0.0)
+
+
+def test_several_effects_at_one_axis_are_less_rare_for_one_law_than_at_several():
+    carm = load_machine("carm").plant
+    cogging, spring, bias = EffectAt("cogging", "roll_rotor"), EffectAt("cable_spring", "roll"), EffectAt("imu_scale_bias", "imu")
+    assert rarity_of((cogging,), carm) == 0.0
+    assert rarity_of((cogging, spring, EffectAt("clock_offset", "position_roll")), carm) == UNLIKE_ONE
+    assert rarity_of((cogging, bias), carm) == rarity_of((cogging, EffectAt("cable_spring", "propeller")), carm) == UNLIKE_ONE_PART

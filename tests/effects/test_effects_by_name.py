@@ -13,6 +13,7 @@ from hil.machine.effects_file import effects_from_text, effects_text
 from virtual_bus.effects import nonlinear_stiffness
 from virtual_bus.effects.binding import bind_effects
 from virtual_bus.effects.motion import JointMotion
+from virtual_bus.effects.places import part_at
 from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual
 from virtual_bus.errors import EffectError
@@ -59,6 +60,17 @@ def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float, corn
     clear = np.abs(wanted) > 2.0  # of the corner
     assert np.any(wanted < 0.0) == (bend < 150.0)
     assert slopes[clear] == pytest.approx(np.where(wanted > 0.0, wanted, stiffness)[clear], abs=0.5)
+
+
+def test_a_part_is_an_axis_with_what_it_carries_up_to_the_next_drive() -> None:
+    parts = {
+        "roll": ("roll", "roll_rotor", "tube", "detector", "c_arc", "position_roll", "link_position_roll", "current_roll"),
+        "propeller": ("propeller", "propeller_rotor", "sleeve", "position_propeller", "current_propeller"),
+        "imu": ("imu", "imu_z", "gyro_x"),
+        "ceiling_mount": ("ceiling_mount", "support_arm"),
+    }
+    assert {part: {part_at(at, CARM.plant) for at in places} for part, places in parts.items()} == {part: {part} for part in parts}
+    assert {part_at(at, EMPS.plant) for at in ("carriage", "position_carriage")} == {"carriage"}
 
 
 def residual_of(effort: np.ndarray, speed: np.ndarray, time_s: np.ndarray, imu: bool = False) -> Residual:

@@ -53,6 +53,27 @@ def undriven_joint_at(at: str, settings: PlantSettings) -> str | None:
     return None if name in {drive.joint for drive in settings.drives} else name
 
 
+def part_at(at: str, settings: PlantSettings) -> str:
+    """The part of the machine that a place belongs to: an axis with its drive, its sensors and what it carries up to the next drive, by the
+    axis's name; an IMU with its channels, by the IMU's; what no drive carries, by its first body's.
+    """
+    channels, imus = imu_channel_names(settings), [imu.name for imu in settings.imus]
+    if at in imus:
+        return at
+    if at in channels:
+        return imus[channels.index(at) * len(imus) // len(channels)]
+    axes = {drive.joint: drive.axis for drive in settings.drives}
+    axis = {current.channel: current.axis for current in settings.currents}.get(at, at)
+    if axis in axes.values():
+        return axis
+    joint = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}.get(at)
+    bodies = {body.name: body for body in settings.tree.bodies}
+    name = at if joint is None else next(body.name for body in bodies.values() if body.joint is not None and body.joint.name == joint)
+    while bodies[name].parent in bodies and _joint_name(bodies[name]) not in axes:
+        name = bodies[name].parent
+    return axes.get(_joint_name(bodies[name]), name)
+
+
 def next_axis(at: str, settings: PlantSettings) -> str:
     """The axis after this one in the machine's order; the first one after the last."""
     axes = [drive.axis for drive in settings.drives]
@@ -97,6 +118,10 @@ def is_prismatic(at: str, settings: PlantSettings) -> bool:
 def drive_unit(at: str, settings: PlantSettings) -> str:
     """Unit of the drive's effort at an axis; A elsewhere."""
     return next((drive.unit for drive in settings.drives if drive.axis == at), "A")
+
+
+def _joint_name(body: Body) -> str:
+    return "" if body.joint is None else body.joint.name
 
 
 def _body(name: str, settings: PlantSettings) -> Body:
