@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from carriage import DAMPING, GAIN, MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.retune import linearised, retune
+from hil.diagnosis.retune import PRIOR, Tuning, descend, linearised, retune
+from virtual_bus.plant.parameters import PlantParameter
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +78,29 @@ def test_nothing_that_retuning_imitates_is_left_after_projection(runs):
     weights = np.linalg.solve(tuning.jacobian.T @ tuning.jacobian + np.eye(tuning.jacobian.shape[1]), tuning.jacobian.T @ other)
     expected = np.sum((other - tuning.jacobian @ weights) ** 2) + np.sum(weights**2)
     assert projection.left(other) @ projection.left(other) == pytest.approx(expected)
+
+
+class Valley:
+    """Two numbers that move along a parabola easily and across it hardly, as a light mode makes of masses and springs."""
+
+    def __init__(self, steep: float, along: float) -> None:
+        self.steep, self.along = steep, along
+
+    def run(self, trials, name=TRAIN):
+        return [self.run_one(trial) for trial in trials]
+
+    def run_one(self, trial, name=TRAIN):
+        x, y = (trial.values - 1.0) / PRIOR
+        return np.array([self.steep * (y - 0.5 * x**2), self.along * x])
+
+
+@pytest.mark.parametrize(("steep", "along"), [(1e3, 10.0), (1e4, 30.0)])
+def test_a_narrow_valley_that_bends_is_followed_to_its_end(steep, along):
+    valley, start = Valley(steep, along), np.ones(2)
+    numbers = tuple(PlantParameter(owner, "stiffness", "Nm/rad", 1.0) for owner in ("one", "other"))
+    measured, predicted = np.array([0.0, along]), valley.run_one(Trial(start))
+    tuning = Tuning(numbers, np.arange(2), np.full(2, PRIOR), np.zeros(2), start, predicted, np.zeros((2, 2)), np.eye(2))
+    found = descend(valley, linearised(valley, tuning), measured)
+    least = scipy.optimize.minimize_scalar(lambda x: along**2 * (x - 1.0) ** 2 + x**2 + 0.25 * x**4)  # on the valley's floor
+    cost = np.sum((measured - found.predicted) ** 2) + found.offset @ found.offset
+    assert cost < least.fun + 0.2  # from along**2
