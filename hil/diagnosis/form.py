@@ -4,7 +4,6 @@ A fit that runs into a bound of what decides an effect's shape (a corner speed, 
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
 motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring. A strength at the bound
 that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like that.
-A gap in which a spring keeps nearly all of its stiffness is a spring that hardens.
 """
 
 from __future__ import annotations
@@ -44,9 +43,6 @@ OF_A_REFINEMENT = (("presliding_hysteresis", "vs"), ("encoder_eccentricity", "Nl
 ONE_WAY = {"asymmetric_friction": ("Fv_plus", "Fv_minus")}
 """Numbers of the two directions, of which none is zero beside another that counts."""
 
-NO_GAP = 0.9
-"""Share of the spring's stiffness within a backlash from which on there is no gap."""
-
 COUNTS = 0.01
 """Share of an effect's energy in the recordings from which a number of it counts: as much as an equation errs by (`naming.py`)."""
 
@@ -66,8 +62,6 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float]) -> str:
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effect.effect in ONE_WAY and (name := _one_way(fitted, number)):
             return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
-        if effect.effect == "backlash" and (inside := _stiffness_within(*values)) > NO_GAP:
-            return f"{effect} leaves the spring {inside:.0%} of its stiffness within the gap: what fits is no longer that effect"
         limit = limits.get(effect, 0.0)
         if effect.effect in SLIDES_AT and limit > 0.0 and (slides_at := SLIDES_AT[effect.effect](*values)) > limit:
             return f"{effect} slides at {slides_at:.3g}, more than the {limit:.3g} that the recordings can show: what fits may be a spring"
@@ -99,11 +93,6 @@ def _bristles_slide_at(Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, 
 
 SLIDES_AT: Mapping[str, Callable[..., float]] = {"bouc_wen_hysteresis": _bouc_wen_slides_at, "presliding_hysteresis": _bristles_slide_at}
 """Displacement [rad or m] at which a hysteresis that went on at its first slope would have its steady effort, by its parameters."""
-
-
-def _stiffness_within(b: float, flank: float) -> float:
-    """Of a gap, as a share of the spring's."""
-    return float(flank / (b + flank)) if b + flank > 0.0 else 0.0
 
 
 def _bound(name: str, parameter: Parameter, value: float) -> float | None:

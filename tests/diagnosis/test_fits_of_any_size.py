@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.candidates import Candidate
@@ -82,6 +83,33 @@ def test_a_fit_starts_from_the_strength_that_the_recordings_want():
         tuning = retune(runs)
         (start,) = screen(runs, tuning, [weak], runs.measured() - tuning.predicted)
     assert start.values[0] == pytest.approx(4.0, rel=0.6)
+
+
+@pytest.mark.parametrize("start", [0.0025, 0.04])
+def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(start):
+    """Flanks of a tenth of the gap, a thousandth of the motion. Unbounded, they were fitted 21 and 27 gaps wide, for a gain of 1.5:
+    a spring that hardens by a twentieth of its stiffness.
+    """
+    rows, noise_m = 3000, 1e-3
+    low_pass = scipy.signal.butter(2, 5.0, fs=SILVERBOX.sample_rate_Hz)
+    command = scipy.signal.lfilter(*low_pass, np.random.default_rng(1).standard_normal(rows))
+    inputs = driven(SILVERBOX, 0.1 * command / command.std())
+    hidden = EffectSetting("backlash", "oscillator", {"b": 1e-4, "flank": 1e-5})
+    answer = simulate(SILVERBOX, inputs, (hidden,))
+    metadata, repeats = recording_metadata(SILVERBOX, experiment={"start_pose": [0.0]}), {}
+    for number in range(4):
+        noise = noise_m * np.random.default_rng(100 + number).standard_normal(rows)
+        measured = {"position_mass": Channel("m", answer["position_mass"] + noise)}
+        repeats[str(number)] = Recording({**inputs.channels, **answer.channels, **measured}, metadata)
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:
+        tuning, own = retune(runs), EffectAt("backlash", "oscillator")
+        (fit,) = refit(runs, tuning, runs.measured(), [((own,), (np.array([start, start]),))])
+        (fit,) = polish(runs, tuning, runs.measured(), [fit])
+        without = float(np.sum((runs.measured() - tuning.predicted) ** 2) + tuning.offset @ tuning.offset)
+        perfect = float(np.sum((runs.measured() - runs.run_one(Trial(runs.nominal, (hidden,)))) ** 2))
+    b, flank = fit.values[0]
+    assert flank <= 9.0 * b * (1.0 + 1e-12) and b == pytest.approx(1e-4, rel=0.3)
+    assert fit.cost < perfect < without - 100.0
 
 
 def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
