@@ -2,7 +2,8 @@
 
 Readings may have any offset from the lattice; each is then rounded once more to the encoder's own step, so that it lies within half of
 that of a lattice point. On any motion that has no lattice a distinct reading does so with a probability of at most the share of the
-lattice's step that these windows cover.
+lattice's step that these windows cover. A lattice of whole counts of the encoder has no such windows: an encoder that lost its last bit
+reads even counts alone.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from virtual_bus.effects.places import is_prismatic
 from virtual_bus.settings import EffectSetting
 
 COARSER = 3.0
-"""A lattice is looked for from this many of the machine file's steps on: below, most readings lie near its points by chance."""
+"""A lattice that is not of whole counts is looked for from this many of the machine file's steps on: below, most readings lie near its
+points by chance."""
 
 LEAST_STEPS = 20
 """Changes by one step, and distinct readings, without which nothing is said."""
@@ -79,6 +81,9 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     readings = np.unique(np.concatenate(rows)) if rows else np.empty(0)
     if len(readings) < LEAST_STEPS:
         return None
+    counts = _whole_counts(readings, own_step)
+    if counts is not None and counts.step / np.sqrt(12.0) > MATTERS * _fast_spread(measured):
+        return counts
     off = 0.5 * own_step + WRITTEN * float(np.abs(readings).max())
     changes = np.concatenate([np.abs(np.diff(row)) for row in rows])
     changes = changes[changes > 2.0 * off]
@@ -107,6 +112,33 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     if step / np.sqrt(12.0) < MATTERS * spread:
         return None
     return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+
+
+def _whole_counts(readings: np.ndarray, own_step: float) -> Lattice | None:
+    """The lattice of several of the encoder's own counts that distinct readings lie on; None where there is none."""
+    written = WRITTEN * float(np.abs(readings).max())
+    if own_step <= 4.0 * written:
+        return None
+    numbers = np.rint((readings - readings[0]) / own_step)
+    if np.any(np.abs(readings - readings[0] - own_step * numbers) > 2.0 * written):
+        return None
+    several = int(np.gcd.reduce(numbers.astype(np.int64)))
+    if several < 2 or (len(readings) - 1) * np.log(several) < -np.log(CHANCE):
+        return None
+    step = several * own_step
+    error = 2.0 * written * several / float(np.ptp(numbers))
+    return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+
+
+def _fast_spread(measured: Sequence[np.ndarray]) -> float:
+    """What repeats differ by from sample to sample, rms, as white noise of that size would: infinite where there is none.
+
+    A slow disturbance moves what an encoder reads, and every other sensor with it, and hides no rounding.
+    """
+    noise = [(repeats - repeats.mean(axis=0)) * np.sqrt(len(repeats) / (len(repeats) - 1.0)) for repeats in measured if len(repeats) > 1]
+    second = [np.diff(rows, 2, axis=1) for rows in noise]
+    squares = [rows[np.isfinite(rows)] ** 2 for rows in second]
+    return float(np.sqrt(np.mean(np.concatenate(squares)) / 6.0)) if any(len(one) for one in squares) else np.inf
 
 
 def _fitted(readings: np.ndarray, step: float, error: float, off: float) -> tuple[float, float] | None:
