@@ -183,9 +183,7 @@ def diagnose(
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
-            location=locate_outcome(
-                train, stages[TRAIN]["retuned"], stages[TRAIN]["extended"], stages[TRAIN]["without_effects"], named=bool(findings)
-            ),
+            location=locate_outcome(train, stages[TRAIN]["retuned"], _change(runs, values, effects), named=bool(findings)),
             fit=_fit(train, sets.get(HELD_OUT), stages),
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
@@ -275,6 +273,15 @@ def _stages(
     if effects:
         add_placebo(runs, found)
     return found
+
+
+def _change(runs: FreeRuns, values: np.ndarray, effects: tuple[EffectSetting, ...]) -> list[np.ndarray] | None:
+    """What the effects add to the training groups, each machine held by its own controllers at first; None where one cannot be simulated.
+
+    From the recorded states, which hold what the effects do, a machine without them would jump.
+    """
+    full, bare = (runs.rows(Trial(values, some), settled=True) for some in (effects, ()))
+    return None if full is None or bare is None else [one - other for one, other in zip(full, bare, strict=True)]
 
 
 def _energy(runs: FreeRuns, rows: list[np.ndarray]) -> float:

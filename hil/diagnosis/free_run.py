@@ -59,7 +59,7 @@ class _Runner:
             self._simulators[key] = Simulator(smooth(machine, finer))
         return self._simulators[key]
 
-    def rows(self, name: str, trial: Trial, *, fine: bool = False) -> list[np.ndarray] | None:
+    def rows(self, name: str, trial: Trial, *, fine: bool = False, settled: bool = False) -> list[np.ndarray] | None:
         """(N, C) simulated channels per group; None where the machine cannot stand or the simulation diverges."""
         found = self._sets[name]
         effects = (*found.machine.plant.effects, *trial.effects)
@@ -67,7 +67,7 @@ class _Runner:
         for group in found.groups:
             simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
             try:
-                outputs = simulator.run(group.inputs, trial.values, effects)
+                outputs = simulator.run(group.inputs.settled if settled else group.inputs, trial.values, effects)
             except (BenchError, EmulatorError, ControlError):
                 return None
             rows = group.fold(simulated_matrix(group.machine, outputs, found.channels))
@@ -180,9 +180,9 @@ class FreeRuns:
         """(M,) of rows (N, C) per group."""
         return self._local.join(name, rows)
 
-    def rows(self, trial: Trial, name: str = TRAIN) -> list[np.ndarray] | None:
-        """(N, C) per group in the channels' units."""
-        rows = self._local.rows(name, trial)
+    def rows(self, trial: Trial, name: str = TRAIN, *, settled: bool = False) -> list[np.ndarray] | None:
+        """(N, C) per group in the channels' units; settled: begun by controllers that hold this very machine, see `Inputs.settled`."""
+        rows = self._local.rows(name, trial, settled=settled)
         correction = self._correction.get(name)
         return rows if rows is None or correction is None else [one + other for one, other in zip(rows, correction, strict=True)]
 

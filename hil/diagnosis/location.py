@@ -70,21 +70,23 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     )
 
 
-def locate_outcome(
-    found: Mismatch, retuned: Sequence[np.ndarray], extended: Sequence[np.ndarray], without: Sequence[np.ndarray], *, named: bool
-) -> Location:
+def locate_outcome(found: Mismatch, retuned: Sequence[np.ndarray], change: Sequence[np.ndarray] | None, *, named: bool) -> Location:
     """Where the named effects act, or, where none is named, where the re-tuned simulation is off.
 
     Parameters
     ----------
     found : Mismatch
-    retuned, extended, without : sequences of (N, C) arrays
-        Simulated rows per group: re-tuned; with the effects; with the same numbers but without the effects.
+    retuned : sequence of (N, C) arrays
+        Simulated rows per group.
+    change : sequence of (N, C) arrays or None
+        What the named effects add to the simulation; nothing where they were read off the recordings, which is in their channels then.
     named : bool
     """
-    if named and all(np.isfinite(rows).all() for rows in without):
-        return locate(found, [full - bare for full, bare in zip(extended, without, strict=True)])
-    return locate(found.with_simulated(retuned))
+    if not named or change is None:
+        return locate(found.with_simulated(retuned))
+    if found.read_off and not any(np.any(rows) for rows in change):
+        return Location(channels={name: float(name in dict(found.read_off)) / len(dict(found.read_off)) for name in found.channels})
+    return locate(found, change)
 
 
 def _smooth(power: np.ndarray, width: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -58,6 +58,11 @@ class Inputs:
     def standing_pose(self) -> np.ndarray:
         """(n_axes,) where the axes stood at row 0."""
         return self.start_pose if self.deviation is None else self.start_pose + self.deviation
+
+    @property
+    def settled(self) -> Inputs:
+        """With controllers that hold whatever machine is simulated, where it stands at row 0: recorded states hold the recorded one."""
+        return self if self.start_speed is not None else replace(self, controller_states=None)
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pushed_mass import RAIL, recorded
+from dataclasses import replace
 
+import numpy as np
+from pushed_mass import GAIN_N_V, RAIL, recorded
+
+from hil.diagnosis.dropout import Dropout
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.mismatch import mismatch
 from hil.recording import Recording
+from virtual_bus.settings import EffectSetting
 
 TIME_s = np.arange(400) / RAIL.sample_rate_Hz
 WAY = 0.05 * (1.0 - np.cos(2.0 * np.pi * 0.5 * TIME_s))
@@ -29,3 +35,21 @@ def test_they_are_one_group_that_starts_at_the_mean():
 def test_the_simulation_beside_them_starts_there_too():
     found = mismatch(RAIL, {"a": stood(1e-5, 0.0, 1), "b": stood(3e-5, 0.0, 2)})
     assert found.groups[0].simulated[0, found.channels.index("position_carriage")] == 2e-5
+
+
+def test_a_load_that_the_loop_holds_is_in_the_command_alone():
+    found = mismatch(RAIL, {"a": stood(0.0, 0.2, 1), "b": stood(0.0, 0.2, 2), "c": stood(0.0, 0.2, 3)})
+    load = EffectSetting("constant_load", "carriage", {"tau0": 5.0})
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        full, bare = (runs.rows(Trial(runs.nominal, effects), settled=True) for effects in ((load,), ()))
+        change = dict(zip(found.channels, (full[0] - bare[0]).T, strict=True))
+    assert np.abs(change["position_carriage"]).max() < 1e-9
+    np.testing.assert_allclose(np.abs(change["command_carriage"]), 5.0 / GAIN_N_V, rtol=1e-6)
+    assert locate_outcome(found, [bare[0]], [full[0] - bare[0]], named=True).channels["command_carriage"] > 0.999
+
+
+def test_what_was_read_off_a_channel_is_in_that_channel():
+    found = mismatch(RAIL, {"a": stood(0.0, 0.0, 1), "b": stood(0.0, 0.0, 2), "c": stood(0.0, 0.0, 3)})
+    lost = Dropout(0.02, (0.01, 0.03), 1.0, "", 5.0)
+    said = locate_outcome(replace(found, lost={"position_carriage": lost}), [], [np.zeros_like(found.groups[0].mean)], named=True)
+    assert said.channels == {"command_carriage": 0.0, "position_carriage": 1.0}
