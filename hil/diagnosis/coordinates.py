@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.free_run import Trial
 from hil.diagnosis.information import Free
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+from hil.diagnosis.starts import LIGHT
+from hil.diagnosis.visited import UNIFORM, Visited
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -47,6 +49,9 @@ ORDER_UNIT = "cycles/turn"
 FREQUENCY_UNIT = "Hz"
 """Of an effect that has a phase too it turns that by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
 
+OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHT * UNIFORM}
+"""Deviation, over itself, of a frequency beforehand whose search counts modes a bandwidth apart (`starts.shapes_of`): it is within one."""
+
 PHASE_STEP = 0.02
 
 WEAKER = (0.3, 0.1, 0.03)
@@ -72,21 +77,6 @@ class Point:
     values: tuple[np.ndarray, ...]
 
 
-@dataclass(frozen=True)
-class Visited:
-    """How far the training recordings go: the longest way of any motor [rad or m of its own coordinate], and the longest time."""
-
-    way: float
-    time_s: float
-
-    @classmethod
-    def by(cls, runs: FreeRuns) -> Visited:
-        groups = runs.sets[TRAIN].groups
-        positions = np.concatenate([group.position for group in groups])
-        ratios = [drive.ratio for drive in runs.machine.plant.drives]
-        return cls(float((np.ptp(positions, axis=0) * ratios).max()), max(float(np.ptp(group.time_s)) for group in groups))
-
-
 class Coordinates:
     """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
 
@@ -94,6 +84,7 @@ class Coordinates:
         self._tuning, self._names = tuning, names
         self._parameters = [effects()[name.effect].parameters for name in names]
         self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
+        self._visited = visited
         phases = [_of_a_phase(names[e], self._parameters[e][k], visited) for e, k in self.free]
         self._of_phases = [phase is not None for phase in phases]
         least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
@@ -173,8 +164,12 @@ class Coordinates:
 
     def described(self, at: Point) -> list[Free]:
         """The free parameters."""
-        each = zip(self.free, self._sizes(at), strict=True)
-        return [Free(e, self._parameters[e][k], float(at.values[e][k]), size) for (e, k), size in each]
+        found = []
+        for (e, k), size in zip(self.free, self._sizes(at), strict=True):
+            parameter = self._parameters[e][k]
+            beforehand = OF_A_MODE.get((self._names[e].effect, parameter.name), 1.0)
+            found.append(Free(e, parameter, float(at.values[e][k]), size, beforehand))
+        return found
 
     def _highest(self, e: int, k: int, values: tuple[np.ndarray, ...]) -> float:
         return min(self._parameters[e][k].high, _most(self._names[e], self._parameters[e][k], values[e]))
@@ -182,7 +177,9 @@ class Coordinates:
     def _sizes(self, at: Point) -> list[float]:
         found = []
         for (e, k), least, turns in zip(self.free, self._least, self._of_phases, strict=True):
-            found.append(least if turns else max(abs(at.values[e][k]), least))
+            place = self._visited.size_of_a_place(self._names[e], self._parameters[e][k], at.values[e][k])
+            own = least if turns else max(abs(at.values[e][k]), least)
+            found.append(own if place is None else place)
         return found
 
 
@@ -225,11 +222,11 @@ def _is_inverse(parameter: Parameter, value: float) -> bool:
 
 
 def _of_a_phase(effect: EffectAt, parameter: Parameter, visited: Visited) -> float | None:
-    """Size of what turns a phase, one radian of it: an order over position over the motor's way, a frequency over the time."""
+    """Size of what turns a phase, one radian of it: an order over the motor's way, a frequency over the time."""
     if _is_phase(parameter):
         return 1.0
     if _is_order(parameter):
-        return 1.0 / max(visited.way, 1e-12)
+        return visited.one_over_a_radian()
     if parameter.unit == FREQUENCY_UNIT and any(map(_is_phase, effects()[effect.effect].parameters)):
         return 1.0 / (2.0 * np.pi * max(visited.time_s, 1e-12))
     return None

@@ -18,14 +18,17 @@ class Free:
     parameter: Parameter
     value: float
     size: float  # which the Hessian counts it in
+    beforehand: float = 1.0  # deviation that it may have beforehand, in units of its size
 
 
 def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.ndarray:
     """(F,) energies that recordings lose by changes of parameters as large as they may be beforehand, in independent directions.
 
-    A parameter may be as large as it is (a phase 1 rad). Of a law with several strengths each may be so large that it alone does what all
-    of them do: one that was fitted to nothing might have been as large, and a law that holds a simpler one pays for what it found to be
-    zero.
+    A strength may be as large as it is, so an amplitude's phase 1 rad: cosine and sine part have one deviation, and the joint density of
+    amplitude and phase at it is that of two such parts. A place may be anywhere in its range (`visited.py`), an order and a frequency so
+    far off as one of those is that the search counted (`starts.shapes_of`). Of a law with several strengths each may be so large that it
+    alone does what all of them do: one that was fitted to nothing might have been as large, and a law that holds a simpler one pays for
+    what it found to be zero.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     """
     across = hessian[:tuned, tuned:]
     own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
-    scales = np.ones(len(free))
+    scales = np.array([one.beforehand for one in free])
     for effect in {one.effect for one in free}:
         several = [n for n, one in enumerate(free) if one.effect == effect and one.parameter.is_strength]
         if len(several) < 2:

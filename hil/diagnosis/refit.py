@@ -14,12 +14,13 @@ import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, Visited, weaker
+from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, weaker
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.information import information_of
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import PRIOR, Tuning, sensitivities_from, sensitivity_trials
 from hil.diagnosis.tuned_sensitivities import TunedSensitivities
+from hil.diagnosis.visited import Visited
 from virtual_bus.settings import EffectSetting
 
 STEPS = 12

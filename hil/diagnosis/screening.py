@@ -30,8 +30,9 @@ LARGEST_RESCALE = 30.0
 ROUNDS = 3
 """Times a strength is tried: what first shows a thousandth of the noise is found by two factors of LARGEST_RESCALE."""
 
-NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share", "K", "D")
-"""Parameters whose effect is not in proportion to them: a factor on the response says nothing about them."""
+NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share")
+"""Parameters whose effect is not in proportion to them: a factor on the response says nothing about them. What a stop does is, as long as
+it is softer than the loop that pushes into it."""
 
 IN_PLACE_OF_ANOTHER = ("imu_bandwidth",)
 """Effects whose number takes the place of the machine file's: what they do is in proportion to a difference."""

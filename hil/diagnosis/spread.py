@@ -18,12 +18,13 @@ from collections.abc import Callable
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point, Visited
+from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.gate import Scatter
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning, sensitivities
 from hil.diagnosis.structure_left import StructureLeft
+from hil.diagnosis.visited import Visited
 from virtual_bus.effects.registry import effects
 
 TWO_SIDED_95 = 1.96

@@ -57,6 +57,9 @@ CORNERS = (0.06, 0.18)
 """Shares of the drive's largest effort over the spring's stiffness at which another spring begins. The spring winds up by half of that or
 less, because the rest accelerates what is before it."""
 
+STOP_DEPTHS = (0.03, 0.12, 0.36)
+"""Of the travel, that a stop takes away: a stiff one a little of it, one of rubber a third."""
+
 LOW_PASSES = (0.1, 0.4, 1.05, 2.5, 20.0)
 """Corners of a sensor's low pass, in units of the one that the machine file has: a reading may be faster than the file says, too. Without
 one there, of a fifth of the sample rate."""
@@ -108,6 +111,8 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
         return max(_WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
     if name == "base_motion":
         return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)
+    if name == "cable_spring":
+        return 1.0  # wherever it starts: a load and a spring, both in proportion, which a fit counts as its parameters
     if name == "structural_mode":
         return float(max(starts, np.log(_highest_mode_Hz(typical) / LOWEST_MODE_Hz) / (2.0 * LIGHT)))
     return float(max(starts, 1))
@@ -283,13 +288,25 @@ def _stops(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
     q = residual.position
     found = []
     for side, end in ((1.0, q.max()), (-1.0, q.min())):
-        for depth in (0.03, 0.12):
+        for depth in STOP_DEPTHS:
             position = end - side * depth * typical.travel
             pushed = side * (q - position) > 0.0
             push = max(-side * float(residual.effort[pushed].mean()), 0.2 * typical.effort) if pushed.any() else typical.effort
             stiffness = 2.0 * push / (depth * typical.travel)
             found.append({**first, "K": stiffness, "at_position": float(position), "side": side})
     return found
+
+
+def _slack(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
+    """A cable that is slack at the ends of what was visited and in the middle, where re-tuned numbers hide the line a guess looks for; and
+    one that pulls at the ends alone: beside a spring of the machine file's re-tuning leaves no more than that of it.
+    """
+    low, high = float(residual.position.min()), float(residual.position.max())
+    middle, half = 0.5 * (low + high), 0.5 * typical.travel
+    return [
+        *({**first, "theta0": at} for at in (low, middle, high)),
+        {**first, "kc": 0.0, "kc3": typical.effort / half**3, "theta0": middle},
+    ]
 
 
 def _springs(first: Start, residual: Residual, typical: _Typical) -> list[Start]:
@@ -415,6 +432,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, _Typical], list[Start]]] = {
     "position_dependent_friction": _position_friction,
     "encoder_eccentricity": _encoder_orders,
     "end_stop": _stops,
+    "cable_spring": _slack,
     "base_motion": _lines,
     "structural_mode": _modes,
     "backlash": lambda f, r, t: [{"b": share * t.deflection, "flank": share * t.deflection} for share in (0.0015, 0.006, 0.025, 0.1, 0.4)],

@@ -37,6 +37,19 @@ def test_strengths_that_act_against_each_other_are_found_together():
     assert found.values == pytest.approx(hidden, abs=5e-4)
 
 
+def test_a_stop_softer_than_its_start_is_found():
+    """A start pushes as hard as all that is missing, over a part of the travel; a soft stop does a tenth or a two-hundredth of that."""
+    runs = Linear("end_stop")
+    runs.columns[:, 1:] = 0.0  # in proportion to its stiffness, and at one place
+    hidden = 0.5 * runs.columns[:, 0]
+    noise = np.random.default_rng(3).standard_normal(ENTRIES) * 1e-3
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(1), np.zeros(1), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 1)), np.eye(1))
+    stops = [Candidate(EffectAt("end_stop", at), (np.array([K, 0.0, 0.5, 1.0]),)) for at, K in (("arm", 5.0), ("boom", 100.0))]
+    found = {one.effect.at: one for one in screen(runs, tuning, stops, hidden + noise)}
+    assert found["arm"].values == pytest.approx([0.5, 0.0, 0.5, 1.0], rel=1e-2)
+    assert found["boom"].score == pytest.approx(hidden @ hidden, rel=1e-2)
+
+
 def test_many_alike_leave_a_fit_to_what_is_unlike_them():
     """Nine of one response and one across it: the best three are fitted, and the tenth."""
     friction, wave = np.eye(ENTRIES)[:2].astype(np.float32)

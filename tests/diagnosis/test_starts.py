@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis.coordinates import Coordinates, Point, Visited
+from hil.diagnosis.coordinates import Coordinates, Point
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.shape_limits import shape_limit
-from hil.diagnosis.starts import starts_of
+from hil.diagnosis.starts import shapes_of, starts_of
+from hil.diagnosis.visited import Visited
 from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual
@@ -113,7 +114,7 @@ def test_a_refinement_that_its_guess_does_not_see_is_none():
 def test_a_shape_that_starts_at_zero_may_leave_it():
     imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, 0.0])
     none = SimpleNamespace(at=lambda offset: offset)
-    fit, at = Coordinates(none, (imu,), (start,), Visited(1.0, 10.0)), Point(np.zeros(0), (start,))
+    fit, at = Coordinates(none, (imu,), (start,), Visited(10.0)), Point(np.zeros(0), (start,))
     _, highest = fit.reach(at, 1.0)
     assert fit.moved(at, highest).values[0][1] > 0.2
 
@@ -122,3 +123,18 @@ def test_a_sensor_may_be_slower_or_faster_than_its_machine_file_says():
     corners = starts("imu_bandwidth", "imu", np.zeros(ROWS))["fc"]
     own = CARM.plant.imus[0].accelerometer_bandwidth_Hz
     assert any(corners < 0.5 * own) and any(corners > 2.0 * own) and any(np.abs(corners / own - 1.0) < 0.1)
+
+
+def test_a_cable_starts_slack_at_both_ends_and_with_what_no_spring_of_the_machine_does():
+    """Where re-tuned springs took the line of it, what is missing shows neither where it is slack nor that it pulls."""
+    found = starts("cable_spring", "roll", 3.0 * POSITION)
+    assert found["theta0"].min() == pytest.approx(POSITION.min()) and found["theta0"].max() == pytest.approx(POSITION.max())
+    cubic = (found["kc"] == 0.0) & (found["kc3"] > 0.0)
+    assert cubic.sum() == 1
+    reached = found["kc3"][cubic] * np.abs(POSITION - found["theta0"][cubic]).max() ** 3
+    assert 0.1 < reached.item() / np.std(3.0 * POSITION) < 10.0
+
+
+def test_a_cable_s_starts_are_one_shape():
+    """A load and a spring, of which a fit counts both: no search stands between them."""
+    assert shapes_of("cable_spring", "roll", moved("roll", 3.0 * POSITION), 5) == 1.0

@@ -1,0 +1,107 @@
+"""How far training recordings go, and with it how large places and orders of an effect may be beforehand.
+
+Nothing is known of a place but where it may be, so beforehand it is anywhere in a range R. A range costs what a normal distribution of
+R / sqrt(2 pi) does: log(R / (sqrt(2 pi) s)) where recordings show the place with a deviation s (MacKay 2003, ch. 28). How near zero it is
+says nothing: zero is where somebody began to count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite, pi, sqrt
+
+import numpy as np
+
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.result import EffectAt
+from virtual_bus.effects.effect import Parameter
+
+UNIFORM = 1.0 / sqrt(2.0 * pi)
+"""Deviation, over its width, of a normal distribution that costs as much as a range."""
+
+ACTS_FROM = (("end_stop", "at_position"),)
+"""Places beyond which an effect acts. Where no recording goes it does nothing, so it is where they go."""
+
+IS_NONE_AT = (("cable_spring", "theta0"),)
+"""Places at which an effect that acts everywhere is none: anywhere the joint may go, however little of that was visited. A cable and a
+weight on a lever that fit a few degrees alike would else be told apart by how few they are."""
+
+SMALLEST = 1e-12
+
+
+@dataclass(frozen=True)
+class Way:
+    """Of one axis.
+
+    Attributes
+    ----------
+    low, high : float
+        Positions of the joint between which it was [rad or m].
+    ratio : float
+        Motor positions per joint position.
+    lower, upper : float
+        Where it may go; infinite where the machine file does not say.
+    turns : bool
+        Whether it is an angle.
+    """
+
+    low: float
+    high: float
+    ratio: float = 1.0
+    lower: float = -inf
+    upper: float = inf
+    turns: bool = True
+
+    @property
+    def length(self) -> float:
+        return self.high - self.low
+
+    def where_it_may_go(self) -> tuple[float, float]:
+        """Ends of the joint's range, with all of what was visited; of a joint without limits a turn about that."""
+        if isfinite(self.lower) and isfinite(self.upper):
+            return min(self.lower, self.low), max(self.upper, self.high)
+        missing = max(2.0 * pi - self.length, 0.0) / 2.0 if self.turns else 0.0
+        return self.low - missing, self.high + missing
+
+
+@dataclass(frozen=True)
+class Visited:
+    """How far the training recordings go.
+
+    Attributes
+    ----------
+    time_s : float
+        The longest.
+    ways : mapping of axis to Way
+        In the machine's order.
+    """
+
+    time_s: float
+    ways: dict[str, Way] = field(default_factory=dict)
+
+    @classmethod
+    def by(cls, runs: FreeRuns) -> Visited:
+        groups, machine = runs.sets[TRAIN].groups, runs.machine
+        positions = np.concatenate([group.position for group in groups])
+        ways = {
+            limits.axis: Way(float(q.min()), float(q.max()), drive.ratio, limits.lower, limits.upper, limits.unit == "rad")
+            for limits, drive, q in zip(machine.limits, machine.plant.drives, positions.T, strict=True)  # all in the order of axes
+        }
+        return cls(max(float(np.ptp(group.time_s)) for group in groups), ways)
+
+    def one_over_a_radian(self) -> float:
+        """The order [cycles per turn] that turns a wave's phase by a radian along the longest way of any motor."""
+        return 1.0 / max(max(way.length * way.ratio for way in self.ways.values()), SMALLEST)
+
+    def size_of_a_place(self, effect: EffectAt, parameter: Parameter, value: float) -> float | None:
+        """By how much a place may be another one beforehand; None of what is no place.
+
+        One that was found outside of its range is one of a range about the same middle that holds it.
+        """
+        name = effect.effect, parameter.name
+        if name not in ACTS_FROM and name not in IS_NONE_AT:
+            return None
+        way = self.ways[effect.at]
+        low, high = (way.low, way.high) if name in ACTS_FROM else way.where_it_may_go()
+        width = max(high - low, 2.0 * abs(value - 0.5 * (low + high)))
+        return max(UNIFORM * min(width, parameter.high - parameter.low), SMALLEST)
