@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,13 +82,21 @@ class Coordinates:
 
     def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], visited: Visited) -> None:
         self._tuning, self._names = tuning, names
-        self._parameters = [effects()[name.effect].parameters for name in names]
+        self._parameters = [
+            tuple(_between(p, visited.range_of_a_place(name, p)) for p in effects()[name.effect].parameters) for name in names
+        ]
         self.free = tuple((e, k) for e, own in enumerate(self._parameters) for k, p in enumerate(own) if p.name not in NOT_FITTED)
-        self._visited = visited
         phases = [_of_a_phase(names[e], self._parameters[e][k], visited) for e, k in self.free]
-        self._of_phases = [phase is not None for phase in phases]
+        places = [visited.range_of_a_place(names[e], self._parameters[e][k]) for e, k in self.free]
         least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
-        self._least = [own if phase is None else phase for own, phase in zip(least, phases, strict=True)]
+        fixed = [phase if place is None else UNIFORM * (place[1] - place[0]) for phase, place in zip(phases, places, strict=True)]
+        self._is_fixed = [size is not None for size in fixed]
+        self._least = [own if size is None else size for own, size in zip(least, fixed, strict=True)]
+
+    def point(self, offset: np.ndarray, values: tuple[np.ndarray, ...]) -> Point:
+        """Where a fit may start: these values, those within their range that are places."""
+        each = zip(values, self._parameters, strict=True)
+        return Point(offset, tuple(np.clip(np.asarray(own, dtype=float), [p.low for p in ps], [p.high for p in ps]) for own, ps in each))
 
     def settings(self, at: Point) -> tuple[EffectSetting, ...]:
         return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
@@ -176,10 +184,8 @@ class Coordinates:
 
     def _sizes(self, at: Point) -> list[float]:
         found = []
-        for (e, k), least, turns in zip(self.free, self._least, self._of_phases, strict=True):
-            place = self._visited.size_of_a_place(self._names[e], self._parameters[e][k], at.values[e][k])
-            own = least if turns else max(abs(at.values[e][k]), least)
-            found.append(own if place is None else place)
+        for (e, k), least, is_fixed in zip(self.free, self._least, self._is_fixed, strict=True):
+            found.append(least if is_fixed else max(abs(at.values[e][k]), least))
         return found
 
 
@@ -206,6 +212,10 @@ def _within(effect: EffectAt, values: np.ndarray) -> np.ndarray:
     """Values with none more than it may be beside the others."""
     most = [_most(effect, parameter, values) for parameter in effects()[effect.effect].parameters]
     return np.minimum(values, most)
+
+
+def _between(parameter: Parameter, ends: tuple[float, float] | None) -> Parameter:
+    return parameter if ends is None else replace(parameter, low=ends[0], high=ends[1])
 
 
 def _is_phase(parameter: Parameter) -> bool:

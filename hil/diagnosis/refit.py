@@ -223,7 +223,7 @@ def _fit(
     """
     fitting = Coordinates(tuning, names, values, visited)
     base = _cost(measured, tuning.predicted, tuning.offset) if offset is None else np.inf
-    at = Point(tuning.offset.copy() if offset is None else offset, tuple(np.array(v, dtype=float) for v in values))
+    at = fitting.point(tuning.offset.copy() if offset is None else offset, values)
     starts = [at, *(Point(at.offset, weaker(names[-1], at.values, share)) for share in WEAKER)]
     found: tuple[float, Point, np.ndarray] | None = None
     for start in starts:

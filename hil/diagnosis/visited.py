@@ -24,7 +24,7 @@ ACTS_FROM = (("end_stop", "at_position"),)
 
 IS_NONE_AT = (("cable_spring", "theta0"),)
 """Places at which an effect that acts everywhere is none: anywhere the joint may go, however little of that was visited. A cable and a
-weight on a lever that fit a few degrees alike would else be told apart by how few they are."""
+weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away is a load."""
 
 SMALLEST = 1e-12
 
@@ -93,15 +93,11 @@ class Visited:
         """The order [cycles per turn] that turns a wave's phase by a radian along the longest way of any motor."""
         return 1.0 / max(max(way.length * way.ratio for way in self.ways.values()), SMALLEST)
 
-    def size_of_a_place(self, effect: EffectAt, parameter: Parameter, value: float) -> float | None:
-        """By how much a place may be another one beforehand; None of what is no place.
-
-        One that was found outside of its range is one of a range about the same middle that holds it.
-        """
+    def range_of_a_place(self, effect: EffectAt, parameter: Parameter) -> tuple[float, float] | None:
+        """Between which positions a place may be beforehand; None of what is no place."""
         name = effect.effect, parameter.name
         if name not in ACTS_FROM and name not in IS_NONE_AT:
             return None
         way = self.ways[effect.at]
         low, high = (way.low, way.high) if name in ACTS_FROM else way.where_it_may_go()
-        width = max(high - low, 2.0 * abs(value - 0.5 * (low + high)))
-        return max(UNIFORM * min(width, parameter.high - parameter.low), SMALLEST)
+        return max(low, parameter.low), max(min(high, parameter.high), low + SMALLEST)

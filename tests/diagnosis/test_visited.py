@@ -49,10 +49,11 @@ def test_a_stop_is_where_recordings_go_and_a_cable_slack_where_the_joint_may_go(
     assert size(CABLE, "theta0", slide, kc=1.0, theta0=0.25) == pytest.approx(stop)
 
 
-def test_a_place_outside_of_its_range_costs_a_range_that_holds_it():
-    visited = Visited(10.0, {"arm": Way(0.0, 1.0, 1.0, -0.5, 1.5)})
-    inside, outside = (size(CABLE, "theta0", visited, kc=1.0, theta0=at) for at in (1.5, 2.5))
-    assert outside == pytest.approx(2.0 * inside)
+def test_a_cable_is_slack_where_the_joint_may_go_and_else_a_load():
+    _, fit, at = described(CABLE, Visited(10.0, {"arm": Way(0.0, 1.0, 1.0, -0.5, 1.5)}), kc=1.0, theta0=0.4)
+    for step, end in zip(fit.reach(at, 10.0), (-0.5, 1.5), strict=True):
+        assert fit.moved(at, step).values[0][2] == pytest.approx(end)
+    assert fit.point(np.zeros(0), (np.array([1.0, 0.0, -7.0]),)).values[0] == pytest.approx([1.0, 0.0, -0.5])
     largest = size(CABLE, "theta0", Visited(10.0, {"arm": Way(-50.0, 50.0)}), kc=1.0)
     assert largest == pytest.approx(20.0 / np.sqrt(2.0 * np.pi))  # the catalogue's bounds
 
@@ -60,7 +61,7 @@ def test_a_place_outside_of_its_range_costs_a_range_that_holds_it():
 def test_a_fit_moves_a_place_that_starts_at_zero():
     _, fit, at = described(CABLE, Visited(10.0, {"arm": Way(-1.0, 1.0, turns=False)}), kc=1.0)
     low, high = (fit.moved(at, step).values[0][2] for step in fit.reach(at, 1.0))
-    assert low < -1.0 and high > 1.0
+    assert low == pytest.approx(-1.0) and high == pytest.approx(1.0)
 
 
 def test_the_search_of_a_mode_s_frequency_is_paid_once():
