@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 
 FILTER_ORDER = 8
 """Of the autoregressive filter per channel: two resonances and two real poles."""
@@ -46,7 +45,7 @@ GRID_LINES = 400
 def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Prediction errors (N - order, C) of every channel."""
     order = filters.shape[1] - 1
-    return np.column_stack([scipy.signal.lfilter(row, [1.0], column)[order:] for row, column in zip(filters, values.T, strict=True)])
+    return np.column_stack([np.convolve(row, column)[order : len(values)] for row, column in zip(filters, values.T, strict=True)])
 
 
 def prediction_error_filter(rows: Sequence[np.ndarray], std: float) -> np.ndarray:

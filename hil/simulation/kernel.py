@@ -42,9 +42,24 @@ class Rows(NamedTuple):
     imu: np.ndarray  # (N, 6 imus)
 
 
+class Scratch(NamedTuple):
+    """What the kernel writes at every row before it reads it, and zeros: see `new_scratch`."""
+
+    effort: np.ndarray  # (n,) targets on the drives' lattice
+    currents: np.ndarray  # (n,) that flow
+    command: np.ndarray  # (n,)
+    open_brakes: np.ndarray  # (n,) zeros
+    no_rise: np.ndarray  # (n,) zeros: of temperature
+    no_noise: np.ndarray  # (n + 6 imus,) zeros
+
+
+def new_scratch(axes: int, imus: int) -> Scratch:
+    """Memory for one run at a time."""
+    return Scratch(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes + 6 * imus))
+
+
 KERNEL = '''"""Generated: closed loop of one plant; do not edit."""
 
-import numpy as np
 from PLANT import advance, drive_currents, imu_reading
 from SENSORS import measure as measure_affected
 from SENSORS import remember, start
@@ -56,15 +71,11 @@ from virtual_bus.sensors.measure import measure
 
 
 @compiled_and_cached
-def run(closed, state, target, target_resolution, model, work, sensors, memory, readings, imu_motion, loop, rows):
+def run(closed, state, target, target_resolution, model, work, sensors, memory, readings, imu_motion, loop, rows, scratch):
     """All rows, in place; returns the first row without a finite position, or -1. `target` (n,): what the drives hold before row 0."""
     axes = target.shape[0]
-    effort = np.zeros(axes)
-    currents = np.zeros(axes)
-    command = np.zeros(axes)
-    brakes = np.zeros(axes)
-    no_rise = np.zeros(axes)
-    noise = np.zeros(axes + imu_motion.shape[0])
+    effort, currents, command, brakes = scratch.effort, scratch.currents, scratch.command, scratch.open_brakes
+    no_rise, noise = scratch.no_rise, scratch.no_noise
     start(state, sensors, memory)
     affected = sensors.switches[0] != 0
     for k in range(rows.reference.shape[0]):
@@ -79,11 +90,13 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
             measure_affected(state, currents, no_rise, imu_motion, noise, sensors, memory, readings)
         else:
             measure(state, currents, no_rise, imu_motion, noise, sensors, readings)
-        rows.position[k] = readings.position
-        rows.link_position[k] = readings.link_position
-        rows.speed[k] = readings.speed
-        rows.effort[k] = readings.effort
-        rows.imu[k] = readings.imu
+        for i in range(axes):
+            rows.position[k, i] = readings.position[i]
+            rows.link_position[k, i] = readings.link_position[i]
+            rows.speed[k, i] = readings.speed[i]
+            rows.effort[k, i] = readings.effort[i]
+        for i in range(imu_motion.shape[0]):
+            rows.imu[k, i] = readings.imu[i]
         if closed:
             missing = feedback_step(
                 loop.sections, loop.state, loop.rows, loop.limit, loop.held,
@@ -91,11 +104,13 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
             )
             if missing != 0:
                 return k
-            rows.command[k] = command
+            for i in range(axes):
+                rows.command[k, i] = command[i]
         else:
             for i in range(axes):
                 command[i] = min(max(rows.command[k, i], -loop.limit[i]), loop.limit[i])
-        target[:] = command
+        for i in range(axes):
+            target[i] = command[i]
         advance(state, effort, brakes, model, work)
         if affected:
             remember(sensors, memory)

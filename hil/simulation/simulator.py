@@ -13,7 +13,7 @@ from controllers.errors import DesignError
 from controllers.feedback import Feedback
 from hil.errors import BadAnswer, ExperimentError
 from hil.machine import Machine
-from hil.simulation.kernel import Loop, Rows, closed_loop_kernel
+from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.statics import held_effort, holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
@@ -91,6 +91,7 @@ class Simulator:
         self.plant = compile_plant(machine.plant)
         self._kernel = closed_loop_kernel(self.plant)
         self._work = self.plant.new_work()
+        self._scratch = new_scratch(len(machine.axes), len(machine.plant.imus))
 
     def run(self, inputs: Inputs, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> Outputs:
         """Simulate from standstill, or from the start speed.
@@ -134,6 +135,7 @@ class Simulator:
             np.zeros(6 * len(settings.imus)),
             loop,
             rows,
+            self._scratch,
         )
         if failed >= 0 or not np.isfinite(state).all():
             at = f"at {failed / self.machine.sample_rate_Hz:.4g} s" if failed >= 0 else "in its last sample"

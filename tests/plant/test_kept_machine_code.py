@@ -6,10 +6,13 @@ import ast
 import inspect
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaRuntimeError
 
 from virtual_bus.effects.dispatch import dispatch_sources
 from virtual_bus.plant.compiled import DEPENDENCIES
+from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.measure import sensor_sources
 
 VIRTUAL_BUS = Path(__file__).parents[2] / "virtual_bus"
@@ -36,3 +39,12 @@ def test_there_are_such_files() -> None:
 @pytest.mark.parametrize("file", COMPILED, ids=lambda file: f"{file.parent.name}/{file.name}")
 def test_an_edit_of_this_file_gives_generated_modules_another_name(file: Path) -> None:
     assert file.read_text(encoding="utf-8") in NAMED_BY
+
+
+def test_a_plant_counts_no_references_so_that_nothing_in_it_may_ask_for_memory() -> None:
+    @compiled
+    def asks_for_memory(to, what):
+        to[:] = what  # a copy of `what`, where the two overlap
+
+    with pytest.raises(NumbaRuntimeError, match="NRT required but not enabled"):
+        asks_for_memory(np.zeros(3), np.ones(3))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 
 # Contraction to fused multiply-add and reassociation of sums; NaN and infinities keep their meaning, so that a fault stays visible.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
+# Without counts of references to arrays: whoever calls holds them, and counts are atomic operations, which took a seventh of a free run.
+# So nothing may be allocated, nor an array be assigned to part of another (numba would copy it): what asks for memory is not compiled.
+UNCOUNTED: dict[str, Any] = {"_nrt": False}
+
 # For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
-compiled = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True)
+compiled = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED)
 
 # For the functions of a generated module: machine code of their own, kept on disk.
-compiled_and_cached = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True)
+compiled_and_cached = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED)
