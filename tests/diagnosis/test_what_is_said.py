@@ -164,6 +164,18 @@ def test_a_name_does_not_stand_alone_where_training_shows_more_beside_it():
     assert named(further=0.005) == "ambiguous"
 
 
+def test_three_effects_together_do_not_stand_alone():
+    def said(count: int) -> tuple[str, str]:
+        one = contender("coulomb_friction", 1.0)
+        many = replace(one.fitted, effects=tuple(EffectAt(f"effect_{number}", "carriage") for number in range(count)))
+        likely = Weighed(many, 0.0, 0.0, confidence=0.5, share=0.95)
+        return verdict_of(Standing(one.gates, (likely,), 3.0 * NOISE, 2.0 * NOISE, NOISE, NOISE, 8, ""))
+
+    assert said(2)[0] == "explained"
+    verdict, reason = said(3)
+    assert verdict == "ambiguous" and "effect_2 at carriage" in reason
+
+
 def test_only_what_is_left_for_certain_has_no_name():
     """The noise of a few repeats is known to a twelfth: 0.06 of it left of 0.1 is more than half, but not for certain."""
     assert named() == "explained"
