@@ -12,6 +12,7 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.held_out import HeldOut
@@ -179,6 +180,7 @@ class _Search:
         if not fits:
             return end
         fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
+        fits = with_numbers_from_nominal(runs, tuning, measured, fits)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_half_orders(runs, tuning, measured, fits)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from hil.diagnosis import from_nominal
 from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
@@ -85,22 +86,27 @@ def test_a_fit_starts_from_the_strength_that_the_recordings_want():
     assert start.values[0] == pytest.approx(4.0, rel=0.6)
 
 
-@pytest.mark.parametrize("start", [0.0025, 0.04])
-def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(start):
-    """Flanks of a tenth of the gap, a thousandth of the motion. Unbounded, they were fitted 21 and 27 gaps wide, for a gain of 1.5:
-    a spring that hardens by a twentieth of its stiffness.
-    """
-    rows, noise_m = 3000, 1e-3
+def noisy_repeats(hidden: EffectSetting, noise_m: float, rows: int = 3000) -> dict[str, Recording]:
+    """Four of one slow motion of the oscillator."""
     low_pass = scipy.signal.butter(2, 5.0, fs=SILVERBOX.sample_rate_Hz)
     command = scipy.signal.lfilter(*low_pass, np.random.default_rng(1).standard_normal(rows))
     inputs = driven(SILVERBOX, 0.1 * command / command.std())
-    hidden = EffectSetting("backlash", "oscillator", {"b": 1e-4, "flank": 1e-5})
     answer = simulate(SILVERBOX, inputs, (hidden,))
     metadata, repeats = recording_metadata(SILVERBOX, experiment={"start_pose": [0.0]}), {}
     for number in range(4):
         noise = noise_m * np.random.default_rng(100 + number).standard_normal(rows)
         measured = {"position_mass": Channel("m", answer["position_mass"] + noise)}
         repeats[str(number)] = Recording({**inputs.channels, **answer.channels, **measured}, metadata)
+    return repeats
+
+
+@pytest.mark.parametrize("start", [0.0025, 0.04])
+def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(start):
+    """Flanks of a tenth of the gap, a thousandth of the motion. Unbounded, they were fitted 21 and 27 gaps wide, for a gain of 1.5:
+    a spring that hardens by a twentieth of its stiffness.
+    """
+    hidden = EffectSetting("backlash", "oscillator", {"b": 1e-4, "flank": 1e-5})
+    repeats = noisy_repeats(hidden, noise_m=1e-3)
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:
         tuning, own = retune(runs), EffectAt("backlash", "oscillator")
         (fit,) = refit(runs, tuning, runs.measured(), [((own,), (np.array([start, start]),))])
@@ -110,6 +116,23 @@ def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(st
     b, flank = fit.values[0]
     assert flank <= 9.0 * b * (1.0 + 1e-12) and b == pytest.approx(1e-4, rel=0.3)
     assert fit.cost < perfect < without - 100.0
+
+
+def test_a_fit_whose_numbers_were_bent_without_its_effect_starts_from_nominal_again(monkeypatch):
+    """A sensor without its sign: re-tuning follows what it says."""
+    monkeypatch.setattr(from_nominal, "MANY", 0)
+    hidden = EffectSetting("rectified_sensor", "position_mass", {"share": 1.0, "sign": 1.0})
+    repeats, own = noisy_repeats(hidden, noise_m=1e-3), EffectAt("rectified_sensor", "position_mass")
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:
+        tuning, measured = retune(runs), runs.measured()
+        (fit,) = refit(runs, tuning, measured, [((own,), (np.array([1.0, 1.0]),))])
+        bent = runs.run_one(Trial(tuning.values, (hidden,)))
+        stuck = replace(fit, offset=tuning.offset, predicted=bent, cost=float(np.sum((measured - bent) ** 2)))
+        (again,) = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [stuck])
+        asked = runs.count
+        (same,) = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [again])
+    assert again.cost < 1.1 * len(measured) < 2.0 * len(measured) < stuck.cost
+    assert same is again and runs.count == asked
 
 
 def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
