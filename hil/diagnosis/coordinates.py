@@ -12,7 +12,7 @@ from hil.diagnosis.free_run import Trial
 from hil.diagnosis.information import Free
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
-from hil.diagnosis.starts import LIGHT
+from hil.diagnosis.start_frequencies import LIGHT
 from hil.diagnosis.visited import UNIFORM, Visited
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects

@@ -25,7 +25,7 @@ from hil.diagnosis.naming import NUMBERS, WEIGHTS, is_a_whole_sign
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
-from hil.diagnosis.starts import TURNING_WITH_THE_MOTOR
+from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
 from hil.machine import Machine
 from virtual_bus.effects.effect import ELASTIC, FRICTION, SIGN, TRANSMISSION
 from virtual_bus.effects.places import joint_at, spring_at

@@ -44,7 +44,7 @@ NEAR = 2.0
 """Misfit, in units of the noise's, below which a fit is near it."""
 
 HOPELESS_AFTER = 4
-"""Steps after which a fit that is worse than no effect ends."""
+"""Steps after which a fit ends that is worse than no effect and cannot come below it at the pace of its last step."""
 
 WORTH_LINEARISING = 4.0
 """Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
@@ -60,7 +60,7 @@ LOST_AFTER = 3
 """Steps after which a fit may be found to be behind for good."""
 
 QUICKENING = 2.0
-"""What the steps left may gain each, in units of the last one's, before a fit is behind for good."""
+"""What the steps left may gain each, in units of the last one's, before a fit is hopeless or behind for good."""
 
 NEARLY = 0.9
 """Share of the best fit's gain: those that gain less are no rivals."""
@@ -242,7 +242,7 @@ def _fit(
     if offset is not None and not is_large:
         tuned = yield from _taken_anew(tuning, at.offset, fitting.settings(at), predicted)
     for number in range(steps):
-        if number >= HOPELESS_AFTER and cost > base:
+        if number >= HOPELESS_AFTER and cost - QUICKENING * gained * (steps - number) > base:
             break
         if race is not None:
             race.enter(names, cost)

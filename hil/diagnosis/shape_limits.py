@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.diagnosis.motion import Motion
-from hil.diagnosis.starts import TURNING_WITH_THE_MOTOR
+from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
 from virtual_bus.effects.places import undriven_joint_at
 
 HYSTERESES = ("bouc_wen_hysteresis", "presliding_hysteresis")

@@ -22,7 +22,7 @@ from hil.diagnosis.gate import (
     chance_of_gain,
     needed_gain,
 )
-from hil.diagnosis.starts import ONE_HARMONIC, TWO_HARMONICS
+from hil.diagnosis.start_waves import ONE_HARMONIC, TWO_HARMONICS
 
 ROWS, PADDED = 128, 2048
 DRAWS = 12000
