@@ -43,7 +43,7 @@ class Rows(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What the kernel writes at every row before it reads it, and zeros: see `new_scratch`."""
+    """What the kernel writes at every row before it reads it, and zeros that nothing writes, for they live on: see `new_scratch`."""
 
     effort: np.ndarray  # (n,) targets on the drives' lattice
     currents: np.ndarray  # (n,) that flow

@@ -9,8 +9,9 @@ import numba
 # Contraction to fused multiply-add and reassociation of sums; NaN and infinities keep their meaning, so that a fault stays visible.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
-# Without counts of references to arrays: whoever calls holds them, and counts are atomic operations, which took a seventh of a free run.
-# So nothing may be allocated, nor an array be assigned to part of another (numba would copy it): what asks for memory is not compiled.
+# Without counts of references to arrays: whoever calls holds them, and counts are atomic operations, which took 13 to 58 % of a free run.
+# So nothing may be allocated, nor an array be assigned to part of another (numba would copy it): what asks for memory is not compiled. Nor
+# may an array be returned: numba compiles that, and hands back the whole of what the returned part was taken from.
 UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
 # For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
