@@ -3,7 +3,8 @@
 Readings may have any offset from the lattice; each is then rounded once more to the encoder's own step, so that it lies within half of
 that of a lattice point. On any motion that has no lattice a distinct reading does so with a probability of at most the share of the
 lattice's step that these windows cover. A lattice of whole counts of the encoder has no such windows: an encoder that lost its last bit
-reads even counts alone.
+reads even counts alone. Only readings that the two before them did not foretell count as such: those of a constant speed are equally
+spaced, and the first few of them say where all others lie.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ LEAST_STEPS = 20
 """Changes by one step, and distinct readings, without which nothing is said."""
 
 CHANCE = 1e-6
-"""Largest probability that all distinct readings lie on the lattice by chance, the lattices that were tried counted."""
+"""Largest probability that all unforeseen readings lie on the lattice by chance, the lattices that were tried counted."""
 
 MATTERS = 0.2
 """Share of what repeats differ by, rms, that a lattice's rounding error has where it is named: digits of a file are lattices, too."""
@@ -75,15 +76,16 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     Returns
     -------
     Lattice or None
-        None where readings lie on no lattice that is COARSER than `own_step`, or its rounding is small against what repeats differ by.
+        None where readings lie neither on several whole counts of `own_step` nor on steps that are COARSER than it, or where the rounding
+        is small against what repeats differ by.
     """
     rows = [row[np.isfinite(row)] for repeats in measured for row in repeats]
     readings = np.unique(np.concatenate(rows)) if rows else np.empty(0)
     if len(readings) < LEAST_STEPS:
         return None
-    counts = _whole_counts(readings, own_step)
-    if counts is not None and counts.step / np.sqrt(12.0) > MATTERS * _fast_spread(measured):
-        return counts
+    counts = _whole_counts(measured, readings, own_step)
+    if counts is not None:
+        return counts if counts.step / np.sqrt(12.0) > MATTERS * _fast_spread(measured) else None
     off = 0.5 * own_step + WRITTEN * float(np.abs(readings).max())
     changes = np.concatenate([np.abs(np.diff(row)) for row in rows])
     changes = changes[changes > 2.0 * off]
@@ -102,7 +104,7 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     step, error = fitted
     windows = (4.0 * off + own_step) / step  # `_fitted` allows 2 off to either side; both ends are points of the encoder's own step
     tries = float(np.ptp(readings)) / step
-    if windows > 0.0 and len(readings) * np.log(windows) + np.log(max(tries, 1.0)) > np.log(CHANCE):
+    if windows > 0.0 and _unforeseen(measured, off) * np.log(windows) + np.log(max(tries, 1.0)) > np.log(CHANCE):
         return None
     differences = [repeats - np.nanmean(repeats, axis=0) for repeats in measured if len(repeats) > 1]
     if not differences:
@@ -114,7 +116,7 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
 
 
-def _whole_counts(readings: np.ndarray, own_step: float) -> Lattice | None:
+def _whole_counts(measured: Sequence[np.ndarray], readings: np.ndarray, own_step: float) -> Lattice | None:
     """The lattice of several of the encoder's own counts that distinct readings lie on; None where there is none."""
     written = WRITTEN * float(np.abs(readings).max())
     if own_step <= 4.0 * written:
@@ -123,11 +125,17 @@ def _whole_counts(readings: np.ndarray, own_step: float) -> Lattice | None:
     if np.any(np.abs(readings - readings[0] - own_step * numbers) > 2.0 * written):
         return None
     several = int(np.gcd.reduce(numbers.astype(np.int64)))
-    if several < 2 or (len(readings) - 1) * np.log(several) < -np.log(CHANCE):
+    if several < 2 or (_unforeseen(measured, written) - 1) * np.log(several) < -np.log(CHANCE):
         return None
     step = several * own_step
     error = 2.0 * written * several / float(np.ptp(numbers))
     return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+
+
+def _unforeseen(measured: Sequence[np.ndarray], off: float) -> int:
+    """How many distinct readings, each within `off` of what was meant, were not reached at the speed of the two samples before them."""
+    came = [(row[2:], np.abs(np.diff(row, 2)) > 4.0 * off) for repeats in measured for row in repeats]
+    return len(np.unique(np.concatenate([reading[is_new] for reading, is_new in came])))
 
 
 def _fast_spread(measured: Sequence[np.ndarray]) -> float:

@@ -64,6 +64,23 @@ def test_a_constant_speed_without_noise_is_no_lattice(seed, steps_per_row):
     assert coarser_lattice([read(np.stack([position] * 3), 0.0)], OWN) is None
 
 
+@pytest.mark.parametrize("counts_per_row", [1.0, 2.0, 3.0, 4.0, 20.0])
+@pytest.mark.parametrize("turns", [1, 4])
+def test_a_constant_speed_of_whole_counts_is_no_lattice(counts_per_row, turns):
+    """Readings are then equally spaced, all of them: a start and the turns say where."""
+    there = np.arange(900.0)
+    position = counts_per_row * OWN * np.concatenate([there, there[::-1][1:]] * turns)
+    assert len(np.unique(position)) > 800
+    assert coarser_lattice([read(np.stack([position] * 3), 0.0)], OWN) is None
+
+
+def test_samples_that_are_missing_are_no_surprise():
+    position = 2.0 * OWN * np.arange(1500.0)
+    seen = read(np.stack([position] * 3), 0.0)
+    seen[:, ::7] = np.nan
+    assert coarser_lattice([seen], OWN) is None
+
+
 def test_a_lattice_far_below_what_repeats_differ_by_is_not_named():
     step = 10.3 * OWN
     assert coarser_lattice([read(motion(0, 40.0 * OWN), step)], OWN) is None
@@ -81,6 +98,15 @@ def test_an_encoder_without_its_last_bit_reads_even_counts_alone(slow, fast, nam
     assert (found is not None) == named
     assert found is None or found.step == pytest.approx(2.0 * OWN, rel=1e-9)
     assert coarser_lattice([read(position, 0.0)], OWN) is None
+
+
+def test_whole_counts_that_do_not_matter_are_not_named_by_another_rule():
+    """Six counts: 0.16 of what fast disturbances would be as white noise, 0.21 of what they are. Eight counts: 0.20 and 0.28."""
+    random = np.random.default_rng(5)
+    fast = np.diff(np.diff(random.standard_normal((3, 1502)), axis=1), axis=1)
+    position = motion(5, 0.0) + 8.0 * OWN * fast / fast.std()
+    assert coarser_lattice([read(position, 8.0 * OWN)], OWN) is not None
+    assert coarser_lattice([read(position, 6.0 * OWN)], OWN) is None
 
 
 def test_a_lattice_holds_in_all_recordings_or_is_none():
