@@ -180,7 +180,7 @@ class _Search:
         if not fits:
             return end
         fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
-        fits = with_numbers_from_nominal(runs, tuning, measured, fits)
+        fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_half_orders(runs, tuning, measured, fits)

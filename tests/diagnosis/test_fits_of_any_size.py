@@ -118,8 +118,10 @@ def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(st
     assert fit.cost < perfect < without - 100.0
 
 
-def test_a_fit_whose_numbers_were_bent_without_its_effect_starts_from_nominal_again(monkeypatch):
-    """A sensor without its sign: re-tuning follows what it says."""
+def test_fits_whose_numbers_were_bent_without_their_effects_start_from_nominal_again(monkeypatch):
+    """A sensor without its sign: re-tuning follows what it says. A rival of nearly the same answer was bent alike, one that gains half as
+    much is no rival, and another law is not what those numbers wait for.
+    """
     monkeypatch.setattr(from_nominal, "MANY", 0)
     hidden = EffectSetting("rectified_sensor", "position_mass", {"share": 1.0, "sign": 1.0})
     repeats, own = noisy_repeats(hidden, noise_m=1e-3), EffectAt("rectified_sensor", "position_mass")
@@ -128,11 +130,18 @@ def test_a_fit_whose_numbers_were_bent_without_its_effect_starts_from_nominal_ag
         (fit,) = refit(runs, tuning, measured, [((own,), (np.array([1.0, 1.0]),))])
         bent = runs.run_one(Trial(tuning.values, (hidden,)))
         stuck = replace(fit, offset=tuning.offset, predicted=bent, cost=float(np.sum((measured - bent) ** 2)))
-        (again,) = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [stuck])
+        base = 20.0 * stuck.cost
+        rival = replace(stuck, values=(np.array([0.98, 1.0]),), cost=1.01 * stuck.cost)
+        far = replace(stuck, cost=10.0 * stuck.cost)
+        other = replace(rival, effects=(EffectAt("viscous_friction", "mass"),), values=(np.array([0.0]),), cost=1.02 * stuck.cost)
+        assert runs.run_one(Trial(runs.nominal, other.settings)) is not None
+        again, after, *rest = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [other, far, rival, stuck], base)
         asked = runs.count
-        (same,) = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [again])
+        (same,) = from_nominal.with_numbers_from_nominal(runs, tuning, measured, [again], base)
+        assert same is again and runs.count == asked
     assert again.cost < 1.1 * len(measured) < 2.0 * len(measured) < stuck.cost
-    assert same is again and runs.count == asked
+    assert after.effects == rival.effects and after.cost == pytest.approx(again.cost, rel=0.01)
+    assert rest == [other, far]
 
 
 def test_a_fit_asks_for_no_free_run_twice(monkeypatch):
