@@ -26,11 +26,12 @@ from concealed.making import Places, make, seal
 from concealed.running import JSON_KEPT, commit
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking
+from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking, rarity_at
 from hil.diagnosis.verdict import UNKNOWN_LEFT
 from hil.errors import BenchError
 from hil.machine import load_machine
 from hil.recording import read_recording
+from virtual_bus.effects.places import part_at
 
 LAST_FITTED = 89
 """Of the development cases; later ones only check."""
@@ -80,7 +81,8 @@ def evidence_of(places: Places, number: int) -> dict[str, Any]:
     for h in found.sets:
         names = [{"effect": effect.effect, "at": effect.at} for effect in h.fitted.effects] if h.fitted is not None else []
         right = bool(truth["effects"]) and all(e["accepted"] for e in truth["effects"]) and matches([*names, *lost], truth["effects"])
-        sets.append({"effects": [f"{n['effect']}@{n['at']}" for n in names], "right": right} | _numbers(h))
+        parts = [part_at(name["at"], machine.plant) for name in names]
+        sets.append({"effects": [f"{n['effect']}@{n['at']}" for n in names], "parts": parts, "right": right} | _numbers(h))
     first = outcome.selection.gates[0] if outcome.selection.gates else None
     return {
         "number": number,
@@ -122,12 +124,13 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
-        "rarity": round(h.rarity, 3),
     }
 
 
 def _evidence(row: dict[str, Any]) -> Evidence:
     base = row["base"]
+    if any("parts" not in s for s in row["sets"]):
+        raise BenchError(f"evidence of case {row['number']}: sets lack the parts their effects act at; remove the row and calibrate again")
 
     def one(numbers: dict[str, Any]) -> Weighed:
         information, passed = tuple(numbers["information"]), numbers["passed"]
@@ -135,7 +138,8 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         if isinstance(by_numbers, int | float):  # rows before 82fd5e2 hold the sum: shared as the misfits fall
             falls = max(base["train"] - train, 0.0), max(base["held_out"] - held_out, 0.0)
             by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
-        searched, rarity = numbers["searched"], numbers.get("rarity", 0.0)
+        searched = numbers["searched"]
+        rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
         return Weighed(None, train, held_out, information, searched=searched, passed=passed, by_numbers=tuple(by_numbers), rarity=rarity)
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])

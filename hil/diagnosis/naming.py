@@ -5,9 +5,10 @@ parameter that the recordings narrow to one part in m of itself costs log m, one
 effect never has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes,
 so that two names are told apart only where they differ by more than an equation's form usually errs. Training and held-out recordings have
 each its own T: an equation errs in one motion by a share of what it does in that motion. The unknown is charged with `unknown_freedom`
-parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. It is one law:
-where it takes several known effects to do what it does, it is charged with how seldom one law does (`rarity`), as a set of several pays for
-how many there are. An order or frequency that was searched costs the logarithm of how many were (`searched`).
+parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. It is taken to be
+one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they do (`rarity`), as such a
+set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here has hidden them. An order
+or frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
@@ -17,7 +18,7 @@ set leaves above noise for certain, as a share of what there was to explain, is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,10 +60,14 @@ WEIGHTS = Weights(form_error=0.0099, left_weight=0.019, exact=0.23, unknown_free
 UNLIKE_ONE = float(np.log(45.0 / 9.0))
 """Logarithm of how much oftener one law of no catalogue is best imitated by one known effect than by several at one part of a machine: of
 52 answers to such laws in which an effect was named or came closest, all before the sealed set's case 684, the likeliest set had one effect
-in 44 and several in 8 (and one of each beforehand, Laplace's rule)."""
+in 44 and several in 8 (and one of each beforehand, Laplace's rule). The proof hides no effect, one, a pair, or exactly one law of no
+catalogue: never three, never two without names. So this is known of one such law at one place, and says nothing of how often a machine has
+more of them."""
 
-UNLIKE_ONE_PART = float(np.log(37.0 / 1.0))
-"""The same for several effects at several parts: 0 of 42 such answers on machines that have several, beside 36 of one effect."""
+UNLIKE_ONE_PART = UNLIKE_ONE + float(np.log(2.0))
+"""The same for several effects at several parts, which imitate a law at one place more seldom still: in none of the 42 such answers on
+machines that have several parts. That none was seen says little where no law that acts at several parts was hidden (a link that bends,
+say): half as often as several at one part, set by hand, and not the one in 37 that Laplace's rule makes of them."""
 
 LIKELIER = 0.5
 """Confidence of nothing from which no effect is named although one passed the gate."""
@@ -115,10 +120,19 @@ def is_a_whole_sign(values: np.ndarray) -> bool:
 
 
 def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
-    """Logarithm of how much more rarely one law without a name does what these do than what one effect does."""
-    if len(effects) < 2:
+    """Logarithm of how much more rarely one law without a name does what these do than what one effect does.
+
+    Effects of one kind at one place are one law in a wave form of its own, and count as one.
+    """
+    return rarity_at({(effect.effect, effect.at): part_at(effect.at, settings) for effect in effects}.values())
+
+
+def rarity_at(parts: Iterable[str]) -> float:
+    """The same by the part at which each law acts."""
+    parts = list(parts)
+    if len(parts) < 2:
         return 0.0
-    return UNLIKE_ONE if len({part_at(effect.at, settings) for effect in effects}) == 1 else UNLIKE_ONE_PART
+    return UNLIKE_ONE if len(set(parts)) == 1 else UNLIKE_ONE_PART
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,10 +244,11 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     *tempered, nothing = (h.in_units(train, held_out) for h in (*hypotheses, base))
     best = min(hypotheses, key=lambda h: h.misfit)
     left = best.in_units(train, held_out).misfit
-    likeliest = max(tempered, key=lambda h: -0.5 * h.misfit - h.price())
-    price = price_of_a_parameter(nothing.misfit - left, 1.0) * weights.unknown_freedom + likeliest.rarity
+    evidence = _evidence(tempered, nothing, tried)
+    as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
+    price = price_of_a_parameter(nothing.misfit - left, 1.0) * weights.unknown_freedom - float(np.log(as_often))
     unknown = -0.5 * left + for_the_unknown(best, entries, (train, held_out)) - price
-    shares = _normalised([*_evidence(tempered, nothing, tried), unknown])[:-1]
+    shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
     return [float(s) for s in (1.0 - weights.exact) * shares + weights.exact * _normalised(_evidence(exact, nothing, tried))]
 

@@ -11,6 +11,7 @@ from hil.diagnosis.gate import LEVEL, Gate, certain_excess
 from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
+from virtual_bus.effects import registry
 
 RETUNED_GAIN = 20.0
 """Fall of |residual|^2 by re-tuning, per tuned number that the recordings show, from which the file's numbers are wrong; chance gives 1."""
@@ -39,8 +40,9 @@ NAMED = 0.5
 """Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
 
 TOGETHER = 2
-"""Effects at most of a set that stands alone: of 146 `explained` sets in kept answers four were of three, all wrong (two of pairs, one of a
-single effect, one of a law off the catalogue), where 11 of 22 pairs and 59 of 120 single effects were right."""
+"""Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the
+pairs and of the single effects right. The proof hides no three effects at once, so such a set could not have been right there: this says
+what three known effects that fit together have been so far, not that machines have no three."""
 
 
 @dataclass(frozen=True)
@@ -84,24 +86,34 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         best = standing.hypotheses[0]
         assert best.fitted is not None
         names = " and ".join(str(effect) for effect in best.fitted.effects)
-        is_whole = standing.further > LEVEL
-        are_few = len(best.fitted.effects) <= TOGETHER
-        if best.passed and best.share >= CONFIDENT and left <= UNKNOWN_LEFT * explainable and is_whole and are_few:
-            return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
-        others = [h for h in standing.hypotheses[1:] if h.confidence >= PLAUSIBLE and h.fitted is not None]
-        also = "; ".join(" and ".join(str(effect) for effect in h.fitted.effects) for h in others if h.fitted is not None)
-        if not also and not is_whole:
-            return "ambiguous", f"{names}, beside which training shows more than its equations may err by, but no effect for certain"
-        if not also and left > UNKNOWN_LEFT * explainable:
-            return "ambiguous", f"{names}, which leaves {left / explainable:.0%} of what is above noise, if the noise is what repeats say"
-        if not also and not are_few:
-            return "ambiguous", f"{names}: so many known effects together are seldom what is there"
-        return "ambiguous", f"{names}, which these recordings do not tell apart from {also or 'its neighbours'}"
+        if why := _why_it_does_not_stand_alone(standing, best.fitted.effects, left / explainable):
+            return "ambiguous", f"{names}{why}"
+        return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
     if imitated := next((gate.lost_form for gate in standing.gates[:1] if gate.something_is_there), ""):
         return "unknown_physics", f"something is there for certain, but {imitated}"
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
+
+
+def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt], left: float) -> str:
+    """What of a name that stands alone the likeliest set of effects lacks, which leaves this share above noise; "" where nothing."""
+    best, *others = standing.hypotheses
+    is_sure = best.passed and best.share >= CONFIDENT
+    named = [h.fitted.effects for h in others if h.confidence >= PLAUSIBLE and h.fitted is not None]
+    if not is_sure and named:
+        return f", which these recordings do not tell apart from {'; '.join(' and '.join(map(str, one)) for one in named)}"
+    if standing.further <= LEVEL:
+        return ", beside which training shows more than its equations may err by, but no effect for certain"
+    if left > UNKNOWN_LEFT:
+        return f", which leaves {left:.0%} of what is above noise, if the noise is what repeats say"
+    if not is_sure:
+        catalogue, own = registry.effects(), {effect.effect for effect in effects}
+        near = dict.fromkeys(name for effect in effects for name in catalogue[effect.effect].neighbours if name not in own)
+        return f", not so surely that it could not be something else; the catalogue's effects that are mistaken for it: {', '.join(near)}"
+    if len(effects) > TOGETHER:
+        return f": {len(effects)} known effects fit together; with so many, others that were not tried may fit as well"
+    return ""
 
 
 def _stands_out(gate: Gate, standing: Standing) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.verdict import Standing, findings_of, verdict_of
+from virtual_bus.effects.registry import effects
 
 NOISE = 20000.0
 
@@ -164,16 +166,37 @@ def test_a_name_does_not_stand_alone_where_training_shows_more_beside_it():
     assert named(further=0.005) == "ambiguous"
 
 
-def test_three_effects_together_do_not_stand_alone():
-    def said(count: int) -> tuple[str, str]:
-        one = contender("coulomb_friction", 1.0)
-        many = replace(one.fitted, effects=tuple(EffectAt(f"effect_{number}", "carriage") for number in range(count)))
-        likely = Weighed(many, 0.0, 0.0, confidence=0.5, share=0.95)
-        return verdict_of(Standing(one.gates, (likely,), 3.0 * NOISE, 2.0 * NOISE, NOISE, NOISE, 8, ""))
+def said_of(names: Sequence[str], *, share: float, rival: float = 0.0, **standing) -> tuple[str, str]:
+    """The verdict on a set that passed, beside one of a load with this confidence."""
+    one = contender("coulomb_friction", 1.0)
+    many = replace(one.fitted, effects=tuple(EffectAt(name, "carriage") for name in names))
+    hypotheses = Weighed(many, 0.0, 0.0, confidence=0.52 * share, share=share), Weighed(fitted("constant_load"), 0.0, 0.0, confidence=rival)
+    numbers = {"retuned_misfit": 2.0 * NOISE, "best_misfit": NOISE} | standing
+    return verdict_of(Standing(one.gates, hypotheses, 3.0 * NOISE, noise=NOISE, shown=8, missing="", **numbers))
 
-    assert said(2)[0] == "explained"
-    verdict, reason = said(3)
-    assert verdict == "ambiguous" and "effect_2 at carriage" in reason
+
+THREE = ("coulomb_friction", "cogging", "end_stop")
+
+
+@pytest.mark.parametrize("rival", [0.0, 0.045])
+def test_three_effects_together_do_not_stand_alone(rival):
+    """Whatever else is plausible: they are told apart from it."""
+    assert said_of(THREE[:2], share=0.92, rival=rival)[0] == "explained"
+    verdict, reason = said_of(THREE, share=0.92, rival=rival)
+    assert verdict == "ambiguous" and "end_stop at carriage" in reason
+    assert reason.endswith("3 known effects fit together; with so many, others that were not tried may fit as well")
+
+
+@pytest.mark.parametrize("rival", [0.0, 0.045])
+def test_the_reason_for_ambiguous_is_what_failed(rival):
+    assert "training shows more" in said_of(THREE[:1], share=0.92, rival=rival, further=0.005)[1]
+    assert "leaves 60% of" in said_of(THREE[:1], share=0.92, rival=rival, retuned_misfit=1.1 * NOISE, best_misfit=1.06 * NOISE)[1]
+    assert said_of(THREE, share=0.6, rival=0.2)[1].endswith("do not tell apart from constant_load at carriage")
+
+
+def test_what_is_not_sure_without_a_rival_names_the_catalogue_s_neighbours():
+    verdict, reason = said_of(("coulomb_friction",), share=0.8)
+    assert verdict == "ambiguous" and all(name in reason for name in effects()["coulomb_friction"].neighbours)
 
 
 def test_only_what_is_left_for_certain_has_no_name():

@@ -63,10 +63,10 @@ def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float, corn
 
 
 def test_a_part_is_an_axis_with_what_it_carries_up_to_the_next_drive() -> None:
+    of_imu = ("imu", "imu_z", "gyro_x")
     parts = {
-        "roll": ("roll", "roll_rotor", "tube", "detector", "c_arc", "position_roll", "link_position_roll", "current_roll"),
+        "roll": ("roll", "roll_rotor", "tube", "detector", "c_arc", "position_roll", "link_position_roll", "current_roll", *of_imu),
         "propeller": ("propeller", "propeller_rotor", "sleeve", "position_propeller", "current_propeller"),
-        "imu": ("imu", "imu_z", "gyro_x"),
         "ceiling_mount": ("ceiling_mount", "support_arm"),
     }
     assert {part: {part_at(at, CARM.plant) for at in places} for part, places in parts.items()} == {part: {part} for part in parts}

@@ -54,21 +54,15 @@ def undriven_joint_at(at: str, settings: PlantSettings) -> str | None:
 
 
 def part_at(at: str, settings: PlantSettings) -> str:
-    """The part of the machine that a place belongs to: an axis with its drive, its sensors and what it carries up to the next drive, by the
-    axis's name; an IMU with its channels, by the IMU's; what no drive carries, by its first body's.
+    """The part of the machine that a place belongs to: an axis with its drive, its sensors and what it carries up to the next drive, IMUs
+    among it, by the axis's name; what no drive carries, by its first body's.
     """
-    channels, imus = imu_channel_names(settings), [imu.name for imu in settings.imus]
-    if at in imus:
-        return at
-    if at in channels:
-        return imus[channels.index(at) * len(imus) // len(channels)]
     axes = {drive.joint: drive.axis for drive in settings.drives}
     axis = {current.channel: current.axis for current in settings.currents}.get(at, at)
     if axis in axes.values():
         return axis
-    joint = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}.get(at)
     bodies = {body.name: body for body in settings.tree.bodies}
-    name = at if joint is None else next(body.name for body in bodies.values() if body.joint is not None and body.joint.name == joint)
+    name = _body_of_a_sensor(at, settings) or at
     while bodies[name].parent in bodies and _joint_name(bodies[name]) not in axes:
         name = bodies[name].parent
     return axes.get(_joint_name(bodies[name]), name)
@@ -118,6 +112,17 @@ def is_prismatic(at: str, settings: PlantSettings) -> bool:
 def drive_unit(at: str, settings: PlantSettings) -> str:
     """Unit of the drive's effort at an axis; A elsewhere."""
     return next((drive.unit for drive in settings.drives if drive.axis == at), "A")
+
+
+def _body_of_a_sensor(at: str, settings: PlantSettings) -> str | None:
+    """Name of the body that carries an IMU, by its name or one of its channels', or whose joint a sensor reads; None at any other place."""
+    channels = imu_channel_names(settings)
+    for n, imu in enumerate(settings.imus):
+        each = len(channels) // len(settings.imus)
+        if at in (imu.name, *channels[n * each : (n + 1) * each]):
+            return imu.body
+    joint = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}.get(at)
+    return next((body.name for body in settings.tree.bodies if joint is not None and _joint_name(body) == joint), None)
 
 
 def _joint_name(body: Body) -> str:
