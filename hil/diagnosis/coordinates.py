@@ -39,7 +39,7 @@ NOT_FITTED = ("seed", "side", "sign", "length")
 AT_MOST = {("backlash", "flank"): ("b", 9.0)}
 """Parameters that are no more than so many times another one of their effect. Within wider flanks a spring keeps more than nine tenths of
 its stiffness: that is no gap but a spring that hardens, a law of its own. Most recordings do not show how wide flanks are, and fits that
-were let went there for gains of 1 to 6 in units of noise, of 100 to 2900 (sealed 241, 667, 740 and 799, spent)."""
+were let went there for gains of 1 to 6 in units of noise, of 100 to 2900. Those that want it for more are no gaps (`form.WANTED`)."""
 
 LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
 INVERSE = ("fc",)
@@ -94,9 +94,10 @@ class Coordinates:
         self._least = [own if size is None else size for own, size in zip(least, fixed, strict=True)]
 
     def point(self, offset: np.ndarray, values: tuple[np.ndarray, ...]) -> Point:
-        """Where a fit may start: these values, those within their range that are places."""
-        each = zip(values, self._parameters, strict=True)
-        return Point(offset, tuple(np.clip(np.asarray(own, dtype=float), [p.low for p in ps], [p.high for p in ps]) for own, ps in each))
+        """Where a fit may start: these values, all within their ranges and none more than it may be beside the others."""
+        each = zip(self._names, values, self._parameters, strict=True)
+        within = [(name, np.clip(np.asarray(own, dtype=float), [p.low for p in ps], [p.high for p in ps])) for name, own, ps in each]
+        return Point(offset, tuple(_within(name, own) for name, own in within))
 
     def settings(self, at: Point) -> tuple[EffectSetting, ...]:
         return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))
@@ -126,7 +127,7 @@ class Coordinates:
         found = []
         for (e, k), size, share in zip(self.free, self._sizes(at), shares, strict=True):
             parameter, value = self._parameters[e][k], at.values[e][k]
-            up, down = min(value + share * size, parameter.high), max(value - share * size, parameter.low)
+            up, down = min(value + share * size, self._highest(e, k, at.values)), max(value - share * size, parameter.low)
             found.append((Point(at.offset, _with(at.values, e, k, up)), Point(at.offset, _with(at.values, e, k, down)), up - down))
         return found
 

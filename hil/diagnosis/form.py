@@ -4,6 +4,7 @@ A fit that runs into a bound of what decides an effect's shape (a corner speed, 
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
 motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring. A strength at the bound
 that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like that.
+A gap that is held from wider flanks, and wants them, is a spring that hardens.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from hil.diagnosis.coordinates import AT_MOST
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from virtual_bus.effects.effect import Parameter
@@ -49,8 +51,16 @@ COUNTS = 0.01
 AT_BOUND = 1e-6
 """Of a bound's size."""
 
+HELD = 0.99
+"""Share of what it may be beside another number (`coordinates.AT_MOST`) from which on a number is held by that: a fit ends a little short
+of it where the other number moved last."""
 
-def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float]) -> str:
+WANTED = 10.0
+"""Energy, in units of noise, from which on recordings want more of a number that is held: what its slope removes at the least. Where they
+do not show how wide a gap's flanks are it is 1 to 6."""
+
+
+def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float], residual: np.ndarray) -> str:
     """What left its equation, as a sentence; "" where every effect kept it.
 
     Parameters
@@ -58,10 +68,14 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float]) -> str:
     fitted : Fitted
     limits : mapping of EffectAt to float
         What the recordings can show of effects' shapes, see `shape_limits.py`.
+    residual : (M,) array
+        Whitened, that the fit leaves.
     """
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effect.effect in ONE_WAY and (name := _one_way(fitted, number)):
             return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
+        if name := _wants_more(fitted, number, residual):
+            return f"{effect} has {name} as large as it may be, and the recordings want more: what fits is no longer that effect"
         limit = limits.get(effect, 0.0)
         if effect.effect in SLIDES_AT and limit > 0.0 and (slides_at := SLIDES_AT[effect.effect](*values)) > limit:
             return f"{effect} slides at {slides_at:.3g}, more than the {limit:.3g} that the recordings can show: what fits may be a spring"
@@ -101,6 +115,22 @@ def _bound(name: str, parameter: Parameter, value: float) -> float | None:
     if parameter.name in SHARES or (name, parameter.name) in WITHOUT:
         ends = []
     return next((end for end in ends if end not in (0.0, parameter.neutral) and np.isclose(value, end, rtol=AT_BOUND, atol=0.0)), None)
+
+
+def _wants_more(fitted: Fitted, number: int, residual: np.ndarray) -> str:
+    """Which number of an effect is held by another one, and wanted larger; "" where none is."""
+    effect, values = fitted.effects[number], fitted.values[number]
+    names = [parameter.name for parameter in effects()[effect.effect].parameters]
+    for column, (k, p) in enumerate(fitted.free):
+        if k != number or (effect.effect, names[p]) not in AT_MOST:
+            continue
+        other, times = AT_MOST[effect.effect, names[p]]
+        change = fitted.jacobian[:, column]
+        slope, curvature = float(change @ residual), float(change @ change)
+        is_held = values[p] > HELD * times * values[names.index(other)]
+        if is_held and slope > 0.0 and slope**2 > WANTED * curvature:
+            return names[p]
+    return ""
 
 
 def _one_way(fitted: Fitted, number: int) -> str:

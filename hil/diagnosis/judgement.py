@@ -211,7 +211,8 @@ class Judgement:
         for fitted in fits:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
             after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
-            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=lost_form(fitted, limits))
+            form = lost_form(fitted, limits, self._measured - fitted.predicted)
+            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=form)
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(
                 Contender(

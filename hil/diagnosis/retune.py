@@ -151,8 +151,8 @@ def retune(runs: FreeRuns) -> Tuning:
 def descend(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, effects: tuple[EffectSetting, ...] = ()) -> Tuning:
     """Gauss-Newton in a trust region from these values, beside effects that stay as they are.
 
-    Sensitivities are taken anew once steps with them have come far, or where they bring less than they say: of sealed case 796 (spent)
-    thirty small steps with old ones stopped 250 units of noise short, which a payload of nothing gained.
+    Sensitivities are taken anew once steps with them have come far, or where they bring less than they say: thirty small steps with old
+    ones can stop 250 units of noise short, which an effect that nobody hid then gains.
     """
     cost = _cost(measured, tuning.predicted, tuning.offset)
     radius, moved = FIRST_RADIUS, 0.0

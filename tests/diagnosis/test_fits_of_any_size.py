@@ -12,6 +12,8 @@ import scipy.signal
 from hil.diagnosis import from_nominal
 from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.coordinates import Coordinates
+from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.half_orders import with_half_orders
 from hil.diagnosis.mismatch import mismatch
@@ -19,6 +21,7 @@ from hil.diagnosis.refit import polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 from hil.diagnosis.screening import screen
+from hil.diagnosis.visited import Visited
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
@@ -108,7 +111,7 @@ def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(st
     hidden = EffectSetting("backlash", "oscillator", {"b": 1e-4, "flank": 1e-5})
     repeats = noisy_repeats(hidden, noise_m=1e-3)
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:
-        tuning, own = retune(runs), EffectAt("backlash", "oscillator")
+        tuning, measured, own = retune(runs), runs.measured(), EffectAt("backlash", "oscillator")
         (fit,) = refit(runs, tuning, runs.measured(), [((own,), (np.array([start, start]),))])
         (fit,) = polish(runs, tuning, runs.measured(), [fit])
         without = float(np.sum((runs.measured() - tuning.predicted) ** 2) + tuning.offset @ tuning.offset)
@@ -116,6 +119,30 @@ def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(st
     b, flank = fit.values[0]
     assert flank <= 9.0 * b * (1.0 + 1e-12) and b == pytest.approx(1e-4, rel=0.3)
     assert fit.cost < perfect < without - 100.0
+    assert lost_form(fit, {}, measured - fit.predicted) == ""
+
+
+def test_a_spring_that_hardens_is_no_gap():
+    """Flanks of thirty gaps leave it 0.97 of its stiffness. Held at nine, a fit ends at 1.4 times the noise and wants more."""
+    own, hidden = EffectAt("backlash", "oscillator"), EffectSetting("backlash", "oscillator", {"b": 1e-3, "flank": 3e-2})
+    repeats = noisy_repeats(hidden, noise_m=1e-3)
+    with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:
+        tuning, measured = retune(runs), runs.measured()
+        (fit,) = refit(runs, tuning, measured, [((own,), (np.array([0.0025, 0.0025]),))])
+        (fit,) = polish(runs, tuning, measured, [fit])
+    assert "flank" in lost_form(fit, {}, measured - fit.predicted)
+
+
+def test_no_point_of_a_fit_has_flanks_wider_than_they_may_be():
+    own, start = EffectAt("backlash", "oscillator"), np.array([1e-5, 2e-3])
+    tuning = SimpleNamespace(offset=np.zeros(0), at=lambda offset: offset)
+    fitting = Coordinates(tuning, (own,), (start,), Visited(1.0))
+    at = fitting.point(np.zeros(0), (start,))
+    assert at.values[0] == pytest.approx([1e-5, 9e-5])
+    low, high = fitting.reach(at, 1.0)
+    assert (low <= 0.0).all() and (high >= 0.0).all()
+    up, down, apart = fitting.around(at, np.array([0.01, 0.01]))[1]
+    assert up.values[0][1] == pytest.approx(9e-5) and down.values[0][1] == pytest.approx(9e-5 - apart) and apart > 0.0
 
 
 def test_fits_whose_numbers_were_bent_without_their_effects_start_from_nominal_again(monkeypatch):

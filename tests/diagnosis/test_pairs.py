@@ -100,7 +100,8 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
     limits = {"cogging": 1.0, "bouc_wen_hysteresis": 0.025, "presliding_hysteresis": 0.025}
-    assert bool(lost_form(fitted(name, values), {EffectAt(effect, "carriage"): limit for effect, limit in limits.items()})) == lost
+    limits_at = {EffectAt(effect, "carriage"): limit for effect, limit in limits.items()}
+    assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost
 
 
 @pytest.mark.parametrize(
@@ -109,7 +110,19 @@ def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
 def test_no_oil_is_viscous_one_way_only(one_way, other_way, lost):
     rows = np.random.default_rng(8).normal(size=(400, 4))
     rubbing = replace(fitted("asymmetric_friction", [10.0, 10.0, one_way, other_way]), free=tuple((0, p) for p in range(4)), jacobian=rows)
-    assert bool(lost_form(rubbing, {})) == lost
+    assert bool(lost_form(rubbing, {}, np.zeros(400))) == lost
+
+
+@pytest.mark.parametrize(
+    ("flank", "wanted", "lost"), [(9e-5, 4.0, True), (8.98e-5, 4.0, True), (9e-5, 3.0, False), (9e-5, -4.0, False), (5e-5, 4.0, False)]
+)
+def test_a_gap_that_wants_wider_flanks_than_it_may_have_is_a_spring_that_hardens(flank, wanted, lost):
+    """By the root of the energy that they would remove: 16 or 9."""
+    column = np.random.default_rng(9).normal(size=400)
+    gap = replace(
+        fitted("backlash", [1e-5, flank]), free=((0, 0), (0, 1)), jacobian=np.column_stack([np.zeros(400), column]), predicted=np.zeros(400)
+    )
+    assert bool(lost_form(gap, {}, wanted * column / np.linalg.norm(column))) == lost
 
 
 def test_an_effect_that_stood_for_another_one_is_surplus_beside_it(bench):
