@@ -13,7 +13,7 @@ from hil.diagnosis.information import Free
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
 from hil.diagnosis.start_frequencies import LIGHT
-from hil.diagnosis.visited import UNIFORM, Visited
+from hil.diagnosis.visited import RANGE_AS_DEVIATION, Visited
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -49,7 +49,7 @@ ORDER_UNIT = "cycles/turn"
 FREQUENCY_UNIT = "Hz"
 """Of an effect that has a phase too it turns that by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
 
-OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHT * UNIFORM}
+OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHT * RANGE_AS_DEVIATION}
 """Deviation, over itself, of a frequency beforehand whose search counts modes a bandwidth apart (`starts.shapes_of`): it is within one."""
 
 PHASE_STEP = 0.02
@@ -89,7 +89,8 @@ class Coordinates:
         phases = [_of_a_phase(names[e], self._parameters[e][k], visited) for e, k in self.free]
         places = [visited.range_of_a_place(names[e], self._parameters[e][k]) for e, k in self.free]
         least = [_least_size(self._parameters[e][k], starts[e][k]) for e, k in self.free]
-        fixed = [phase if place is None else UNIFORM * (place[1] - place[0]) for phase, place in zip(phases, places, strict=True)]
+        wide = [None if place is None else RANGE_AS_DEVIATION * (place[1] - place[0]) for place in places]
+        fixed = [phase if place is None else place for phase, place in zip(phases, wide, strict=True)]
         self._is_fixed = [size is not None for size in fixed]
         self._least = [own if size is None else size for own, size in zip(least, fixed, strict=True)]
 
@@ -98,6 +99,10 @@ class Coordinates:
         each = zip(self._names, values, self._parameters, strict=True)
         within = [(name, np.clip(np.asarray(own, dtype=float), [p.low for p in ps], [p.high for p in ps])) for name, own, ps in each]
         return Point(offset, tuple(_within(name, own) for name, own in within))
+
+    def ranges(self) -> np.ndarray:
+        """(F,) how far the bounds of the free parameters are apart."""
+        return np.array([self._parameters[e][k].high - self._parameters[e][k].low for e, k in self.free])
 
     def settings(self, at: Point) -> tuple[EffectSetting, ...]:
         return tuple(setting_of(name, own) for name, own in zip(self._names, at.values, strict=True))

@@ -169,7 +169,7 @@ def sensitivities_to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted, nam
     base, *answers = runs.run([fitting.trial(at), *(fitting.trial(to) for to, _ in moves)], name)
     if base is None:
         return None
-    columns = [np.zeros_like(base) if a is None else (a - base) / by for a, (_, by) in zip(answers, moves, strict=True)]
+    columns = [np.zeros_like(base) if a is None or by == 0.0 else (a - base) / by for a, (_, by) in zip(answers, moves, strict=True)]
     return np.column_stack(columns) * fitting.slopes(at)
 
 
@@ -299,12 +299,12 @@ def _taken_anew(
 
 
 def _sensitivities(fitting: Coordinates, at: Point, predicted: np.ndarray) -> Generator[list[Trial], Answers, np.ndarray]:
-    """(M, F) of a prediction with the free parameters, in units of their size; 0 where a neighbour cannot be simulated."""
+    """(M, F) of a prediction with the free parameters, in units of their size; 0 where a neighbour cannot be simulated or is none."""
     moves = fitting.moves(at)
     answers = yield [fitting.trial(move) for move, _ in moves]
     jacobian = np.zeros((len(predicted), len(moves)))
     for column, ((_, difference), answer) in enumerate(zip(moves, answers, strict=True)):
-        jacobian[:, column] = 0.0 if answer is None else (answer - predicted) / difference
+        jacobian[:, column] = 0.0 if answer is None or difference == 0.0 else (answer - predicted) / difference
     return jacobian
 
 

@@ -25,7 +25,6 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning, sensitivities
 from hil.diagnosis.structure_left import StructureLeft
 from hil.diagnosis.visited import Visited
-from virtual_bus.effects.registry import effects
 
 TWO_SIDED_95 = 1.96
 """Deviations of a normal distribution."""
@@ -33,7 +32,7 @@ TWO_SIDED_95 = 1.96
 ROUNDING = 1e-12
 """Of the largest eigenvalue of H, its columns of size one: directions below are not seen, whatever differences of runs say of them."""
 
-UNIFORM = 12.0
+RANGE_OVER_DEVIATION_SQUARED = 12.0
 """Square of a range over the variance of what may be anywhere in it."""
 
 
@@ -44,7 +43,8 @@ def spread_of(runs: FreeRuns, tuning: Tuning, fitted: Fitted | None) -> np.ndarr
     columns = tuning.jacobian
     if fitted is not None:  # beside the effects: what scales a machine's every number alike scales its friction too
         columns = np.hstack([sensitivities(runs, tuning, offset, fitted.settings), _to_effects(runs, tuning, fitted)])
-        known = np.concatenate([known, UNIFORM / _ranges(fitted) ** 2])
+        ranges = Coordinates(tuning, fitted.effects, fitted.values, Visited.by(runs)).ranges()
+        known = np.concatenate([known, RANGE_OVER_DEVIATION_SQUARED / ranges**2])
         predicted = fitted.predicted
     scatter, structure, residual = Scatter(runs), StructureLeft(runs, TRAIN), runs.measured() - predicted
 
@@ -113,10 +113,4 @@ def _to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> np.ndarray:
     shares = np.full(len(fitting.free), FINE_SHARE)
     changes, _ = differences(shares)
     changes, apart = differences(shares / np.maximum(np.linalg.norm(changes, axis=0), 1.0))
-    return changes / apart
-
-
-def _ranges(fitted: Fitted) -> np.ndarray:
-    """(F,) of the free parameters."""
-    parameters = [effects()[fitted.effects[e].effect].parameters[k] for e, k in fitted.free]
-    return np.array([parameter.high - parameter.low for parameter in parameters])
+    return changes / np.where(apart > 0.0, apart, 1.0)  # nothing changes between neighbours that are one number

@@ -16,7 +16,7 @@ from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.result import EffectAt
 from virtual_bus.effects.effect import Parameter
 
-UNIFORM = 1.0 / sqrt(2.0 * pi)
+RANGE_AS_DEVIATION = 1.0 / sqrt(2.0 * pi)
 """Deviation, over its width, of a normal distribution that costs as much as a range."""
 
 ACTS_FROM = (("end_stop", "at_position"),)
@@ -26,11 +26,14 @@ IS_NONE_AT = (("cable_spring", "theta0"),)
 """Places at which an effect that acts everywhere is none: anywhere the joint may go, however little of that was visited. A cable and a
 weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away is a load."""
 
+NARROWEST = 1e-6
+"""Of a range, in units of its ends or of 1: an axis that stood still has a place nowhere else, but differences of positions must show."""
+
 SMALLEST = 1e-12
 
 
 @dataclass(frozen=True)
-class Way:
+class Travel:
     """Of one axis.
 
     Attributes
@@ -57,11 +60,13 @@ class Way:
         return self.high - self.low
 
     def where_it_may_go(self) -> tuple[float, float]:
-        """Ends of the joint's range, with all of what was visited; of a joint without limits a turn about that."""
-        if isfinite(self.lower) and isfinite(self.upper):
-            return min(self.lower, self.low), max(self.upper, self.high)
-        missing = max(2.0 * pi - self.length, 0.0) / 2.0 if self.turns else 0.0
-        return self.low - missing, self.high + missing
+        """Ends of the joint's range, with all of what was visited; where it has no limit what is missing to a turn."""
+        low = min(self.lower, self.low) if isfinite(self.lower) else self.low
+        high = max(self.upper, self.high) if isfinite(self.upper) else self.high
+        missing = max(2.0 * pi - (high - low), 0.0) if self.turns else 0.0
+        is_open = [not isfinite(self.lower), not isfinite(self.upper)]
+        each = missing / max(sum(is_open), 1)
+        return low - each * is_open[0], high + each * is_open[1]
 
 
 @dataclass(frozen=True)
@@ -72,32 +77,32 @@ class Visited:
     ----------
     time_s : float
         The longest.
-    ways : mapping of axis to Way
+    travels : mapping of axis to Travel
         In the machine's order.
     """
 
     time_s: float
-    ways: dict[str, Way] = field(default_factory=dict)
+    travels: dict[str, Travel] = field(default_factory=dict)
 
     @classmethod
     def by(cls, runs: FreeRuns) -> Visited:
         groups, machine = runs.sets[TRAIN].groups, runs.machine
         positions = np.concatenate([group.position for group in groups])
-        ways = {
-            limits.axis: Way(float(q.min()), float(q.max()), drive.ratio, limits.lower, limits.upper, limits.unit == "rad")
+        travels = {
+            limits.axis: Travel(float(q.min()), float(q.max()), drive.ratio, limits.lower, limits.upper, limits.unit == "rad")
             for limits, drive, q in zip(machine.limits, machine.plant.drives, positions.T, strict=True)  # all in the order of axes
         }
-        return cls(max(float(np.ptp(group.time_s)) for group in groups), ways)
+        return cls(max(float(np.ptp(group.time_s)) for group in groups), travels)
 
     def one_over_a_radian(self) -> float:
         """The order [cycles per turn] that turns a wave's phase by a radian along the longest way of any motor."""
-        return 1.0 / max(max(way.length * way.ratio for way in self.ways.values()), SMALLEST)
+        return 1.0 / max(max(travel.length * travel.ratio for travel in self.travels.values()), SMALLEST)
 
     def range_of_a_place(self, effect: EffectAt, parameter: Parameter) -> tuple[float, float] | None:
-        """Between which positions a place may be beforehand; None of what is no place."""
-        name = effect.effect, parameter.name
-        if name not in ACTS_FROM and name not in IS_NONE_AT:
+        """Between which positions a place may be beforehand, wherever the catalogue's bounds are; None of what is no place of an axis."""
+        travel, name = self.travels.get(effect.at), (effect.effect, parameter.name)
+        if travel is None or name not in (*ACTS_FROM, *IS_NONE_AT):
             return None
-        way = self.ways[effect.at]
-        low, high = (way.low, way.high) if name in ACTS_FROM else way.where_it_may_go()
-        return max(low, parameter.low), max(min(high, parameter.high), low + SMALLEST)
+        low, high = (travel.low, travel.high) if name in ACTS_FROM else travel.where_it_may_go()
+        missing = max(NARROWEST * max(abs(low), abs(high), 1.0) - (high - low), 0.0)
+        return low - 0.5 * missing, high + 0.5 * missing

@@ -34,8 +34,8 @@ def disturbance(rows: int, rms_N: float, seed: int, corner_Hz: float = 4.0) -> n
     return rms_N * coloured / coloured.std()
 
 
-def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, force_N=None, load_N=0.0, noise_seed=0):
-    """(position [m], command [V]) rows."""
+def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, force_N=None, load_N=0.0, at=lambda x: 0.0, noise_seed=0):
+    """(position [m], command [V]) rows; `at` is a force [N] over position."""
     rows = len(wanted)
     force_N = np.zeros(rows) if force_N is None else force_N
     h = 1.0 / (RATE_Hz * STEPS)
@@ -50,7 +50,7 @@ def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, forc
         command = min(max(command, -10.0), 10.0)
         commands[k] = command
         history = [history[1], x]
-        push = gain * effort + force_N[k] + load_N
+        push = gain * effort + force_N[k] + load_N + at(x)
         for _ in range(STEPS):  # speed exactly at constant effort, friction held implicitly
             free = v * decay + (1.0 - decay) * push / damping
             slip = (1.0 - decay) * coulomb_N / damping

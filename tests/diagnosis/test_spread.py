@@ -83,6 +83,17 @@ def test_what_recordings_do_not_show_at_all_may_be_anything_beforehand():
     assert spread(np.zeros((ENTRIES, 1)), np.array([12.0 / 10.0**2]), white, CERTAIN) == pytest.approx(10.0 / np.sqrt(12.0))
 
 
+def test_a_place_that_recordings_do_not_show_may_be_where_they_go(with_friction):
+    found = mismatch(MACHINE, with_friction[0])
+    stop, values = EffectAt("end_stop", "carriage"), np.array([0.0, 0.0, 0.01, 1.0])
+    travel = np.ptp(np.concatenate([group.position for group in found.groups]))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning = retune(runs)
+        fitted = Fitted((stop,), (values,), tuning.offset, tuning.predicted, 0.0, ((0, 0), (0, 1), (0, 2)), np.zeros((1, 3)), np.zeros(3))
+        (*_, place) = spread_of(runs, tuning, fitted)
+    assert place == pytest.approx(travel / np.sqrt(12.0))
+
+
 def test_a_machine_that_shows_none_of_its_numbers_has_none_to_give_an_interval():
     assert spread(np.zeros((ENTRIES, 0)), np.zeros(0), white, CERTAIN).shape == (0,)
 
