@@ -102,6 +102,7 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
 
 def _with_controllers_of(recorded: str, tuned: str) -> str:
     """The re-tuned machine file under the controllers that a recording was made with."""
-    block = re.compile(r"position_sections = \[.*?\]\s*\]", re.DOTALL)
+    # on one line, as the tool writes it, or in rows that may end in comments
+    block = re.compile(r"^position_sections = \[(?:\[[^\n]*\]\]$|$.*?^\]$)", re.DOTALL | re.MULTILINE)
     theirs = iter(block.findall(recorded))
     return block.sub(lambda match: next(theirs, match[0]), tuned)
