@@ -24,7 +24,8 @@ ACTS_FROM = (("end_stop", "at_position"),)
 
 IS_NONE_AT = (("cable_spring", "theta0"),)
 """Places at which an effect that acts everywhere is none: anywhere the joint may go, however little of that was visited. A cable and a
-weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away is a load."""
+weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away, as a hose may
+be, is fitted at that end with wrong numbers."""
 
 NARROWEST = 1e-6
 """Of a range, in units of its ends or of 1: an axis that stood still has a place nowhere else, but differences of positions must show."""
