@@ -25,6 +25,13 @@ LOWEST_Hz, HIGHEST_Hz = 0.1, 100.0
 CHANNEL_SHARE = 0.5
 """A channel is right that holds at least this share of what the truest channel holds."""
 
+NAMES_OF_A_JOINT = 4
+"""Of an axis's names: itself, its joint, that joint's body, its encoder. Those that follow are the spring's behind it, another joint."""
+
+OF_THE_JOINT = ("A", "A1", "Fc", "Fc_plus", "Fc_minus", "tau0", "mgr", "at_position")
+"""Parameters in units of the joint's effort or position. The same line, shaken at the spring behind a drive or at the drive, has the same
+frequency and another amplitude."""
+
 ENOUGH_TO_REMOVE = 0.05
 """Excess of the squared misfit over noise, from which on a removed share means something."""
 
@@ -111,7 +118,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         ambiguous=verdict == "ambiguous",
         holds_truth=named and all(effect["tuned"] or any(_accepts(effect, other) for other in possible) for effect in effects),
         confidence=max((float(finding.get("confidence", 0.0)) for finding in findings[:1]), default=0.0),
-        covered=tuple(_coverage(findings, effects)),
+        covered=tuple(_coverage(findings, truth)),
         channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,
         overlap=_overlap(diagnosis, truth) if alarm and asked else {},
         removed=_removed(answer, truth) if asked and named else None,
@@ -132,16 +139,32 @@ def matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bo
     )
 
 
-def _coverage(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> Iterable[bool]:
+def _coverage(findings: list[dict[str, Any]], truth: dict[str, Any]) -> Iterable[bool]:
     """Whether intervals of parameters that mean the same in both equations hold the truth."""
-    for effect in effects:
+    for effect, own in zip(truth["effects"], truth.get("each", []), strict=False):
         for finding in findings:
-            if finding["effect"] != effect["kind"] or not _accepts(effect, finding):
+            if finding["effect"] != effect["kind"] or not _accepts(effect, finding) or _stands_for_two(effect, own, findings, truth):
                 continue
             for name, value in effect["compare"].items():
+                if name in OF_THE_JOINT and finding["at"] not in effect["accepted_at"][:NAMES_OF_A_JOINT]:
+                    continue
                 interval = finding.get("parameters", {}).get(name, {}).get("ci95")
                 if interval:
                     yield bool(interval[0] <= value <= interval[1])
+
+
+def _stands_for_two(effect: dict[str, Any], own: dict[str, Any], findings: list[dict[str, Any]], truth: dict[str, Any]) -> bool:
+    """Whether an effect's finding is also all that is said of another effect at its place, one of the laws that it could be taken for.
+
+    Efforts at a joint add: one Coulomb friction named where an asymmetric one acts too is their sum, which is neither's.
+    """
+    return any(
+        other is not effect
+        and other["at"] == effect["at"]
+        and (other["kind"] in own["distances"] or other["kind"] == effect["kind"])
+        and not any(_accepts(other, finding) for finding in findings)
+        for other in truth["effects"]
+    )
 
 
 def _channel_right(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:

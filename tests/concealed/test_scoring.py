@@ -60,6 +60,32 @@ def test_the_right_name_at_the_right_place_is_right():
     assert (judged.asked, judged.right, judged.wrong, judged.covered) == (True, True, False, (True,))
 
 
+def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring_behind_it_too():
+    from concealed.judging import judge
+
+    names = ["roll", "roll", "roll_rotor", "position_roll", "roll_gear", "c_arc"]
+    effect = truth()["effects"][0] | {"kind": "base_motion", "accepted": ["base_motion"], "accepted_at": names}
+    hidden = truth(effects=[effect | {"compare": {"A": 12.0, "f": 9.0}}])
+    said = {"effect": "base_motion", "confidence": 0.9, "parameters": {"A": {"ci95": [1.0, 2.0]}, "f": {"ci95": [8.9, 9.1]}}}
+    for at, covered in (("roll", (False, True)), ("roll_rotor", (False, True)), ("c_arc", (True,))):
+        assert judge(answer("explained", [said | {"at": at}]), hidden).covered == covered
+
+
+def test_a_friction_named_where_two_add_is_neither_of_them():
+    """Fc 2.5 beside one of 10 and 22 by direction: the one that is named finds their mean, 18.5."""
+    from concealed.judging import judge
+
+    effect, own = truth()["effects"][0], truth()["each"][0]
+    kind, compare = "asymmetric_friction", {"Fc_plus": 10.0, "Fc_minus": 22.0}
+    other = effect | {"kind": kind, "accepted": [kind], "compare": compare}
+    hidden = truth(effects=[other, effect | {"compare": {"Fc": 2.5}}], each=[own, own | {"distances": {kind: 0.4}}])
+    named = [finding("coulomb_friction", "roll", (17.0, 20.0))]
+    assert judge(answer("ambiguous", named), hidden).covered == ()
+    assert judge(answer("ambiguous", [*named, finding(kind, "roll")]), hidden).covered == (False,)  # both are named: each has its own
+    apart = truth(effects=[other | {"at": "propeller", "accepted_at": ["propeller"]}, hidden["effects"][1]], each=hidden["each"])
+    assert judge(answer("ambiguous", named), apart).covered == (False,)  # at another joint: nothing adds
+
+
 @pytest.mark.parametrize(
     ("verdict", "findings", "right", "wrong"),
     [
