@@ -11,6 +11,7 @@ from virtual_bus.plant.drives import DRIVE_STATES
 DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
 TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
 UNBALANCED = 1e-6  # share of the largest static effort that may stay where a spring gives none
+SOFTEST = 1e-12  # share of the largest stiffness; what is softer is stepped over as far as a step goes
 MAX_ITERATIONS = 50
 LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
 
@@ -47,10 +48,16 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
             step = -np.linalg.solve(gradient, effort)
         except np.linalg.LinAlgError:
             step = np.full(len(free), np.nan)
-        if not np.isfinite(step).all() and (model["stiffness"][0][free] > 0.0).all():
-            step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position there
-            if np.abs(gradient @ step + effort).max() > UNBALANCED * np.abs(static_effort(plant, model, q)).max(initial=1.0):
-                step[:] = np.nan
+        if free and (model["stiffness"][0][free] > 0.0).all():
+            balances = bool(np.isfinite(step).all())
+            if not balances:
+                step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position there
+                most = UNBALANCED * np.abs(static_effort(plant, model, q)).max(initial=1.0)
+                balances = bool(np.abs(gradient @ step + effort).max() <= most)
+            if not (balances and _is_stable(gradient)):
+                # In a gap gravity may be at rest where that is not stable: away from there, to the flank that the joint falls on.
+                curvatures, directions = np.linalg.eigh(0.5 * (gradient + gradient.T))
+                step = -directions @ (directions.T @ effort / np.maximum(np.abs(curvatures), SOFTEST * np.abs(gradient).max()))
         if not np.isfinite(step).all():
             break
         largest = float(np.abs(step).max(initial=0.0))
@@ -60,6 +67,15 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
     names = ", ".join(plant.settings.tree.joints[j].name for j in free)
     pose = np.round(axis_positions, 6).tolist()
     raise PlantError(f"no elastic equilibrium at axis positions {pose}: is one of {names} without stiffness?")
+
+
+def _is_stable(gradient: np.ndarray) -> bool:
+    """Whether an effort brings every joint back from where it is moved to; one that rests anywhere is left alone as well."""
+    try:
+        np.linalg.cholesky(gradient)
+    except np.linalg.LinAlgError:
+        return bool(np.linalg.eigvalsh(gradient)[0] >= 0.0)
+    return True
 
 
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
