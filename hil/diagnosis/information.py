@@ -28,7 +28,7 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     amplitude and phase at it is that of two such parts. A place may be anywhere in its range (`visited.py`), an order and a frequency so
     far off as one of those is that the search counted (`starts.shapes_of`). Of a law with several strengths each may be so large that it
     alone does what all of them do: one that was fitted to nothing might have been as large, and a law that holds a simpler one pays for
-    what it found to be zero.
+    what it found to be zero. How finely a strength near zero is counted says nothing about how large it may be.
 
     Parameters
     ----------
@@ -41,13 +41,10 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
     scales = np.array([one.beforehand for one in free])
     for effect in {one.effect for one in free}:
-        several = [n for n, one in enumerate(free) if one.effect == effect and one.parameter.is_strength]
-        if len(several) < 2:
-            continue
-        shares = np.array([(free[n].value - free[n].parameter.neutral) / free[n].size for n in several])
-        energy = float(shares @ own[np.ix_(several, several)] @ shares)
-        for n in several:
-            if 0.0 < own[n, n] < energy:
-                parameter = free[n].parameter
-                scales[n] = min(np.sqrt(energy / own[n, n]), (parameter.high - parameter.low) / free[n].size)
+        strengths = [n for n, one in enumerate(free) if one.effect == effect and one.parameter.is_strength]
+        shares = np.array([(free[n].value - free[n].parameter.neutral) / free[n].size for n in strengths])
+        energy = max(float(shares @ own[np.ix_(strengths, strengths)] @ shares), 0.0)
+        for n, share in zip(strengths, shares, strict=True):
+            alone = np.sqrt(energy / own[n, n]) if own[n, n] > 0.0 else np.inf
+            scales[n] = min(max(abs(share), alone), (free[n].parameter.high - free[n].parameter.low) / free[n].size)
     return np.maximum(np.linalg.eigvalsh(own * scales * scales[:, None]), 0.0)

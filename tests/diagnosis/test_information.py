@@ -31,6 +31,22 @@ def test_a_strength_that_was_fitted_to_nothing_might_have_been_as_large_as_the_l
     assert found == pytest.approx([ENERGY, ENERGY], rel=1e-6)
 
 
+@pytest.mark.parametrize("kc3", [0.0, 1e-12, 1e-7])
+@pytest.mark.parametrize("least", [1e-6, 0.1, 1e3])
+def test_how_finely_a_strength_near_zero_is_counted_says_nothing_about_how_large_it_may_be(kc3, least):
+    """A cable's cubic stiffness, one unit of which would be an energy of 2e9, beside the linear one that does all there is."""
+    linear, cubic, _ = effects()["cable_spring"].parameters
+    size = max(kc3, least)  # `coordinates.SMALLEST_SHARE`
+    found = information_of(np.diag([1.0, ENERGY, 2e9 * size**2]), 1, [Free(0, linear, 2.0, 2.0), Free(0, cubic, kc3, size)])
+    assert found == pytest.approx([ENERGY, ENERGY], rel=1e-6)
+
+
+def test_what_an_effect_of_one_strength_does_not_do_costs_nothing():
+    fc = effects()["coulomb_friction"].parameters[0]
+    assert information_of(np.diag([1.0, ENERGY]), 1, [Free(0, fc, 0.0, 1e-4)]) == pytest.approx([0.0])
+    assert information_of(np.diag([1.0, ENERGY]), 1, [Free(0, fc, 1e-6, 1e-4)]) == pytest.approx([1e-4 * ENERGY])
+
+
 def test_a_strength_that_the_recordings_do_not_see_costs_nothing():
     found = of("asymmetric_friction", {"Fc_plus": ENERGY, "Fc_minus": 0.0}, Fc_plus=1.0, Fc_minus=0.0)
     assert sorted(found) == pytest.approx([0.0, ENERGY])
