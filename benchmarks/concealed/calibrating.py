@@ -13,7 +13,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "train": round(h.train, 3),
         "held_out": round(h.held_out, 3),
         "information": [float(f"{value:.4g}") for value in h.information],
+        "simpler": [[float(f"{loss:.4g}"), [float(f"{value:.4g}") for value in seen]] for loss, seen in h.simpler],
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
@@ -140,7 +141,9 @@ def _evidence(row: dict[str, Any]) -> Evidence:
             by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
         searched = numbers["searched"]
         rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
-        return Weighed(None, train, held_out, information, searched=searched, passed=passed, by_numbers=tuple(by_numbers), rarity=rarity)
+        simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))
+        known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
+        return replace(known, by_numbers=tuple(by_numbers), simpler=simpler)
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 

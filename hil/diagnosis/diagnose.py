@@ -18,7 +18,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, PLAUSIBLE, Evidence, Weighed, confidence_of, erring, ranking, rarity_of
+from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Evidence, Weighed, confidence_of, erring, not_told_apart, ranking, rarity_of
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -202,15 +202,14 @@ def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection:
     return Evidence(
         sets=tuple(
             Weighed(
-                c.fitted,
+                None,
                 train - c.gained,
                 held_out - c.gained_held_out,
-                tuple(c.fitted.information.tolist()),
                 searched=c.searched,
                 passed=c.passed,
                 by_numbers=c.by_numbers,
                 rarity=rarity_of(c.fitted.effects, runs.machine.plant),
-            )
+            ).priced_as(c.fitted)
             for c in rivals
         ),
         base=Weighed(None, train, held_out),
@@ -248,7 +247,7 @@ def _next_experiment(
     machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...], jobs: int, report: Report
 ) -> Proposal | None:
     """What separates the likeliest set from those that are plausible beside it."""
-    rivals = [h for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE][:MOST_RIVALS]
+    rivals = not_told_apart(hypotheses)[:MOST_RIVALS]
     models = [Model.of(tuning, h.fitted) for h in rivals if h.fitted is not None]
     shares = [h.confidence for h in rivals]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -28,7 +29,8 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     amplitude and phase at it is that of two such parts. A place may be anywhere in its range (`visited.py`), an order and a frequency so
     far off as one of those is that the search counted (`starts.shapes_of`). Of a law with several strengths each may be so large that it
     alone does what all of them do: one that was fitted to nothing might have been as large, and a law that holds a simpler one pays for
-    what it found to be zero. How finely a strength near zero is counted says nothing about how large it may be.
+    what it found to be zero; it may also be without that term (`simpler_forms`). A limit, whose response is not in proportion to it, may be
+    off by as much as it is. How finely a strength near zero is counted says nothing about how large it may be.
 
     Parameters
     ----------
@@ -37,12 +39,73 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     tuned : int
     free : sequence of Free
     """
+    return _narrowed(_own(hessian, tuned), free)
+
+
+def simpler_forms(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> tuple[tuple[float, np.ndarray], ...]:
+    """What a set costs whose laws are without some of their terms: the energy that the recordings lose, everything else fitted again, and
+    the information on what is left, of every such set; as `information_of`.
+
+    The strengths of a law that have one unit are one term: a friction that differs with direction may have a level, a viscous coefficient
+    or both. A law that keeps none of its terms is none.
+    """
+    own = _own(hessian, tuned)
+    values = np.array([one.value / one.size if is_in_proportion(one.parameter) else 0.0 for one in free])
+    found = []
+    for absent in _absent_terms(free):
+        kept = [n for n in range(len(free)) if n not in absent]
+        across = own[np.ix_(kept, absent)]
+        units = np.sqrt(np.maximum(np.diag(own)[kept], np.finfo(float).tiny))  # sizes are of any magnitude
+        moved = np.linalg.lstsq(own[np.ix_(kept, kept)] / np.outer(units, units), across / units[:, None], rcond=None)[0] / units[:, None]
+        rest = own[np.ix_(absent, absent)] - across.T @ moved
+        loss = max(float(values[absent] @ rest @ values[absent]), 0.0)
+        there = values[kept] + moved @ values[absent]
+        parts = []
+        for n, value in zip(kept, there, strict=True):
+            one = free[n]
+            if is_in_proportion(one.parameter):
+                one = replace(one, value=value * one.size)
+            parts.append(one)
+        found.append((loss, _narrowed(own[np.ix_(kept, kept)], parts)))
+    return tuple(found)
+
+
+def is_in_proportion(parameter: Parameter) -> bool:
+    """Whether an effect's response grows from nothing as this strength does: not that of a limit, which does nothing where it is large."""
+    return parameter.is_strength and parameter.neutral == 0.0
+
+
+def _absent_terms(free: Sequence[Free]) -> Iterator[list[int]]:
+    """Which parameters a set is without, of every choice of terms in which each of its laws keeps one at least and some are missing."""
+    choices = []
+    for effect in sorted({one.effect for one in free}):
+        terms: dict[str, list[int]] = {}
+        keeps_one = False
+        for n, one in enumerate(free):
+            if one.effect == effect and is_in_proportion(one.parameter):
+                terms.setdefault(one.parameter.unit, []).append(n)
+            elif one.effect == effect and one.parameter.is_strength:
+                keeps_one = True
+        most = len(terms) if keeps_one else max(len(terms) - 1, 0)
+        missing = [some for count in range(most + 1) for some in combinations(terms.values(), count)]
+        choices.append([[n for term in some for n in term] for some in missing])
+    for some in product(*choices):
+        absent = [n for each in some for n in each]
+        if absent:
+            yield absent
+
+
+def _own(hessian: np.ndarray, tuned: int) -> np.ndarray:
+    """(F, F) of the effects' parameters with the machine's numbers free."""
     across = hessian[:tuned, tuned:]
-    own = hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across)
+    return np.asarray(hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across))
+
+
+def _narrowed(own: np.ndarray, free: Sequence[Free]) -> np.ndarray:
     scales = np.array([one.beforehand for one in free])
     for effect in {one.effect for one in free}:
-        strengths = [n for n, one in enumerate(free) if one.effect == effect and one.parameter.is_strength]
-        shares = np.array([(free[n].value - free[n].parameter.neutral) / free[n].size for n in strengths])
+        strengths = [n for n, one in enumerate(free) if one.effect == effect and is_in_proportion(one.parameter)]
+        shares = np.array([free[n].value / free[n].size for n in strengths])
         energy = max(float(shares @ own[np.ix_(strengths, strengths)] @ shares), 0.0)
         for n, share in zip(strengths, shares, strict=True):
             alone = np.sqrt(energy / own[n, n]) if own[n, n] > 0.0 else np.inf

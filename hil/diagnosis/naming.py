@@ -90,6 +90,10 @@ nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
 PLAUSIBLE = 0.04
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
+LISTED = 0.95
+"""Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
+until they do, so that the truth is among them as often as an interval of 95 % holds a parameter, if it is a known set at all."""
+
 
 NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth", "rectified_sensor")
 """Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
@@ -149,19 +153,32 @@ class Weighed:
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
     by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are NUMBERS, in training and held out
     rarity: float = 0.0  # see rarity_of
+    simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
 
     @property
     def misfit(self) -> float:
         return self.train + self.held_out
 
     def price(self, temper: float = 1.0) -> float:
-        """What its parameters and its search cost in log evidence."""
-        return self.searched + 0.5 * float(np.sum(np.log1p(np.array(self.information) / temper)))
+        """What its parameters and its search cost in log evidence.
+
+        Which of its laws' terms are there is not known: the evidence is the mean over all choices, so that a term that was fitted to
+        nothing costs no more than the choice.
+        """
+        each = [(0.0, self.information), *self.simpler]
+        costs = [0.5 * (loss / temper + float(np.sum(np.log1p(np.array(seen) / temper)))) for loss, seen in each]
+        return self.searched - float(np.logaddexp.reduce([-cost for cost in costs])) + float(np.log(len(costs)))
+
+    def priced_as(self, fitted: Fitted) -> Weighed:
+        """With the information of a fit."""
+        simpler = tuple((loss, tuple(seen.tolist())) for loss, seen in fitted.simpler)
+        return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
     def in_units(self, train: float, held_out: float) -> Weighed:
         """With misfits and information in units of these levels."""
         information = tuple(i / train for i in self.information)
-        return replace(self, train=self.train / train, held_out=self.held_out / held_out, information=information)
+        simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
+        return replace(self, train=self.train / train, held_out=self.held_out / held_out, information=information, simpler=simpler)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +299,20 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     best = min(sets, key=lambda h: h.misfit)
     train, held_out = (max(1.0, left / n) if n > 0.0 else 1.0 for left, n in zip((best.train, best.held_out), entries, strict=True))
     return [h.in_units(train, held_out) for h in sets]
+
+
+def not_told_apart(hypotheses: Sequence[Weighed]) -> list[Weighed]:
+    """The likeliest set of effects and those that belong beside it; hypotheses are the likeliest first."""
+    sets = [h for h in hypotheses if h.fitted is not None]
+    whole = sum(h.confidence for h in sets)
+    found: list[Weighed] = []
+    together = 0.0
+    for h in sets:
+        if found and h.confidence < PLAUSIBLE and together >= LISTED * whole:
+            break
+        found.append(h)
+        together += h.confidence
+    return found
 
 
 def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:

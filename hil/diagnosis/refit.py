@@ -16,7 +16,7 @@ import scipy.optimize
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, weaker
 from hil.diagnosis.free_run import FreeRuns, Trial
-from hil.diagnosis.information import information_of
+from hil.diagnosis.information import information_of, simpler_forms
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import PRIOR, Tuning, sensitivities_from, sensitivity_trials
 from hil.diagnosis.tuned_sensitivities import TunedSensitivities
@@ -95,6 +95,8 @@ class Fitted:
     information : (F,) array
         Energies, in units of noise, that the recordings lose by changes of the free parameters as large as these may be beforehand, with
         the tuned numbers free (`information.py`): what a parameter that the recordings do not see has none of.
+    simpler : tuple of (float, array)
+        The same of the set without some of its laws' terms, each behind the energy that it loses without them.
     """
 
     effects: tuple[EffectAt, ...]
@@ -105,6 +107,7 @@ class Fitted:
     free: tuple[tuple[int, int], ...]
     jacobian: np.ndarray
     information: np.ndarray
+    simpler: tuple[tuple[float, np.ndarray], ...] = ()
 
     @property
     def settings(self) -> tuple[EffectSetting, ...]:
@@ -286,8 +289,10 @@ def _fit(
     if race is not None:
         race.enter(names, cost)
     hessian, _ = _normal_equations(tuned, jacobian, measured - predicted, at.offset)
-    information = information_of(hessian, len(at.offset), fitting.described(at))
-    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information)
+    described = fitting.described(at)
+    information = information_of(hessian, len(at.offset), described)
+    simpler = simpler_forms(hessian, len(at.offset), described)
+    return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information, simpler)
 
 
 def _taken_anew(

@@ -397,4 +397,4 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
 
 
 def _price(fitted: Fitted, temper: float, searched: float) -> float:
-    return Weighed(fitted, 0.0, 0.0, tuple(fitted.information.tolist()), searched=searched).price(temper)
+    return Weighed(None, 0.0, 0.0, searched=searched).priced_as(fitted).price(temper)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hil.diagnosis.drift import DRIFTED
 from hil.diagnosis.gate import LEVEL, Gate, certain_excess
 from hil.diagnosis.judgement import Contender
-from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of
+from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, Weighed, confidence_of, not_told_apart
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from virtual_bus.effects import registry
 
@@ -98,9 +98,9 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
 
 def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt], left: float) -> str:
     """What of a name that stands alone the likeliest set of effects lacks, which leaves this share above noise; "" where nothing."""
-    best, *others = standing.hypotheses
+    best = standing.hypotheses[0]
     is_sure = best.passed and best.share >= CONFIDENT
-    named = [h.fitted.effects for h in others if h.confidence >= PLAUSIBLE and h.fitted is not None]
+    named = [h.fitted.effects for h in not_told_apart(standing.hypotheses) if h is not best and h.fitted is not None]
     if not is_sure and named:
         return f", which these recordings do not tell apart from {'; '.join(' and '.join(map(str, one)) for one in named)}"
     if standing.further <= LEVEL:
@@ -142,7 +142,7 @@ def with_read_off(verdict: Verdict, reason: str, seen: Sequence[str]) -> tuple[V
 
 def sets_without(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[tuple[EffectAt, ...], ...]:
     """Plausible sets that an effect of the likeliest set is not in."""
-    sets = [h.fitted.effects for h in hypotheses if h.fitted is not None and h.confidence >= PLAUSIBLE]
+    sets = [h.fitted.effects for h in not_told_apart(hypotheses) if h.fitted is not None]
     return tuple(found for found in sets if effect not in found)
 
 

@@ -66,3 +66,13 @@ def test_a_pair_s_parts_speak_for_it_and_rows_that_lack_them_are_refused(rows):
 def test_a_case_said_to_be_without_a_name_teaches_nothing_about_names(rows):
     unknown = row(30, False) | {"verdict": "unknown_physics", "unexplained_share": 0.7}
     assert "6 cases to fit and 1 to check" in calibrate([*rows[:6], unknown, row(95, True)], CERTAIN)
+
+
+def test_a_law_is_weighed_without_its_terms_from_a_row_as_it_was_in_the_answer(rows):
+    """A rival that fits as well, dear for a term that was fitted to nothing."""
+    best = rows[2]["sets"][0]
+    dear = best | {"information": [*best["information"], 1e9]}
+    without = dear | {"simpler": [[0.0, best["information"]]]}
+    shares = [weighed(rows[2] | {"sets": [best, rival]}, CERTAIN)[0] for rival in (dear, without)]
+    assert shares[0] > 0.99
+    assert shares[1] == pytest.approx(2.0 / 3.0, abs=0.02)  # half as likely, for there are two such laws

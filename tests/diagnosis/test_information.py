@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.diagnosis.information import Free, information_of
+from hil.diagnosis.information import Free, information_of, simpler_forms
 from virtual_bus.effects.registry import effects
 
 ENERGY = 400.0
@@ -62,3 +62,68 @@ def test_what_the_machine_s_numbers_imitate_is_not_known():
     hessian = np.array([[4.0, 2.0], [2.0, 5.0]])
     parameter = effects()["coulomb_friction"].parameters[0]
     assert information_of(hessian, 1, [Free(0, parameter, 1.0, 1.0)]) == pytest.approx([4.0])
+
+
+def test_a_limit_is_as_uncertain_as_it_is_large_not_as_far_from_none():
+    """A saturation at 2 A beside the 1000 A at which it does nothing."""
+    found = of("current_saturation", {"imax": ENERGY, "droop": 3.0}, imax=2.0, droop=1.0)
+    assert sorted(found) == pytest.approx([3.0, ENERGY])
+
+
+def free_of(*effects_with_values: tuple[str, dict[str, float]]) -> list[Free]:
+    """Parameters of several effects, each counted in units of 1."""
+    found = []
+    for number, (name, values) in enumerate(effects_with_values):
+        parameters = {p.name: p for p in effects()[name].parameters}
+        found += [Free(number, parameters[key], value, 1.0) for key, value in values.items()]
+    return found
+
+
+ASYMMETRIC = "asymmetric_friction", {"Fc_plus": 0.8, "Fc_minus": 1.2, "Fv_plus": 0.3, "Fv_minus": 0.2}
+
+
+def test_without_a_term_a_law_loses_what_a_fit_without_it_leaves():
+    """Against the least of the same quadratic with that term's strengths held at zero, the machine's two numbers and the rest free."""
+    free = free_of(ASYMMETRIC)
+    root = np.random.default_rng(5).standard_normal((30, 6))
+    hessian = root.T @ root + np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    best = np.array([0.1, -0.2, *(one.value for one in free)])
+    forms = simpler_forms(hessian, 2, free)
+    for (loss, seen), absent in zip(forms, ([2, 3], [4, 5]), strict=True):
+        kept = [n for n in range(6) if n not in absent]
+        rest = best.copy()
+        rest[absent] = 0.0
+        rest[kept] = np.linalg.solve(hessian[np.ix_(kept, kept)], (hessian @ best)[kept])
+        assert loss == pytest.approx((rest - best) @ hessian @ (rest - best))
+        assert len(seen) == 2
+
+
+def test_a_law_without_a_term_that_was_fitted_to_nothing_is_narrowed_as_its_other_terms_alone():
+    free = free_of(("asymmetric_friction", {"Fc_plus": 1.0, "Fc_minus": 1.0, "Fv_plus": 0.0, "Fv_minus": 0.0}))
+    forms = simpler_forms(np.diag([1.0, ENERGY, ENERGY, 5.0, 5.0]), 1, free)
+    alone = information_of(np.diag([1.0, ENERGY, ENERGY]), 1, free[:2])
+    loss, seen = min(forms, key=lambda form: form[0])
+    assert loss == 0.0
+    assert seen == pytest.approx(alone)
+
+
+def test_strengths_of_one_unit_come_and_go_together_and_a_law_keeps_one_term():
+    def count(*some: tuple[str, dict[str, float]]) -> int:
+        free = free_of(*some)
+        return len(simpler_forms(np.diag([1.0, *[ENERGY] * len(free)]), 1, free))
+
+    cable = "cable_spring", {"kc": 1.0, "kc3": 1.0, "theta0": 0.0}
+    assert count(("coulomb_friction", {"Fc": 1.0})) == 0
+    assert count(ASYMMETRIC) == 2
+    assert count(ASYMMETRIC, cable) == 3 * 3 - 1
+    assert count(("current_saturation", {"imax": 2.0, "droop": 0.1})) == 1  # without its limit it is none
+
+
+def test_what_is_left_of_a_law_does_what_its_absent_term_did_as_far_as_it_can():
+    """Of two terms that do the same, each half of it."""
+    linear, cubic, _ = effects()["cable_spring"].parameters
+    free = [Free(0, linear, 2.0, 2.0), Free(0, cubic, 5.0, 5.0)]
+    forms = simpler_forms(np.block([[1.0, np.zeros((1, 2))], [np.zeros((2, 1)), np.full((2, 2), ENERGY)]]), 1, free)
+    for loss, seen in forms:
+        assert loss == pytest.approx(0.0, abs=1e-9)
+        assert seen == pytest.approx([4.0 * ENERGY])

@@ -14,6 +14,7 @@ from hil.diagnosis.naming import (
     WEIGHTS,
     Evidence,
     Weighed,
+    not_told_apart,
     numbers_of,
     ranking,
     rarity_of,
@@ -215,3 +216,33 @@ def test_two_waves_of_one_kind_at_one_place_are_one_law():
     waves = EffectAt("cogging", "roll"), EffectAt("cogging", "roll", 2)
     assert rarity_of(waves, carm) == 0.0
     assert rarity_of((*waves, EffectAt("cable_spring", "roll")), carm) == UNLIKE_ONE
+
+
+def test_a_term_that_was_fitted_to_nothing_costs_the_choice_and_no_more():
+    alone = Weighed(None, ENTRIES, 0.0, (400.0,))
+    with_a_term = Weighed(None, ENTRIES, 0.0, (400.0, 1e9), simpler=((0.0, (400.0,)),))
+    assert with_a_term.price() - alone.price() == pytest.approx(np.log(2.0), abs=1e-3)
+
+
+def test_a_term_that_is_there_costs_what_it_is_narrowed_by_and_the_choice():
+    whole = Weighed(None, ENTRIES, 0.0, (400.0, 300.0))
+    chosen = Weighed(None, ENTRIES, 0.0, (400.0, 300.0), simpler=((300.0, (400.0,)),))
+    assert chosen.price() - whole.price() == pytest.approx(np.log(2.0), abs=1e-6)
+    tempered = chosen.in_units(100.0, 1.0)  # where 300 are little, both count
+    assert tempered.price() < 0.5 * np.log(1.0 + 4.0) + 0.5 * np.log(1.0 + 3.0) + np.log(2.0)
+
+
+@pytest.mark.parametrize(
+    ("shares", "listed"),
+    [
+        ((0.97, 0.02, 0.01), 1),
+        ((0.90, 0.03, 0.03, 0.02, 0.02), 3),  # of which none has 4 %, and the first alone not 95 %
+        ((0.50, 0.40, 0.09, 0.01), 3),
+        ((0.20, 0.20, 0.20, 0.20, 0.10, 0.10), 6),
+    ],
+)
+def test_sets_that_are_not_told_apart_have_nineteen_twentieths_of_what_known_ones_have(shares, listed):
+    """Whatever share of it all known sets have; nothing and the unknown are no sets."""
+    one = Fitted((EffectAt("coulomb_friction", "arm"),), (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
+    sets = [Weighed(one, 0.0, 0.0, confidence=0.52 * share) for share in shares]
+    assert not_told_apart([*sets, Weighed(None, 0.0, 0.0, confidence=0.3)]) == sets[:listed]
