@@ -29,6 +29,7 @@ from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
 from hil.diagnosis.sufficiency import what_is_missing
 from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_read_off
+from hil.diagnosis.without_effects import without_effects
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting
@@ -130,6 +131,11 @@ def diagnose(
         noise = float(len(measured))
         judged = HeldOut(runs, tuning) if runs.has_held_out else None
         selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
+        again = without_effects(runs, tuning, selection)
+        if again is not tuning:
+            tuning = again
+            judged = HeldOut(runs, tuning) if runs.has_held_out else None
+            selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
         evidence = _evidence(runs, tuning, judged, selection)
         hypotheses = ranking(evidence)

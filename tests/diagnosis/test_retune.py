@@ -104,3 +104,35 @@ def test_a_narrow_valley_that_bends_is_followed_to_its_end(steep, along):
     least = scipy.optimize.minimize_scalar(lambda x: along**2 * (x - 1.0) ** 2 + x**2 + 0.25 * x**4)  # on the valley's floor
     cost = np.sum((measured - found.predicted) ** 2) + found.offset @ found.offset
     assert cost < least.fun + 0.2  # from along**2
+
+
+class Ringing:
+    """A large motion that one number decides, not in proportion to it, and a ringing beside it of which another decides the frequency."""
+
+    parameters = tuple(PlantParameter(owner, "stiffness", "Nm/rad", 1.0) for owner in ("motion", "ringing"))
+    nominal = np.ones(2)
+
+    def __init__(self, motion: float, ringing: float) -> None:
+        self.true = 1.0 + PRIOR * np.array([motion, ringing])
+
+    def correct(self, trial):
+        pass
+
+    def measured(self):
+        return self.run_one(Trial(self.true))
+
+    def run(self, trials, name=TRAIN):
+        return [self.run_one(trial) for trial in trials]
+
+    def run_one(self, trial, name=TRAIN):
+        x, y = (trial.values - 1.0) / PRIOR
+        time_s, turn = np.linspace(0.0, 10.0, 400), 2.0 * np.pi
+        motion = 3e3 * (x - 0.5 * x**2) * np.sin(turn * 0.4 * time_s * (1.0 - 0.075 * x))
+        return motion + 12.0 * np.cos(turn * 3.0 * time_s * (1.0 + 0.1 * y))
+
+
+@pytest.mark.parametrize(("motion", "ringing"), [(-0.7, -0.06), (-0.7, 0.06), (-0.9, 0.04)])
+def test_what_hardly_shows_beside_gross_motion_is_not_carried_into_another_valley(motion, ringing):
+    runs = Ringing(motion, ringing)
+    tuning = retune(runs)
+    assert tuning.offset == pytest.approx([motion, ringing], abs=2e-3)
