@@ -1,7 +1,9 @@
-"""A wave over position that was fitted at twice its order.
+"""A wave over position that was fitted without its second harmonic, at twice its order or at half of it.
 
 Twice the order of a law's first harmonic is its second: a resonance, or an acceleration that grows with the square of the order, shows that
-one first. From half the order the second harmonic stands for what was found, and the first is free.
+one first. From half the order the second harmonic stands for what was found, and the first is free. A fit that began at the wrong phase of
+its own second harmonic leaves that at zero, where its phase does nothing, and half the order then wins with what the missing harmonic
+leaves: so both orders are tried from the same phases, whichever of them the fit is at.
 """
 
 from __future__ import annotations
@@ -27,35 +29,43 @@ NO_SECOND = 0.5
 """Amplitude of the second harmonic, as a share of the first's, from which on the order is no other one's second harmonic. Where it is one,
 a second harmonic of its own is fitted to what the missing first leaves: to a quarter, in the test."""
 
-FIRST = 0.3
-"""The same of a first harmonic that a fit starts with."""
+ADDED = 0.3
+"""Amplitude of the harmonic that a fit starts with beside the one found, as a share of that."""
 
 PHASES = (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0)
 
 
-def from_half_the_order(effect: EffectAt, values: np.ndarray) -> list[np.ndarray]:
-    """Starts of a wave from half its order; none where it has a second harmonic of its own, is at its lowest order or is no wave."""
+def with_another_harmonic(effect: EffectAt, values: np.ndarray) -> list[np.ndarray]:
+    """Starts of a wave without a second harmonic from its order with one, and from half its order; of a wave whose second harmonic is the
+    larger from twice its order, with a second harmonic of that. None of any other wave, nor from orders beyond their range.
+    """
     if effect.effect not in FIRST_AND_SECOND:
         return []
     order, (a1, phi1), (a2, phi2) = FIRST_AND_SECOND[effect.effect]
     parameters = effects()[effect.effect].parameters
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
-    half = 0.5 * float(values[place[order]])
-    if values[place[a2]] > NO_SECOND * values[place[a1]] or half < parameters[place[order]].low:
-        return []
+    k, first, at_first, second, at_second = (float(values[place[name]]) for name in (order, a1, phi1, a2, phi2))
+    waves: list[tuple[float, ...]] = []
+    if second <= NO_SECOND * first:
+        waves += [(k, first, at_first, ADDED * first, phase) for phase in PHASES]
+        if 0.5 * k >= parameters[place[order]].low:
+            waves += [(0.5 * k, ADDED * first, phase, first, at_first) for phase in PHASES]
+    elif second > first and 2.0 * k <= parameters[place[order]].high:
+        waves += [(2.0 * k, second, at_second, ADDED * second, phase) for phase in PHASES]
     starts = []
-    for phase in PHASES:
+    for wave in waves:
         start = np.array(values, dtype=float)
-        found, at = values[place[a1]], values[place[phi1]]
-        start[[place[name] for name in (order, a1, phi1, a2, phi2)]] = half, FIRST * found, phase, found, at
+        start[[place[name] for name in (order, a1, phi1, a2, phi2)]] = wave
         starts.append(start)
     return starts
 
 
 def with_half_orders(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted]) -> list[Fitted]:
-    """The fits; where the best one's last effect is a wave, it is also fitted from half its order, if that brings it closer."""
+    """The fits; where the best one's last effect is a wave that may have another harmonic or order, it is also fitted from these, if that
+    brings it closer.
+    """
     best, *others = sorted(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
-    starts = [(best.effects, (*best.values[:-1], values)) for values in from_half_the_order(best.effects[-1], best.values[-1])]
+    starts = [(best.effects, (*best.values[:-1], values)) for values in with_another_harmonic(best.effects[-1], best.values[-1])]
     again = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None] if starts else []
     closest = min(again, key=lambda fit: fit.cost, default=best)
     if closest.cost > best.cost - POLISHED_GAIN:

@@ -267,3 +267,21 @@ def test_a_law_whose_second_harmonic_is_larger_is_found_from_twice_its_order():
         (fit,) = with_half_orders(runs, tuning, runs.measured(), refit(runs, tuning, runs.measured(), [start]))
     order, a1, _, a2, _ = fit.values[0]
     assert (order, a1, a2) == pytest.approx((36.0, 0.04, 0.1), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        np.array([36.0, 0.005, 0.4, 0.1, 0.4]),  # from half the order, what it leaves has the first harmonic's name
+        np.array([72.0, 0.1, 0.4, 0.0, 2.0 - np.pi]),  # at its own order, from the wrong phase
+    ],
+)
+def test_a_law_is_not_left_at_half_its_order_nor_without_its_second_harmonic(start):
+    recordings = pieces(8, Np=72.0, A1=0.1, phi1=0.4, A2=0.02, phi2=2.0)
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
+        tuning = retune(runs)
+        fits = refit(runs, tuning, runs.measured(), [((EffectAt("cogging", "rotor"),), (start,))])
+        (fit,) = with_half_orders(runs, tuning, runs.measured(), fits)
+    order, a1, _, a2, _ = fit.values[0]
+    assert (order, a1) == pytest.approx((72.0, 0.1), rel=0.02)
+    assert a2 == pytest.approx(0.02, rel=0.3)
