@@ -10,6 +10,7 @@ import numpy as np
 
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
+from virtual_bus.plant.linearise import linearised
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.sensors.effects import ANY, new_memory
 from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
@@ -192,9 +193,7 @@ class Physics:
 
     def linearise(self, axis_positions: np.ndarray) -> control.StateSpace:
         """The plant as a linear system about rest at these positions, actuated joints free; friction effects and brakes are left out."""
-        from virtual_bus.plant.linearise import linearised  # here because importing control takes as long as everything else together
-
-        return linearised(self.plant, self.model, np.asarray(axis_positions, dtype=float))
+        return linearised(self.plant, self.model, np.asarray(axis_positions, dtype=float)).state_space()
 
 
 class _Noise:

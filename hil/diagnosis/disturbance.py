@@ -118,7 +118,7 @@ def loop_response(
     model = plant.model(values)
     system = linearised(plant, model, pose, by_joint=True)
     axes = len(machine.axes)
-    a, b, c, d = (np.asarray(getattr(system, letter)) for letter in "ABCD")
+    a, b, c, d = system.A, system.B, system.C, system.D
     period_s = 1.0 / machine.sample_rate_Hz
     s = growth_per_s + 2j * np.pi * (frequencies_Hz if growth_per_s > 0.0 else np.maximum(frequencies_Hz, LOWEST_Hz))
     later = np.exp(-s * period_s)  # by one row

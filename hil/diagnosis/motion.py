@@ -13,7 +13,7 @@ from hil.machine import Machine
 from virtual_bus.effects.places import joint_at, next_axis, spring_at
 from virtual_bus.effects.residual import Residual, joined
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
-from virtual_bus.plant.linearise import linearised
+from virtual_bus.plant.linearise import LinearPlant, linearised
 
 ACCELERATION_WINDOW_s = 0.08
 HIGHEST_EFFORT_Hz = 25.0
@@ -102,7 +102,7 @@ class Motion:
         if seen:
             system = linearised(self.plant, self.plant.model(self.values), group.position.mean(axis=0))
             labels = list(system.output_labels)
-            pick = [labels.index(outputs[i]) for i in seen]
+            pick = [labels.index(str(outputs[i])) for i in seen]
             extended = _odd_extension(position[:, seen])
             frequencies = np.fft.rfftfreq(len(extended), 1.0 / machine.sample_rate_Hz)
             response = _response(system, frequencies)[:, pick][:, :, seen]
@@ -241,9 +241,9 @@ def _odd_extension(values: np.ndarray) -> np.ndarray:
     return np.concatenate([rest, -rest[::-1]]) + np.concatenate([trend, trend[::-1]])
 
 
-def _response(system: object, frequencies_Hz: np.ndarray) -> np.ndarray:
+def _response(system: LinearPlant, frequencies_Hz: np.ndarray) -> np.ndarray:
     """(L, outputs, inputs) of a continuous state space."""
-    a, b, c, d = (np.asarray(getattr(system, letter)) for letter in "ABCD")
+    a, b, c, d = system.A, system.B, system.C, system.D
     s = 2j * np.pi * np.maximum(frequencies_Hz, 1e-3)[:, None, None]
     return c @ np.linalg.solve(s * np.eye(len(a)) - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape))) + d
 

@@ -177,7 +177,7 @@ def test_the_linear_plant_reads_its_imu_through_a_low_pass_of_second_order() -> 
     responses = []
     for settings in (block(stiffness=STIFFNESS, bandwidth_Hz=0.0), block(stiffness=STIFFNESS, effects=(effect,))):
         plant = compile_plant(settings)
-        system = linearised(plant, plant.model(), np.zeros(1))
+        system = linearised(plant, plant.model(), np.zeros(1)).state_space()
         responses.append(system[system.output_labels.index("imu_x"), 0](2j * np.pi * np.array([1.0, 12.0, 40.0])))
     s = 1j * np.array([1.0, 12.0, 40.0]) / 15.0
     np.testing.assert_allclose(responses[1], responses[0] / (1.0 + s + 0.3 * s**2), rtol=1e-6)

@@ -2,12 +2,39 @@
 
 from __future__ import annotations
 
-import control
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.statics import DIFFERENCE, equilibrium, static_stiffness
+
+if TYPE_CHECKING:
+    import control
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    """x' = A x + B u, y = C x + D u, and the names of u, y and x."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    input_labels: tuple[str, ...]
+    output_labels: tuple[str, ...]
+    state_labels: tuple[str, ...]
+
+    def state_space(self) -> control.StateSpace:
+        """The same for python-control, which takes as long to load as everything else together."""
+        import control
+
+        return control.ss(
+            self.A, self.B, self.C, self.D,
+            inputs=list(self.input_labels), outputs=list(self.output_labels), states=list(self.state_labels), name="plant",
+        )  # fmt: skip
 
 
 def inertia_matrix(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
@@ -30,7 +57,7 @@ def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.n
     return gradients[0], gradients[1], gradients[2]
 
 
-def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, *, by_joint: bool = False) -> control.StateSpace:
+def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, *, by_joint: bool = False) -> LinearPlant:
     """Small motions about rest at these axis positions (axes,), actuated joints free, without friction effects and brakes.
 
     Inputs are `command_<axis>` in the drives' units; `by_joint`: `effort_<joint>` [Nm or N] on every joint instead. Outputs bear the
@@ -79,13 +106,7 @@ def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarr
 
     channels = imu_channel_names(plant.settings)
     joints = [joint.name for joint in settings.tree.joints]
-    return control.ss(
-        a, b, c, d,
-        inputs=names,
-        outputs=[sensor.channel for sensor in settings.joint_sensors] + channels,
-        states=joints
-        + [f"{joint}_speed" for joint in joints]
-        + [f"{channels[k]}_filter" for k in filtered]
-        + [f"{channels[k]}_filter_rate" for k in filtered[second]],
-        name="plant",
-    )  # fmt: skip
+    states = joints + [f"{joint}_speed" for joint in joints]
+    states += [f"{channels[k]}_filter" for k in filtered] + [f"{channels[k]}_filter_rate" for k in filtered[second]]
+    outputs = [sensor.channel for sensor in settings.joint_sensors] + channels
+    return LinearPlant(a, b, c, d, tuple(names), tuple(outputs), tuple(states))
