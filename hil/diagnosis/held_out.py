@@ -75,6 +75,7 @@ class HeldOut:
         self._moved = np.zeros(len(tuning.offset))  # of the machine without effects
         self._jacobian: np.ndarray | None = None
         self._linearised: np.ndarray | None = None  # the run whose sensitivities these are
+        self._followed: dict[tuple[bytes, tuple[object, ...]], Followed | None] = {}
         at = self._at(tuning.offset, self._moved, ())
         for _ in range(STEPS):
             if at is None:
@@ -84,7 +85,13 @@ class HeldOut:
             at, _ = self._stepped(tuning.offset, at, (), self._jacobian)
 
     def follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
-        """These effects at these tuned coordinates; None where they cannot be simulated."""
+        """These effects at these tuned coordinates; None where they cannot be simulated. A set that was chosen is asked for again."""
+        asked = offset.tobytes(), tuple((one.name, one.at, *one.parameters.items()) for one in effects)
+        if asked not in self._followed:
+            self._followed[asked] = self._follow(offset, effects)
+        return self._followed[asked]
+
+    def _follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         bound = LARGEST_CHANGE / PRIOR
         starts = np.zeros(len(offset)), np.clip(offset + self._moved, -bound, bound) - offset
         found = [one for one in (self._at(offset, moved, effects) for moved in starts) if one is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -129,3 +130,19 @@ def test_numbers_settle_by_the_sensitivities_of_the_set_itself():
     followed = held_out(loaded, loaded(true, (PUSH,)) + NOISE, 0.0).follow(np.zeros(1), (PUSH,))
     assert followed.moved == pytest.approx(true, abs=0.2)
     assert followed.misfit == pytest.approx(NOISE @ NOISE + 0.64, abs=4.0)
+
+
+def test_a_set_that_is_asked_for_again_is_not_run_again():
+    asked = []
+
+    def counted(offset, effects=()):
+        asked.append(effects)
+        return wave(offset, effects)
+
+    judge = held_out(counted, wave(np.array([-0.8]), (PUSH,)) + NOISE, 0.0)
+    first, before = judge.follow(np.zeros(1), (PUSH,)), len(asked)
+    again = EffectSetting("constant_load", "axis", {"tau0": 1.0})
+    assert judge.follow(np.zeros(1), (again,)) is first
+    assert len(asked) == before
+    for other in (np.zeros(1), (replace(PUSH, parameters={"tau0": 2.0}),)), (np.zeros(1), ()), (np.array([0.1]), (PUSH,)):
+        assert judge.follow(*other) is not first
