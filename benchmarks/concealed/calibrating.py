@@ -130,8 +130,9 @@ def _numbers(h: Weighed) -> dict[str, Any]:
 
 def _evidence(row: dict[str, Any]) -> Evidence:
     base = row["base"]
-    if any("parts" not in s for s in row["sets"]):
-        raise BenchError(f"evidence of case {row['number']}: sets lack the parts their effects act at; remove the row and calibrate again")
+    for key, what in (("parts", "the parts their effects act at"), ("simpler", "what they cost without some of their laws' terms")):
+        if any(key not in s for s in row["sets"]):
+            raise BenchError(f"evidence of case {row['number']}: sets lack {what}; remove the row and calibrate again")
 
     def one(numbers: dict[str, Any]) -> Weighed:
         information, passed = tuple(numbers["information"]), numbers["passed"]
@@ -141,7 +142,7 @@ def _evidence(row: dict[str, Any]) -> Evidence:
             by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
         searched = numbers["searched"]
         rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
-        simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))
+        simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
         return replace(known, by_numbers=tuple(by_numbers), simpler=simpler)
 
