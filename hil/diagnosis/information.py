@@ -55,7 +55,8 @@ def simpler_forms(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> tupl
     for absent in _absent_terms(free):
         kept = [n for n in range(len(free)) if n not in absent]
         across = own[np.ix_(kept, absent)]
-        units = np.sqrt(np.maximum(np.diag(own)[kept], np.finfo(float).tiny))  # sizes are of any magnitude
+        diagonal = np.diag(own)[kept]
+        units = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))  # sizes are of any magnitude; what is not seen may be rounded below zero
         moved = np.linalg.lstsq(own[np.ix_(kept, kept)] / np.outer(units, units), across / units[:, None], rcond=None)[0] / units[:, None]
         rest = own[np.ix_(absent, absent)] - across.T @ moved
         loss = max(float(values[absent] @ rest @ values[absent]), 0.0)

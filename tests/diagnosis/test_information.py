@@ -119,6 +119,20 @@ def test_strengths_of_one_unit_come_and_go_together_and_a_law_keeps_one_term():
     assert count(("current_saturation", {"imax": 2.0, "droop": 0.1})) == 1  # without its limit it is none
 
 
+@pytest.mark.parametrize("rounded", [-1e-9, 0.0, 1e-9])
+def test_a_place_that_the_recordings_do_not_see_leaves_the_other_parameters_free(rounded):
+    """Of two terms that do the same, one does it all; what a place is seen by may be rounded below nothing."""
+    linear, cubic, place = effects()["cable_spring"].parameters
+    free = [Free(0, linear, 1.0, 1.0), Free(0, cubic, 1.0, 1.0), Free(0, place, 0.0, 1.0)]
+    seen = np.zeros((4, 4))
+    seen[0, 0], seen[1:3, 1:3], seen[3, 3] = 1.0, ENERGY, rounded
+    forms = simpler_forms(seen, 1, free)
+    assert len(forms) == 2
+    for loss, narrowed in forms:
+        assert loss == pytest.approx(0.0, abs=1e-6)
+        assert sorted(narrowed) == pytest.approx([0.0, 4.0 * ENERGY], abs=1e-6)
+
+
 def test_what_is_left_of_a_law_does_what_its_absent_term_did_as_far_as_it_can():
     """Of two terms that do the same, each half of it."""
     linear, cubic, _ = effects()["cable_spring"].parameters
