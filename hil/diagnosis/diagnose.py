@@ -163,7 +163,7 @@ def diagnose(
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
             estimates = effect_estimates(machine.plant, believed(runs, tuning, hypotheses, spread))
-            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(_cap(runs)))
+            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(_cap(runs)), verdict)
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)

@@ -10,7 +10,7 @@ import scipy.optimize
 import scipy.stats
 
 from hil.diagnosis.free_run import FreeRuns
-from hil.diagnosis.naming import PLAUSIBLE, Weighed
+from hil.diagnosis.naming import Weighed, not_told_apart
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import Estimate, RetunedValue, Span
 from hil.diagnosis.retune import UNDECIDED, Tuning
@@ -45,14 +45,13 @@ class Believed:
 
 
 def believed(runs: FreeRuns, tuning: Tuning, hypotheses: Sequence[Weighed], spread: np.ndarray) -> list[Believed]:
-    """The likeliest set, the spread of whose coordinates is known, and the plausible ones that have an effect in common with it."""
+    """The likeliest set, the spread of whose coordinates is known, and those not told apart from it that share an effect with it."""
     first, count = hypotheses[0], len(tuning.offset)
     assert first.fitted is not None
     found = [Believed(first.fitted, first.confidence, spread[count:])]
-    for other in hypotheses[1:]:
-        if other.fitted is None or other.confidence < PLAUSIBLE or not set(other.fitted.effects) & set(first.fitted.effects):
-            continue
-        found.append(Believed(other.fitted, other.confidence, spread_of(runs, tuning, other.fitted)[count:]))
+    for other in not_told_apart(hypotheses)[1:]:
+        if other.fitted is not None and set(other.fitted.effects) & set(first.fitted.effects):
+            found.append(Believed(other.fitted, other.confidence, spread_of(runs, tuning, other.fitted)[count:]))
     return found
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hil.diagnosis.drift import DRIFTED
 from hil.diagnosis.gate import LEVEL, Gate, certain_excess
 from hil.diagnosis.judgement import Contender
-from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, Weighed, confidence_of, not_told_apart
+from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of, not_told_apart
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from virtual_bus.effects import registry
 
@@ -140,14 +140,18 @@ def with_read_off(verdict: Verdict, reason: str, seen: Sequence[str]) -> tuple[V
     return ("explained" if verdict in ("consistent", "retuned") else verdict), f"{', '.join(seen)}; besides, {reason}"
 
 
-def sets_without(hypotheses: Sequence[Weighed], effect: EffectAt) -> tuple[tuple[EffectAt, ...], ...]:
-    """Plausible sets that an effect of the likeliest set is not in."""
-    sets = [h.fitted.effects for h in not_told_apart(hypotheses) if h.fitted is not None]
+def sets_without(listed: Sequence[Weighed], effect: EffectAt) -> tuple[tuple[EffectAt, ...], ...]:
+    """Those of some sets that an effect of the likeliest set is not in."""
+    sets = [h.fitted.effects for h in listed if h.fitted is not None]
     return tuple(found for found in sets if effect not in found)
 
 
 def findings_of(
-    contenders: Sequence[Contender], hypotheses: Sequence[Weighed], estimates: Sequence[Mapping[str, Estimate]], cap: float
+    contenders: Sequence[Contender],
+    hypotheses: Sequence[Weighed],
+    estimates: Sequence[Mapping[str, Estimate]],
+    cap: float,
+    verdict: Verdict,
 ) -> tuple[Finding, ...]:
     """The likeliest set's effects, each with the evidence of the step that added it and the confidence of all sets it is in.
 
@@ -161,16 +165,22 @@ def findings_of(
         Parameters of the likeliest set's effects.
     cap : float
         Largest confidence; CAP_UNCONFIRMED where no set with the effect passed the gate.
+    verdict : str
+        A name that stands alone is told apart from sets that are not plausible by themselves: under `explained` none is listed so that all
+        have 95 % together.
     """
     best = next(contender for contender in contenders if contender.fitted is hypotheses[0].fitted)
     passed = {id(contender.fitted) for contender in contenders if contender.passed}
+    plausible = [h for h in hypotheses if h.confidence >= PLAUSIBLE]
+    listed = plausible if verdict == "explained" else not_told_apart(hypotheses)
     found = []
     for effect, gate, parameters in zip(best.fitted.effects, best.gates, estimates, strict=True):
         for_it, against = gate.evidence()
         among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
         largest = cap if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
-        others = sets_without(hypotheses, effect)
-        against += [f"{' and '.join(map(str, other))} {'fits' if len(other) == 1 else 'fit'} nearly as well" for other in others]
+        others = sets_without(listed, effect)
+        near = sets_without(plausible, effect)
+        against += [f"{' and '.join(map(str, other))} {'fits' if len(other) == 1 else 'fit'} nearly as well" for other in near]
         found.append(
             Finding(
                 effect,

@@ -140,7 +140,7 @@ def test_an_interval_of_several_sets_holds_95_percent_of_what_they_say_together(
 
 
 def test_a_parameter_s_interval_is_that_of_all_plausible_sets_with_its_effect(with_friction):
-    """A set with the friction beside the likeliest, one without it and one that is not plausible."""
+    """A set with the friction beside the likeliest, one without it, and one that only counts beside little else."""
     found = mismatch(MACHINE, with_friction[0])
     friction, load = EffectAt("coulomb_friction", "carriage"), EffectAt("constant_load", "carriage")
     starts = [((friction,), (np.array([10.0]),)), ((load, friction), (np.array([0.1]), np.array([10.0]))), ((load,), (np.array([0.1]),))]
@@ -150,6 +150,8 @@ def test_a_parameter_s_interval_is_that_of_all_plausible_sets_with_its_effect(wi
         both = replace(both, values=(both.values[0], 1.5 * alone.values[0]))
         sets = [Weighed(fit, 0.0, 0.0, (), share) for fit, share in ((alone, 0.3), (both, 0.1), (without, 0.1), (both, 0.01))]
         first, second = believed(runs, tuning, sets, spread_of(runs, tuning, alone))
+        with_little = [Weighed(fit, 0.0, 0.0, (), share) for fit, share in ((alone, 0.3), (both, 0.03))]  # the first has less than 95 %
+        assert [one.confidence for one in believed(runs, tuning, with_little, spread_of(runs, tuning, alone))] == [0.3, 0.03]
     (own,), (mixed,) = effect_estimates(MACHINE.plant, [first]), effect_estimates(MACHINE.plant, [first, second])
     value = float(alone.values[0][0])
     assert (first.confidence, second.confidence) == (0.3, 0.1)
