@@ -163,7 +163,8 @@ class Weighed:
         """What its parameters and its search cost in log evidence.
 
         Which of its laws' terms are there is not known: the evidence is the mean over all choices, so that a term that was fitted to
-        nothing costs no more than the choice.
+        nothing costs no more than the choice. A form without a term pays for what it loses in training only: held out, it counts with the
+        misfit of the whole law.
         """
         each = [(0.0, self.information), *self.simpler]
         costs = [0.5 * (loss / temper + float(np.sum(np.log1p(np.array(seen) / temper)))) for loss, seen in each]

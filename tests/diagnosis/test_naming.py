@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,7 @@ from hil.machine import load_machine
 NOISE = 20000.0
 ENTRIES = 19000.0
 TRIED = 50
+ENERGETIC = 1e8
 ALONE = CONFIDENT * (1.0 - WEIGHTS.outside)
 CERTAIN = 1.0 - WEIGHTS.outside
 
@@ -230,6 +233,23 @@ def test_a_term_that_is_there_costs_what_it_is_narrowed_by_and_the_choice():
     assert chosen.price() - whole.price() == pytest.approx(np.log(2.0), abs=1e-6)
     tempered = chosen.in_units(100.0, 1.0)  # where 300 are little, both count
     assert tempered.price() < 0.5 * np.log(1.0 + 4.0) + 0.5 * np.log(1.0 + 3.0) + np.log(2.0)
+
+
+@pytest.mark.parametrize("temper", [1.0, 100.0])
+def test_a_price_in_units_of_an_error_is_that_of_what_is_counted_in_them(temper):
+    chosen = Weighed(None, ENTRIES, 0.0, (400.0, 300.0), searched=2.0, simpler=((300.0, (400.0,)), (500.0, (200.0,))))
+    assert chosen.price(temper) == pytest.approx(chosen.in_units(temper, 1.0).price())
+
+
+def test_a_set_is_priced_by_what_its_fit_says_of_its_simpler_forms():
+    nothing = np.zeros(0)
+    whole = Fitted(
+        (EffectAt("cable_spring", "arm"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)), np.array([ENERGETIC, ENERGETIC])
+    )
+    known = Weighed(None, ENTRIES, 0.0)
+    with_forms = known.priced_as(replace(whole, simpler=((0.0, np.array([ENERGETIC])),)))
+    assert known.priced_as(whole).price() == pytest.approx(np.log1p(ENERGETIC))
+    assert with_forms.price() == pytest.approx(0.5 * np.log1p(ENERGETIC) + np.log(2.0), abs=1e-3)
 
 
 @pytest.mark.parametrize(
