@@ -14,6 +14,9 @@ UNBALANCED = 1e-6  # share of the largest static effort that may stay where a sp
 SOFTEST = 1e-12  # share of the largest stiffness; what is softer is stepped over as far as a step goes
 MAX_ITERATIONS = 50
 LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
+TURNED_BACK = 0.25
+"""Share of the last step from which on one that leads back is halved. A difference across a gap's corner is the mean of both slopes, and
+where one of them is next to nothing Newton's step is twice too long: it would lead back and forth over the corner for ever."""
 
 
 def static_effort(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
@@ -41,6 +44,7 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
     free = [j for j in range(plant.joints) if j not in held]
     q = np.where(model["stiffness"][0] > 0.0, model["rest_position"][0], 0.0)
     q[held] = axis_positions
+    last = np.zeros(len(free))
     for _ in range(MAX_ITERATIONS):
         gradient = static_stiffness(plant, model, q)[np.ix_(free, free)]
         effort = static_effort(plant, model, q)[free]
@@ -60,8 +64,11 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
                 step = -directions @ (directions.T @ effort / np.maximum(np.abs(curvatures), SOFTEST * np.abs(gradient).max()))
         if not np.isfinite(step).all():
             break
+        if step @ last < -TURNED_BACK * (last @ last):
+            step = 0.5 * step
         largest = float(np.abs(step).max(initial=0.0))
-        q[free] += step * min(1.0, LARGEST_STEP / max(largest, 1e-300))
+        last = step * min(1.0, LARGEST_STEP / max(largest, 1e-300))
+        q[free] += last
         if largest < TOLERANCE:
             return q
     names = ", ".join(plant.settings.tree.joints[j].name for j in free)
