@@ -141,7 +141,7 @@ def matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bo
 
 def _coverage(findings: list[dict[str, Any]], truth: dict[str, Any]) -> Iterable[bool]:
     """Whether intervals of parameters that mean the same in both equations hold the truth."""
-    for effect, own in zip(truth["effects"], truth.get("each", []), strict=False):
+    for effect, own in zip(truth["effects"], truth.get("each", []), strict=True):  # a null has neither
         for finding in findings:
             if finding["effect"] != effect["kind"] or not _accepts(effect, finding) or _stands_for_two(effect, own, findings, truth):
                 continue
@@ -154,16 +154,15 @@ def _coverage(findings: list[dict[str, Any]], truth: dict[str, Any]) -> Iterable
 
 
 def _stands_for_two(effect: dict[str, Any], own: dict[str, Any], findings: list[dict[str, Any]], truth: dict[str, Any]) -> bool:
-    """Whether an effect's finding is also all that is said of another effect at its place, one of the laws that it could be taken for.
+    """Whether an effect's finding is also all that is said of another effect at its place: one of the laws that it could be taken for, or
+    of its own law, where fewer are named than there are.
 
     Efforts at a joint add: one Coulomb friction named where an asymmetric one acts too is their sum, which is neither's.
     """
-    return any(
-        other is not effect
-        and other["at"] == effect["at"]
-        and (other["kind"] in own["distances"] or other["kind"] == effect["kind"])
-        and not any(_accepts(other, finding) for finding in findings)
-        for other in truth["effects"]
+    beside = [other for other in truth["effects"] if other is not effect and other["at"] == effect["at"]]
+    named = sum(_accepts(effect, finding) for finding in findings)
+    return named <= sum(other["kind"] == effect["kind"] for other in beside) or any(
+        other["kind"] in own["distances"] and not any(_accepts(other, finding) for finding in findings) for other in beside
     )
 
 

@@ -86,6 +86,26 @@ def test_a_friction_named_where_two_add_is_neither_of_them():
     assert judge(answer("ambiguous", named), apart).covered == (False,)  # at another joint: nothing adds
 
 
+def test_one_friction_named_where_two_of_its_law_add_is_neither_of_them():
+    from concealed.judging import judge
+
+    effect, own = truth()["effects"][0], truth()["each"][0]
+    hidden = truth(effects=[effect | {"compare": {"Fc": 2.5}}, effect | {"compare": {"Fc": 10.0}}], each=[own, own])
+    named = finding("coulomb_friction", "roll", (12.0, 13.0))
+    assert judge(answer("ambiguous", [named]), hidden).covered == ()
+    assert judge(answer("ambiguous", [named, finding("coulomb_friction", "position_roll", (2.0, 3.0))]), hidden).covered != ()
+
+
+def test_effects_whose_truth_does_not_say_how_far_they_stand_apart_are_not_passed_over():
+    from concealed.judging import judge
+
+    hidden = truth(condition="little")  # nobody is asked for a name, intervals are compared all the same
+    assert judge(answer("explained", [finding("coulomb_friction", "roll")]), hidden).covered == (True,)
+    del hidden["each"]
+    with pytest.raises(ValueError, match="zip"):
+        judge(answer("explained", [finding("coulomb_friction", "roll")]), hidden)
+
+
 @pytest.mark.parametrize(
     ("verdict", "findings", "right", "wrong"),
     [
