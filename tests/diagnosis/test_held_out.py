@@ -144,5 +144,6 @@ def test_a_set_that_is_asked_for_again_is_not_run_again():
     again = EffectSetting("constant_load", "axis", {"tau0": 1.0})
     assert judge.follow(np.zeros(1), (again,)) is first
     assert len(asked) == before
-    for other in (np.zeros(1), (replace(PUSH, parameters={"tau0": 2.0}),)), (np.zeros(1), ()), (np.array([0.1]), (PUSH,)):
-        assert judge.follow(*other) is not first
+    for another in (replace(PUSH, parameters={"tau0": 2.0}),), (replace(PUSH, at="other"),), (replace(PUSH, name="payload"),), ():
+        assert judge.follow(np.zeros(1), another) is not first
+    assert judge.follow(np.array([0.1]), (PUSH,)) is not first
