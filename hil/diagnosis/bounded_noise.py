@@ -19,7 +19,8 @@ from hil.diagnosis.motion import Motion
 from hil.diagnosis.noise import assumed_noise
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning, retune
-from hil.diagnosis.selection import select
+from hil.diagnosis.selection import Selection, select
+from hil.diagnosis.without_effects import without_effects
 
 ROUNDS = 2
 """A lower bound lets smaller effects be fitted, which lower it again."""
@@ -47,6 +48,12 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
     return found_beside
 
 
+def _one_way(runs: FreeRuns, tuning: Tuning) -> Selection:
+    """Effects added one at a time on one way, which is enough for a bound, and half the time."""
+    entries = float(len(tuning.predicted))
+    return select(runs, tuning, None, entries, candidates_for(runs, tuning), lambda what, share: None, another_way=False)
+
+
 def with_bounded_noise(train: Mismatch, jobs: int, report: Callable[[str, float], None]) -> Mismatch:
     """The same recordings with the bound on their noise; unchanged where repeats or periods gave it.
 
@@ -63,8 +70,10 @@ def with_bounded_noise(train: Mismatch, jobs: int, report: Callable[[str, float]
         report("bounding the noise", 0.01)
         with FreeRuns({TRAIN: train}, train.noise, jobs) as runs:
             tuning = retune(runs)
-            entries = float(len(tuning.predicted))  # one way is enough for a bound, and half the time
-            selection = select(runs, tuning, None, entries, candidates_for(runs, tuning), lambda what, share: None, another_way=False)
+            selection = _one_way(runs, tuning)
+            again = without_effects(runs, tuning, selection)
+            if again is not tuning:
+                tuning, selection = again, _one_way(runs, again)
             closest = selection.closest
             trial = Trial(tuning.values) if closest is None else Trial(tuning.at(closest.offset), closest.settings)
             rows = runs.rows(trial)

@@ -119,6 +119,7 @@ def diagnose(
         The nominal machine cannot be simulated.
     """
     began = time.monotonic()
+    report = _never_back(report)
     report("simulating", 0.0)
     train = with_bounded_noise(mismatch(machine, aligned(machine, recordings)), jobs, report)
     sets = {TRAIN: train}
@@ -198,6 +199,18 @@ def diagnose(
     return Outcome(
         diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, suspicions(train), proposal
     )
+
+
+def _never_back(report: Report) -> Report:
+    """A search that is begun once more is at the share where it was."""
+    done = 0.0
+
+    def say(what: str, share: float) -> None:
+        nonlocal done
+        done = max(done, share)
+        report(what, done)
+
+    return say
 
 
 def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> Evidence:
