@@ -14,7 +14,7 @@ from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
-from hil.diagnosis.half_orders import with_half_orders
+from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, temperature, temperature_of
@@ -183,7 +183,7 @@ class _Search:
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
-            fits = with_half_orders(runs, tuning, measured, fits)
+            fits = with_other_harmonics(runs, tuning, measured, fits)
         first, singles = way.screened, way.singles
         if size == 0:
             first, singles = tuple(screened), tuple(fits)

@@ -15,7 +15,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.coordinates import Coordinates
 from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.half_orders import with_half_orders
+from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import polish, refit
 from hil.diagnosis.result import EffectAt
@@ -264,7 +264,7 @@ def test_a_law_whose_second_harmonic_is_larger_is_found_from_twice_its_order():
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
         tuning = retune(runs)
         start = ((EffectAt("cogging", "rotor"),), (np.array([72.0, 0.1, 0.4, 0.0, 0.0]),))
-        (fit,) = with_half_orders(runs, tuning, runs.measured(), refit(runs, tuning, runs.measured(), [start]))
+        (fit,) = with_other_harmonics(runs, tuning, runs.measured(), refit(runs, tuning, runs.measured(), [start]))
     order, a1, _, a2, _ = fit.values[0]
     assert (order, a1, a2) == pytest.approx((36.0, 0.04, 0.1), rel=0.1)
 
@@ -281,7 +281,7 @@ def test_a_law_is_not_left_at_half_its_order_nor_without_its_second_harmonic(sta
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
         tuning = retune(runs)
         fits = refit(runs, tuning, runs.measured(), [((EffectAt("cogging", "rotor"),), (start,))])
-        (fit,) = with_half_orders(runs, tuning, runs.measured(), fits)
+        (fit,) = with_other_harmonics(runs, tuning, runs.measured(), fits)
     order, a1, _, a2, _ = fit.values[0]
     assert (order, a1) == pytest.approx((72.0, 0.1), rel=0.02)
     assert a2 == pytest.approx(0.02, rel=0.3)

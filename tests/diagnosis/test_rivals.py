@@ -58,7 +58,7 @@ def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[
     monkeypatch.setattr(selection, "screen", screened)
     monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
     monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits, *_: list(fits))
-    monkeypatch.setattr(selection, "with_half_orders", lambda runs, tuning, measured, fits: fits)
+    monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
     monkeypatch.setattr(selection, "placebo_gain", lambda *_: 0.0)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))

@@ -1,4 +1,4 @@
-"""A wave over position that was fitted without its second harmonic, at twice its order or at half of it.
+"""The harmonics of a wave over position: a fit that lacks its second one, or is at twice its order or at half of it.
 
 Twice the order of a law's first harmonic is its second: a resonance, or an acceleration that grows with the square of the order, shows that
 one first. From half the order the second harmonic stands for what was found, and the first is free. A fit that began at the wrong phase of
@@ -60,7 +60,7 @@ def with_another_harmonic(effect: EffectAt, values: np.ndarray) -> list[np.ndarr
     return starts
 
 
-def with_half_orders(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted]) -> list[Fitted]:
+def with_other_harmonics(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted]) -> list[Fitted]:
     """The fits; where the best one's last effect is a wave that may have another harmonic or order, it is also fitted from these, if that
     brings it closer.
     """
