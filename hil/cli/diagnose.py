@@ -130,7 +130,5 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
     answer.say(f"E, misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
     if outcome.proposal is not None:
-        proposal = outcome.proposal
-        by = " and ".join(f"{max(both):.3g}" for both in proposal.separations)
-        answer.say(f"  {out / NEXT_EXPERIMENT} would tell them apart, by {by} standard deviations in {proposal.seconds:.3g} s")
+        answer.say(f"  {outcome.proposal.said(str(out / NEXT_EXPERIMENT))}")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

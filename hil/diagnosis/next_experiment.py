@@ -41,6 +41,9 @@ machine of many numbers every refit takes many runs."""
 FIRST_STEP = 0.12
 """Of the simplex, as a share of every quantity's range."""
 
+TOLD_APART = 2.0
+"""Standard deviations from which a separation is said to tell hypotheses apart."""
+
 DRAWN = 0.5
 """Share of the search, for its report, after which the simplex begins."""
 
@@ -80,6 +83,17 @@ class Proposal:
         for name, (if_first, if_other) in zip(others, self.separations, strict=True):
             lines.append(f"#   from {name}: {if_first:.3g} where {first} is right, {if_other:.3g} where {name} is")
         return "\n".join(lines) + "\n"
+
+    def said(self, file: str) -> str:
+        """One sentence of what the experiment in a file would show."""
+        most = self.separations.max(axis=1)
+        by = f"{' and '.join(f'{d:.3g}' for d in most)} standard deviations in {self.seconds:.3g} s"
+        if np.all(most >= TOLD_APART):
+            return f"{file} would tell them apart, by {by}"
+        if np.any(most >= TOLD_APART):
+            apart = [model.name for model, d in zip(self.models[1:], most, strict=True) if d >= TOLD_APART]
+            return f"{file} would tell {self.models[0].name} from {' and from '.join(apart)} and not from the rest, by {by}"
+        return f"no experiment was found that tells them apart; the best one, {file}, would separate them by {by}"
 
 
 def propose(

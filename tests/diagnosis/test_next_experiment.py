@@ -115,3 +115,20 @@ def test_a_run_on_another_simulation_confirms_the_prediction(proposal, rivals, n
 
 def test_a_machine_that_cannot_be_run_gets_no_experiment(rivals, noise):
     assert propose(load_machine("silverbox"), rivals, EVEN, noise, CHANNELS) is None
+
+
+@pytest.mark.parametrize(
+    ("separations", "sentence"),
+    [
+        ([[0.3, 22.4], [5.0, 1.0]], "next.toml would tell them apart, by 22.4 and 5 standard deviations in 24 s"),
+        ([[0.3, 0.4], [5.0, 1.0]], "next.toml would tell a from c and not from the rest, by 0.4 and 5 standard deviations in 24 s"),
+        (
+            [[0.3, 0.4], [1.9, 1.0]],
+            "no experiment was found that tells them apart; the best one, next.toml, would separate them by 0.4 and 1.9"
+            " standard deviations in 24 s",
+        ),
+    ],
+)
+def test_an_experiment_that_separates_little_is_not_said_to_tell_hypotheses_apart(proposal, rivals, separations, sentence):
+    models = tuple(replace(rivals[0], name=name) for name in "abc")
+    assert replace(proposal, models=models, separations=np.array(separations), seconds=24.0).said("next.toml") == sentence

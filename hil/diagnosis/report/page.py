@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from hil.diagnosis.diagnose import Outcome
 from hil.diagnosis.free_run import HELD_OUT, TRAIN
+from hil.diagnosis.next_experiment import Proposal
 from hil.diagnosis.report.effect_map import effect_map, effect_map_figure
 from hil.diagnosis.report.heat_maps import heat_map_figure
 from hil.diagnosis.report.matrix import matrix_figure
@@ -93,7 +94,7 @@ def _document(outcome: Outcome) -> str:
         "noise": {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}[diagnosis.noise],
         "seconds": f"{diagnosis.seconds:.1f}",
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
-        "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions) + _findings(diagnosis),
+        "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions) + _findings(diagnosis, outcome.proposal),
         "hypotheses": _hypotheses(diagnosis),
         "location": _location(diagnosis, {units.axis: units for units in machine.units}),
         "fit": _fit(diagnosis),
@@ -117,7 +118,7 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table>\n<tr>{head}</tr>\n{body}\n</table>"
 
 
-def _findings(diagnosis: Diagnosis) -> str:
+def _findings(diagnosis: Diagnosis, proposal: Proposal | None) -> str:
     parts = []
     for finding in diagnosis.findings:
         numbers = ", ".join(f"{name} = {_estimate(estimate)}" for name, estimate in finding.parameters.items())
@@ -128,8 +129,8 @@ def _findings(diagnosis: Diagnosis) -> str:
         if finding.ambiguous_sets:
             others = "; ".join(" and ".join(map(str, one)) for one in finding.ambiguous_sets)
             lines.append(f"<p>Without it these recordings allow: {html.escape(others)}.</p>")
-        if finding.separating_experiment:
-            lines.append(f"<p>The experiment that would tell them apart: <code>{html.escape(finding.separating_experiment)}</code></p>")
+        if finding.separating_experiment and proposal is not None:
+            lines.append(f"<p>The next experiment: {html.escape(proposal.said(finding.separating_experiment))}.</p>")
         parts.append("\n".join(lines))
     return "\n".join(parts) or "<p>No effect is named.</p>"
 
