@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from hil.diagnosis.diagnose import Outcome
     from hil.machine import Machine
     from hil.recording import Recording
+
+MOST_PROCESSES = 4
+"""By default: as many fits are under way at a time (`refit.SIDE_BY_SIDE`), and each process adds to the memory."""
 
 
 def register(app: typer.Typer) -> None:
@@ -36,7 +40,10 @@ def diagnose(
     held_out: Annotated[
         list[Path] | None, typer.Option("--held-out", metavar="REC...", help="Recordings to judge by; nothing is fitted to them.")
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.")] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes; one per processor unless given, 4 at most. Same answer."),
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
@@ -56,10 +63,15 @@ def diagnose(
         def report(what: str, share: float) -> None:
             bars.update(task, description=what, completed=share)
 
-        outcome = run_diagnosis(machine, train, held, jobs=jobs, report=report)
+        outcome = run_diagnosis(machine, train, held, jobs=_processors() if jobs is None else jobs, report=report)
     write_diagnosis(outcome, machine, out)
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
+
+
+def _processors() -> int:
+    """That this process may use, as far as it says."""
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_PROCESSES)
 
 
 def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
