@@ -136,3 +136,24 @@ def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkey
     units = NoiseUnits(shop.noise(setup, shop.training, usual, range(case.repeats)))
     monkeypatch.setattr(plant, "STEP_S", plant.STEP_S / 3.0)
     assert np.linalg.norm(units(shop.matrix(setup, shop.training) - usual)) < 1.5
+
+
+def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
+    """A lost reading repeats the last one, noise and all; the oracle's difference is where one of the case's recordings has such rows."""
+    from concealed.truth.build import Chosen, Workshop
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden, draw
+
+    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == "tilted_arm" and not case.hidden)
+    shop = Workshop(case, machines["tilted_arm"])
+    kind = KINDS["sample_dropout"]
+    place = "gyro_y"
+    channel = case.channels.index(place)
+    setup = shop.setup((Chosen(Hidden(kind, place, {}, 1.0), 0.02),))
+    for drive, repeats in ((shop.training, range(case.repeats)), (shop.held_out, [case.repeats])):
+        difference = np.abs(shop.matrix(setup, drive) - shop.matrix(shop.setup(()), drive))
+        changed = difference[:, channel] > 1e-12
+        repeated = np.array([np.diff(shop.recorded(setup, drive, repeat)[1][place], prepend=np.nan) == 0.0 for repeat in repeats])
+        assert not np.any(changed & ~np.any(repeated, axis=0))
+        assert len(changed) / 100 < changed.sum() < len(changed) / 5
+        assert np.delete(difference, channel, axis=1).max() < 1e-12

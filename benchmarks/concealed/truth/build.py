@@ -16,7 +16,7 @@ from concealed.truth.draw import Case, Hidden, numbers
 from concealed.truth.experiments import plan
 from concealed.truth.oracle import NoiseUnits, left_over, location
 from concealed.truth.plant import IMU_CHANNELS, Answer, Drive, Machine, Plant, Setup
-from concealed.truth.sensor_kinds import read
+from concealed.truth.sensor_kinds import loses, read, with_losses
 from concealed.truth.writing import write_recording
 
 DETECTION_LIMIT = 5.0
@@ -24,6 +24,9 @@ DETECTION_LIMIT = 5.0
 
 SEPARABLE = 5.0
 """Standard deviations between the truth and the nearest other name from which on a name is asked for."""
+
+LOSSES = 1
+"""The stream of draws that recordings lose samples by."""
 
 SEARCH_STEPS = 4
 DERIVATIVE_STEP = 0.01
@@ -65,13 +68,21 @@ class Workshop:
         return Plant(self.under(drive), setup).run(drive, lattices)
 
     def matrix(self, setup: Setup, drive: Drive) -> np.ndarray | None:
-        """Noise-free readings (N, C) of the case's channels; None where the machine ran away."""
+        """Noise-free readings (N, C) of the case's channels, the mean of its recordings where these lose samples each at its own times;
+        None where the machine ran away.
+        """
         answer = self.answer(setup, drive)
-        return None if answer.failed else self.readings(setup, answer)
+        if answer.failed:
+            return None
+        case = self.case
+        if not loses(setup):
+            return self.readings(setup, answer, 0)
+        repeats = range(case.repeats) if drive.reference is not self.held_out.reference else (case.repeats,)
+        return np.mean([self.readings(setup, answer, repeat) for repeat in repeats], axis=0)
 
-    def readings(self, setup: Setup, answer: Answer) -> np.ndarray:
-        """The case's channels as the sensors read them, without noise."""
-        read_out = read(setup, answer.channels, self.machine.rate_Hz, np.random.default_rng(self.case.seed))
+    def readings(self, setup: Setup, answer: Answer, repeat: int) -> np.ndarray:
+        """The case's channels as the sensors of one recording read them, without noise."""
+        read_out = with_losses(setup, read(setup, answer.channels, self.machine.rate_Hz), self._losses(repeat))
         return np.column_stack([read_out[name] for name in self.case.channels])
 
     def by_numbers(self, drive: Drive) -> list[np.ndarray]:
@@ -93,8 +104,12 @@ class Workshop:
         rng = np.random.default_rng([case.seed, repeat])
         efforts, calm = disturbance(rng, self.machine, len(drive.reference), case.colour, case.disturbance)
         answer = self.answer(setup, replace(drive, disturbance=efforts, calm_speed=calm), lattices=True)
-        channels = read(setup, answer.channels, self.machine.rate_Hz, rng)
-        return answer, with_noise(rng, self.machine, channels, case.noise)
+        channels = with_noise(rng, self.machine, read(setup, answer.channels, self.machine.rate_Hz), case.noise)
+        return answer, with_losses(setup, channels, self._losses(repeat))
+
+    def _losses(self, repeat: int) -> np.random.Generator:
+        """What a recording's samples are lost by: the same in its noise-free readings."""
+        return np.random.default_rng([self.case.seed, repeat, LOSSES])
 
     def noise(self, setup: Setup, drive: Drive, clean: np.ndarray, repeats: range) -> np.ndarray:
         """What repeats differ by (R, N, C): recordings minus the noise-free answer, each channel's mean taken off."""

@@ -119,8 +119,23 @@ KINDS = (
 )  # fmt: skip
 
 
-def read(setup: Setup, channels: dict[str, np.ndarray], rate_Hz: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Channels as erring sensors read them."""
+def loses(setup: Setup) -> bool:
+    """Whether the case's recordings lose samples, each at its own times."""
+    return any(kind == "held" for kind, _, _ in setup.readings)
+
+
+def with_losses(setup: Setup, channels: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Channels as they arrive: in place of a lost reading the last one, its noise in it."""
+    channels = dict(channels)
+    for kind, names, p in setup.readings:
+        if kind == "held":
+            for name in names:
+                channels[name] = _held(channels[name], p["s"], rng)
+    return channels
+
+
+def read(setup: Setup, channels: dict[str, np.ndarray], rate_Hz: float) -> dict[str, np.ndarray]:
+    """Channels as erring sensors read them, none of them lost."""
     channels = dict(channels)
     for kind, names, p in setup.readings:
         s = p["s"]
@@ -134,10 +149,7 @@ def read(setup: Setup, channels: dict[str, np.ndarray], rate_Hz: float, rng: np.
         elif kind == "late":
             for name in names:
                 channels[name] = _late(channels[name], s, p["drift"] * s, rate_Hz)
-        elif kind == "held":
-            for name in names:
-                channels[name] = _held(channels[name], s, rng)
-        else:
+        elif kind == "rectified":
             for name in names:
                 y = channels[name]
                 channels[name] = y + s * (np.abs(y) - y)
