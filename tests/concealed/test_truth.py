@@ -64,7 +64,7 @@ def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_st
     from concealed.truth.catalogue import KINDS
     from concealed.truth.experiments import Experiment, plan
     from concealed.truth.plant import Plant, Setup
-    from concealed.truth.sensor_kinds import read
+    from concealed.truth.sensor_kinds import read, with_losses
 
     drives = {name: plan(machine, Experiment("mixed", 5)) for name, machine in machines.items()}
 
@@ -73,7 +73,7 @@ def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_st
         kind.add(setup, machine, place, shape, strength)
         answer = Plant(machine, setup).run(drives[machine.name], lattices=False)
         assert not answer.failed
-        return read(setup, answer.channels, machine.rate_Hz, np.random.default_rng(1))
+        return with_losses(setup, read(setup, answer.channels, machine.rate_Hz), np.random.default_rng(1))
 
     silent, loud, abrupt = [], [], []
     bases = {}
