@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.shape_limits import shape_limit
+from hil.diagnosis.shape_limits import NO_LIMIT, shape_limits
 from hil.diagnosis.starts import shapes_of, starts_of
 from virtual_bus.effects.effect import CLOCK, DROPOUT, ELASTIC, SIGN, SPRING_CHANGE, TRANSMISSION
 from virtual_bus.effects.places import joint_at, places, spring_at
@@ -32,7 +32,7 @@ class Candidate:
     effect: EffectAt
     starts: tuple[np.ndarray, ...]  # each (parameters,)
     shapes: float = 1.0  # searched between starts and fit, see `starts.shapes_of`
-    limit: float = 0.0  # of what the motion shows of its shape, see `shape_limits.py`
+    limits: tuple[float, float] = NO_LIMIT  # between which recordings show its shape, see `shape_limits.py`
 
     def setting(self, values: np.ndarray) -> EffectSetting:
         """The effect with these parameters."""
@@ -64,7 +64,7 @@ def candidates(motion: Motion, channels: Sequence[str], present: Sequence[Effect
         starts = starts_of(place.effect, place.at, motion)
         if starts:
             shapes = shapes_of(place.effect, place.at, motion, len(starts))
-            found.append(Candidate(place, tuple(starts), shapes, shape_limit(place.effect, place.at, motion)))
+            found.append(Candidate(place, tuple(starts), shapes, shape_limits(place.effect, place.at, motion)))
     return found
 
 

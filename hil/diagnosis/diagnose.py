@@ -15,10 +15,23 @@ from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.judgement import Contender
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Evidence, Weighed, confidence_of, erring, not_told_apart, ranking, rarity_of
+from hil.diagnosis.naming import (
+    CAP_ASSUMED,
+    CAP_UNCONFIRMED,
+    LIKELIER,
+    Evidence,
+    Weighed,
+    confidence_of,
+    erring,
+    imitated,
+    not_told_apart,
+    ranking,
+    rarity_of,
+)
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -158,6 +171,7 @@ def diagnose(
             held_out=None if judged is None else (evidence.base.held_out, hypotheses[0].held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
             further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
+            imitated=_imitated(selection, evidence),
         )
         verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
         spread = spread_of(runs, tuning, chosen)
@@ -215,29 +229,37 @@ def _never_back(report: Report) -> Report:
 
 def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> Evidence:
     """Every set that competes for the name, on training and held-out recordings."""
-    rivals = selection.contenders
+    rivals, formless = selection.contenders, selection.formless
     train = min((c.fitted.cost for c in rivals), default=0.0) + max((c.gained for c in rivals), default=0.0)
     held_out = min((c.left_held_out for c in rivals), default=0.0) + max((c.gained_held_out for c in rivals), default=0.0)
+
+    def weighing(c: Contender) -> Weighed:
+        return Weighed(
+            None,
+            train - c.gained,
+            held_out - c.gained_held_out,
+            searched=c.searched,
+            passed=c.passed,
+            by_numbers=c.by_numbers,
+            rarity=rarity_of(c.fitted.effects, runs.machine.plant),
+        ).priced_as(c.fitted)
+
     return Evidence(
-        sets=tuple(
-            Weighed(
-                None,
-                train - c.gained,
-                held_out - c.gained_held_out,
-                searched=c.searched,
-                passed=c.passed,
-                by_numbers=c.by_numbers,
-                rarity=rarity_of(c.fitted.effects, runs.machine.plant),
-            ).priced_as(c.fitted)
-            for c in rivals
-        ),
+        sets=tuple(weighing(c) for c in rivals),
         base=Weighed(None, train, held_out),
         entries_train=float(len(tuning.predicted)),
         entries_held_out=0.0 if judged is None else float(len(judged.measured)),
         tried=len(selection.screened),
         found=selection.chosen is not None,
         cap=_cap(runs),
+        formless=tuple(weighing(c) for c in formless),
     )
+
+
+def _imitated(selection: Selection, evidence: Evidence) -> str:
+    """Why the set that fits best is no name, where that is likelier than all that are; "" where it is not."""
+    share, likeliest = imitated(evidence)
+    return next((c.gate.lost_form for c in selection.formless if share > LIKELIER and likeliest and c.fitted is likeliest.fitted), "")
 
 
 def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection, chosen: Fitted | None) -> float:

@@ -2,7 +2,8 @@
 
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
-motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring. A strength at the bound
+motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring; or that slides before the
+encoder has seen it bend: dry friction of any law. A strength at the bound
 that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like that.
 A gap that is held from wider flanks, and wants them, is a spring that hardens.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from hil.diagnosis.coordinates import AT_MOST
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.shape_limits import NO_LIMIT
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 
@@ -60,14 +62,14 @@ WANTED = 10.0
 do not show how wide a gap's flanks are it is 1 to 6."""
 
 
-def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float], residual: np.ndarray) -> str:
+def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], residual: np.ndarray) -> str:
     """What left its equation, as a sentence; "" where every effect kept it.
 
     Parameters
     ----------
     fitted : Fitted
-    limits : mapping of EffectAt to float
-        What the recordings can show of effects' shapes, see `shape_limits.py`.
+    limits : mapping of EffectAt to pair of float
+        Between which ends the recordings can show effects' shapes, see `shape_limits.py`.
     residual : (M,) array
         Whitened, that the fit leaves.
     """
@@ -76,9 +78,11 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float], residual: np.nda
             return f"{effect} has {name} and none of it the other way: what fits is no longer that effect"
         if name := _wants_more(fitted, number, residual):
             return f"{effect} has {name} as large as it may be, and the recordings want more: what fits is no longer that effect"
-        limit = limits.get(effect, 0.0)
-        if effect.effect in SLIDES_AT and limit > 0.0 and (slides_at := SLIDES_AT[effect.effect](*values)) > limit:
-            return f"{effect} slides at {slides_at:.3g}, more than the {limit:.3g} that the recordings can show: what fits may be a spring"
+        least, most = limits.get(effect, NO_LIMIT)
+        if effect.effect in SLIDES_AT and (slides_at := SLIDES_AT[effect.effect](*values)) > most:
+            return f"{effect} slides at {slides_at:.3g}, more than the {most:.3g} that the recordings can show: what fits may be a spring"
+        if effect.effect in SLIDES_AT and slides_at < least:
+            return f"{effect} slides at {slides_at:.3g}, less than the {least:.3g} that its encoder shows: any dry friction does"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
@@ -87,7 +91,7 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, float], residual: np.nda
                 return f"{effect} has {parameter.name} at its bound of {bound:g}: what fits is no longer that effect"
             if (effect.effect, parameter.name) in DAMPING and _left_after_a_cycle(float(value)) < LEFT_AFTER_A_CYCLE:
                 return f"{effect} has {parameter.name} = {value:.2g} and no longer swings: what fits is no longer that effect"
-            if parameter.unit in OF_WAVES and value < limit:
+            if parameter.unit in OF_WAVES and value < least:
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
 

@@ -191,7 +191,13 @@ class Judgement:
         return replace(stand, errors=errors, held_out_errors=there, known=True)
 
     def contenders(
-        self, stand: Stand, fits: Sequence[Fitted], tried: Tried, placebo: float, limits: Mapping[EffectAt, float], earlier: int = 0
+        self,
+        stand: Stand,
+        fits: Sequence[Fitted],
+        tried: Tried,
+        placebo: float,
+        limits: Mapping[EffectAt, tuple[float, float]],
+        earlier: int = 0,
     ) -> list[Contender]:
         """Every set with its gate: against the stand where it holds the stand's effects, against nothing where it does not.
 

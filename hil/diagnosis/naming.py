@@ -70,7 +70,8 @@ machines that have several parts. That none was seen says little where no law th
 say): half as often as several at one part, set by hand, and not the one in 37 that Laplace's rule makes of them."""
 
 LIKELIER = 0.5
-"""Confidence of nothing from which no effect is named although one passed the gate."""
+"""Confidence of nothing from which no effect is named although one passed the gate, and share of sets without their form from which no name
+stands alone."""
 
 CONFIDENT = 0.9
 """Share of what has a name, with nothing and the unknown counted, from which one name stands alone. How often a name that stands alone is
@@ -200,6 +201,8 @@ class Evidence:
         Whether a set passed the gate.
     cap : float
         Largest share of what has a name.
+    formless : tuple of Weighed
+        Sets that would have passed but for their form (`form.py`): they are no names.
     """
 
     sets: tuple[Weighed, ...]
@@ -209,6 +212,7 @@ class Evidence:
     tried: int
     found: bool
     cap: float = 1.0
+    formless: tuple[Weighed, ...] = ()
 
 
 def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ...]:
@@ -227,6 +231,20 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
         ranked = [replace(h, confidence=named * h.confidence, share=named * h.share) for h in ranked]
     ranked = [h if h.passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked]
     return tuple(sorted(ranked, key=lambda h: (-h.confidence, -h.share)))
+
+
+def imitated(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[float, Weighed | None]:
+    """Share that sets which lost their form would have beside the known ones, were they names, and the likeliest of them.
+
+    What such a set fits better than every name does is there, and none of the names is it.
+    """
+    if not evidence.formless or not evidence.sets:
+        return 0.0, None
+    entries = evidence.entries_train, evidence.entries_held_out
+    ranked, _ = weighed((*evidence.sets, *evidence.formless), evidence.base, entries, evidence.tried, evidence.cap, weights)
+    own = {id(h.fitted) for h in evidence.formless}
+    formless = [h for h in ranked if id(h.fitted) in own]
+    return sum(h.share for h in formless), formless[0]
 
 
 def weighed(

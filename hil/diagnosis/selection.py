@@ -76,6 +76,8 @@ class Selection:
     further : float
         Of all effects tried beside the chosen set, how many gain by chance in training as much as the best of them did beyond what the
         set's equations may err by: what is left is more than noise and errors where it is small, though no effect passed the gate.
+    formless : tuple of Contender
+        Sets that would have passed but for their form: what they imitate has no name.
     """
 
     chosen: Fitted | None
@@ -84,6 +86,7 @@ class Selection:
     screened: tuple[Screened, ...]
     closest: Fitted | None
     further: float = np.inf
+    formless: tuple[Contender, ...] = ()
 
 
 def select(
@@ -121,7 +124,7 @@ def select(
     if another_way and rival is not None:
         other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,), smaller=way.smaller))
         way = joined(way, other, judgement.nothing.cost, noise_energy)
-    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further)
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +139,10 @@ class Way:
     further: float = np.inf
     singles: tuple[Fitted, ...] = ()
     smaller: tuple[Fitted, ...] = ()  # of all steps
-    limits: Mapping[EffectAt, float] = field(default_factory=dict)
+    limits: Mapping[EffectAt, tuple[float, float]] = field(default_factory=dict)
     tried: Tried | None = None
     is_at_its_end: bool = False
+    formless: tuple[Contender, ...] = ()  # of all steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +169,7 @@ class _Search:
         end, size = replace(way, is_at_its_end=True), len(way.stand.effects)
         self.report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
         found = [candidate for candidate in self.candidates_of(chosen) if candidate.effect not in stand.effects]
-        limits = {**{candidate.effect: candidate.limit for candidate in found}, **way.limits}
+        limits = {**{candidate.effect: candidate.limits for candidate in found}, **way.limits}
         tried = Tried(found, way.tried)
         residual = measured - stand.tuning.predicted
         screened = screen(runs, stand.tuning, found, residual, () if chosen is None else chosen.settings)
@@ -203,8 +207,10 @@ class _Search:
         needed = [one for one in judged if has_no_surplus(one.fitted, stand, way.smaller, tried, len(residual))]
         smaller = (*way.smaller, *fits)
         passed = [one for one in needed if one.passed]
+        formless = (*way.formless, *(one for one in needed if one.gate.lost_form and one.gate.something_is_there))
         gates = (*way.gates, passed[0].gate if passed else _refused(judged[0], needed))
-        end = Way(stand, gates, way.contenders, first, closest, least_by_chance(judged, stand), singles, smaller, limits, tried, True)
+        further = least_by_chance(judged, stand)
+        end = Way(stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless)
         if not passed and chosen is not None:
             return end
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
@@ -228,7 +234,8 @@ def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
     evidence = [0.5 * end.gained / temper - _price(end.fitted, temper, end.searched) for end in ends]
     likelier = one if evidence[0] >= evidence[1] else other
     closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
-    return replace(likelier, contenders=tuple(each_once((*one.contenders, *other.contenders))), closest=closest)
+    formless = (*one.formless, *(each for each in other.formless if each not in one.formless))
+    return replace(likelier, contenders=tuple(each_once((*one.contenders, *other.contenders))), closest=closest, formless=formless)
 
 
 def another_first(

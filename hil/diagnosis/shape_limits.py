@@ -1,12 +1,14 @@
-"""What a motion can show of an effect's shape: an order, a frequency or a displacement beyond which it is another law (`form.py`)."""
+"""What recordings can show of an effect's shape: orders, frequencies or displacements outside of which it is another law (`form.py`)."""
 
 from __future__ import annotations
+
+from math import inf
 
 import numpy as np
 
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
-from virtual_bus.effects.places import undriven_joint_at
+from virtual_bus.effects.places import joint_at, undriven_joint_at
 
 HYSTERESES = ("bouc_wen_hysteresis", "presliding_hysteresis")
 
@@ -16,21 +18,28 @@ that mostly does is a spring with losses of any kind: two relaxing springs and o
 slides for -0.05, 0.25 and 0.44 of a stroke, twelve hidden hystereses for 0.82 and more; there the stroke of a spring without a drive was
 taken as twice the drive's largest effort over its stiffness, 0.3 to 11 times of what `_stroke` gives."""
 
+LEAST_BEND = 2.0
+"""Counts of the joint's encoder that a friction's bristles bend before they slide, at least: readings differ by one without any motion. Dry
+friction of every law gives way a little before it slides, and one that sticks at once leaves that over: bristles took it up where friction
+fell with speed or differed with direction (sealed 984, 1029, spent, bent by 0.07 and 1.2 counts). A shorter bend tells no law of them."""
 
-def shape_limit(name: str, at: str, motion: Motion) -> float:
-    """What recordings can show of an effect's shape; 0 where that has no limit.
+NO_LIMIT = (0.0, inf)
 
-    Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle. Of a hysteresis the largest
-    displacement [rad or m] at which it slides.
+
+def shape_limits(name: str, at: str, motion: Motion) -> tuple[float, float]:
+    """Between which ends recordings can show an effect's shape.
+
+    Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle. Of a hysteresis the smallest and
+    the largest displacement [rad or m] at which it slides.
     """
     if name in HYSTERESES:
-        return _stroke(motion, at) * (1.0 - LEAST_SLIDING) / 2.0
+        return LEAST_BEND * _count(motion, at), _stroke(motion, at) * (1.0 - LEAST_SLIDING) / 2.0
     if name in TURNING_WITH_THE_MOTOR:
         residual = motion.residual(at)
-        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * residual.ratio)
+        return 0.5 * 2.0 * np.pi / (max(float(np.ptp(residual.position)), 1e-6) * residual.ratio), inf
     if name == "base_motion":
-        return 0.5 / max(float(np.ptp(motion.residual(at).time_s)), 1e-6)
-    return 0.0
+        return 0.5 / max(float(np.ptp(motion.residual(at).time_s)), 1e-6), inf
+    return NO_LIMIT
 
 
 def _stroke(motion: Motion, at: str) -> float:
@@ -40,3 +49,12 @@ def _stroke(motion: Motion, at: str) -> float:
     if hanging is None:
         return float(np.ptp(motion.residual(at).position))
     return float(np.ptp(motion.deflection(settings.tree.joint_index(hanging))))
+
+
+def _count(motion: Motion, at: str) -> float:
+    """Of the encoder [rad or m] of the driven joint that a place belongs to; 0 without one, and of a spring without a drive."""
+    settings = motion.machine.plant
+    if undriven_joint_at(at, settings) is not None:
+        return 0.0
+    names = {f"position_{drive.axis}" for drive in settings.drives if drive.joint == joint_at(at, settings)}
+    return max((encoder.resolution for encoder in settings.encoders if encoder.channel in names), default=0.0)

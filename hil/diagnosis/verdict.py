@@ -19,6 +19,11 @@ RETUNED_GAIN = 20.0
 UNKNOWN_LEFT = 0.5
 """Share of the explainable mismatch which the best set of known effects leaves for certain, from which it has no name."""
 
+ALONE_LEFT = 0.25
+"""The same from which a name that it has does not stand alone, whether or not it is for certain: the rest may be what the name imitates. Of
+138 `explained` answers that five tools gave (be872f2 to 45d0676, some cases twice), 5 of 12 that left more were wrong, 13 of 126 that left
+less."""
+
 OTHER_MOTION = 5.0
 """Excess of the held-out misfit over its noise, as a share of it, that another motion's disturbances reach: a narrow line at a frequency of
 its own is 3.5 in development case 12, measured beside the truth itself; 31 nulls have 0.57 at most. Only beyond it is what a set leaves
@@ -60,6 +65,7 @@ class Standing:
     held_out: tuple[float, float, float] | None = None  # misfits re-tuned and of the likeliest set, and of a perfect simulation
     drift: float = 1.0  # chance of the values that the held-out recordings want where one law holds, see drift.py
     further: float = math.inf  # effects that gain by chance as much beside the likeliest set as one does, see selection.py
+    imitated: str = ""  # why a set that is likelier than all names is none, see naming.py; "" where none is
 
 
 def verdict_of(standing: Standing) -> tuple[Verdict, str]:
@@ -103,9 +109,11 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
     named = [h.fitted.effects for h in not_told_apart(standing.hypotheses) if h is not best and h.fitted is not None]
     if not is_sure and named:
         return f", which these recordings do not tell apart from {'; '.join(' and '.join(map(str, one)) for one in named)}"
+    if standing.imitated:
+        return f", but a set that fits better is no known effect: {standing.imitated}"
     if standing.further <= LEVEL:
         return ", beside which training shows more than its equations may err by, but no effect for certain"
-    if left > UNKNOWN_LEFT:
+    if left > ALONE_LEFT:
         return f", which leaves {left:.0%} of what is above noise, if the noise is what repeats say"
     if not is_sure:
         catalogue, own = registry.effects(), {effect.effect for effect in effects}

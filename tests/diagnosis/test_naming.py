@@ -11,11 +11,13 @@ from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.naming import (
     CAP_ASSUMED,
     CONFIDENT,
+    LIKELIER,
     UNLIKE_ONE,
     UNLIKE_ONE_PART,
     WEIGHTS,
     Evidence,
     Weighed,
+    imitated,
     not_told_apart,
     numbers_of,
     ranking,
@@ -53,6 +55,18 @@ def test_a_set_that_alone_removes_what_is_there_is_certain():
 
 def test_sets_that_fit_alike_share_the_confidence():
     assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5 * CERTAIN, 0.5 * CERTAIN], abs=0.02)
+
+
+@pytest.mark.parametrize(("named", "formless", "most"), [(200.0, 0.0, True), (0.0, 200.0, False)])
+def test_what_fits_better_than_every_name_without_its_form_has_the_larger_share(named, formless, most):
+    """A relaxing spring was called a cable where a hysteresis that hardly slides left 200 less of 1600."""
+    fits = Fitted((), (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
+    sets = [Weighed(replace(fits), ENTRIES + misfit, 0.0, (1600.0,) * count) for misfit, count in ((named, 3), (formless, 4))]
+    base = Weighed(None, ENTRIES + 1600.0, 0.0)
+    share, likeliest = imitated(Evidence((sets[0],), base, ENTRIES, 0.0, TRIED, True, formless=(sets[1],)))
+    assert likeliest is not None and likeliest.fitted is sets[1].fitted
+    assert (share > LIKELIER) is most
+    assert imitated(Evidence((sets[0],), base, ENTRIES, 0.0, TRIED, True)) == (0.0, None)
 
 
 def test_small_differences_between_large_effects_prove_nothing():

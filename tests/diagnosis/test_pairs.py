@@ -87,6 +87,8 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("bouc_wen_hysteresis", [1.0, 1.0, 0.02, 0.5, 1.0], False),
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 2.0, 0.0], True),  # Fc, Fs - Fc, vs, sigma0, sigma1
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 3.0, 0.0], False),
+        ("presliding_hysteresis", [0.06, 0.0, 0.1, 50.0, 0.0], False),
+        ("presliding_hysteresis", [0.06, 0.0, 0.1, 70.0, 0.0], True),  # bends by 0.00086, the encoder shows 0.001
         ("stribeck_friction", [5.0, 1.0, 1.4], True),  # Fs - Fc, vs, delta
         ("stribeck_friction", [5.0, 0.1, 2.0], False),
         ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
@@ -99,8 +101,8 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
-    limits = {"cogging": 1.0, "bouc_wen_hysteresis": 0.025, "presliding_hysteresis": 0.025}
-    limits_at = {EffectAt(effect, "carriage"): limit for effect, limit in limits.items()}
+    limits = {"cogging": (1.0, np.inf), "bouc_wen_hysteresis": (0.001, 0.025), "presliding_hysteresis": (0.001, 0.025)}
+    limits_at = {EffectAt(effect, "carriage"): ends for effect, ends in limits.items()}
     assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost
 
 

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from hil.diagnosis.coordinates import Coordinates, Point
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.shape_limits import shape_limit
+from hil.diagnosis.shape_limits import LEAST_BEND, shape_limits
 from hil.diagnosis.starts import shapes_of, starts_of
 from hil.diagnosis.visited import Visited
 from hil.machine import load_machine
@@ -91,7 +91,18 @@ def test_a_hysteresis_starts_at_displacements_that_its_joint_has(at, size):
 @pytest.mark.parametrize("name", ["bouc_wen_hysteresis", "presliding_hysteresis"])
 def test_a_hysteresis_is_shown_where_it_slides_for_half_of_a_stroke(name, at, size):
     """After a reversal a spring with a slider gives way from one steady effort to the other, which is twice where it slides."""
-    assert 2.0 * shape_limit(name, at, moved(at, 5.0 * np.sign(SPEED), 9e5)) == pytest.approx(0.5 * size, rel=1e-3)
+    _, most = shape_limits(name, at, moved(at, 5.0 * np.sign(SPEED), 9e5))
+    assert 2.0 * most == pytest.approx(0.5 * size, rel=1e-3)
+
+
+@pytest.mark.parametrize(("at", "counts"), [("roll", LEAST_BEND), ("roll_rotor", LEAST_BEND), ("c_arc", 0.0)])
+@pytest.mark.parametrize("name", ["bouc_wen_hysteresis", "presliding_hysteresis"])
+def test_a_hysteresis_bends_by_more_than_the_encoder_of_its_joint_rounds(name, at, counts):
+    """Behind a spring there is no encoder of its own."""
+    drive = next(drive for drive in CARM.plant.drives if drive.axis == "roll")
+    count = 2.0 * np.pi / 4096 / drive.ratio
+    least, _ = shape_limits(name, at, moved(at, 5.0 * np.sign(SPEED), 9e5))
+    assert least == pytest.approx(counts * count)
 
 
 def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
