@@ -18,6 +18,7 @@ from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, temperature, temperature_of
+from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
@@ -188,6 +189,8 @@ class _Search:
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
+            if size == 0:
+                fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand.cost)
         first, singles = way.screened, way.singles
         if size == 0:
             first, singles = tuple(screened), tuple(fits)

@@ -67,3 +67,15 @@ def test_of_two_ways_the_likelier_stands_and_all_sets_compete_once():
     assert [c.gained for c in both.contenders] == pytest.approx([16_500.0, 16_100.0, 18_500.0])
     assert joined(other, one, NOTHING.cost, float(ENTRIES)).stand is other.stand
     assert each_once([]) == []
+
+
+def test_what_lost_its_form_on_either_way_is_kept_once():
+    """Either way began at the same first step."""
+    first, second, third = (contender(gained, RIPPLE) for gained in (1.0, 2.0, 3.0))
+
+    def way(end, *formless):
+        stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects)
+        return Way(stand, contenders=(end,), closest=end.fitted, formless=formless)
+
+    one, other = way(contender(16_500.0, RUBBING), first, second), way(contender(18_500.0, COGGING), first, third)
+    assert joined(one, other, NOTHING.cost, float(ENTRIES)).formless == (first, second, third)

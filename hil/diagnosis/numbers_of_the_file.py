@@ -1,0 +1,58 @@
+"""Numbers of the machine file that are further off than re-tuning may go are fitted before what is mistaken for them is named.
+
+Screening takes out what re-tuned numbers could imitate, as if these had no bounds. Beyond its bound such a number scores next to nothing,
+and its filter wants any strength, whatever a fit would come to: a compliance of a fifth of the C-arm's spring was no candidate, and a
+spring that softens from its first microradian on, which is the same, stood alone (sealed 1137, spent: of 4930 above noise it leaves 175,
+the compliance 163).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.naming import NUMBERS
+from hil.diagnosis.refit import Fitted, polish, refit
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened
+from virtual_bus.effects.registry import effects
+
+WORTH_POLISHING = 0.5
+"""Of the closest fit's gain: what gains less does not compete for the name (`selection.RIVAL_SHARE`)."""
+
+
+def with_numbers_of_the_file(
+    runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], screened: Sequence[Screened], before: float
+) -> list[Fitted]:
+    """Fits of single effects, and of those numbers at the closest one's place that the catalogue says are mistaken for it.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    tuning : Tuning
+        Without effects.
+    measured : (M,) array
+    fits : sequence of Fitted
+        Of one effect each.
+    screened : sequence of Screened
+    before : float
+        Cost without effects.
+    """
+    best = min(fits, key=lambda fit: fit.cost)
+    fitted = {effect for fit in fits for effect in fit.effects}
+    numbers = [one for one in screened if one.effect.effect in NUMBERS and one.effect not in fitted]
+    starts = [((one.effect,), (one.values,)) for one in numbers if are_neighbours(one.effect, best.effects[0])]
+    if not starts:
+        return list(fits)
+    least = WORTH_POLISHING * (before - best.cost)
+    worth = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None and before - fit.cost > least]
+    return [*fits, *polish(runs, tuning, measured, worth)]
+
+
+def are_neighbours(one: EffectAt, other: EffectAt) -> bool:
+    """Whether the catalogue says of either of two effects at one place that it is mistaken for the other."""
+    each = effects()
+    return one.at == other.at and (one.effect in each[other.effect].neighbours or other.effect in each[one.effect].neighbours)
