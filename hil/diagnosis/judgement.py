@@ -20,9 +20,14 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.structure_left import StructureLeft
+from virtual_bus.effects.registry import effects
 
 Equations = Callable[[str, Tuning, Fitted], FormError]
 """Errors of fitted effects in the recordings of a set, beside this tuning."""
+
+
+SEARCHED_TERM = {"encoder_eccentricity": "b"}
+"""Strength of the term of a law whose order was searched, of laws that have a term of a known order too."""
 
 
 class Tried:
@@ -45,6 +50,21 @@ class Tried:
         sets of its size there were to choose from for each single effect.
         """
         return self._shapes(effects) + math.log(math.comb(self.first, len(effects)) / self.first)
+
+    def searched_for(self, fitted: Fitted) -> float:
+        """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the recordings would
+        lose without it: what it was fitted to nothing for is the law without that term, which nobody searched.
+        """
+        return self.searched(fitted.effects) - sum(self._not_needed(fitted, number) for number in range(len(fitted.effects)))
+
+    def _not_needed(self, fitted: Fitted, number: int) -> float:
+        """Of what the search of an effect's shape costs, how much more that is than what its term does."""
+        effect = fitted.effects[number]
+        if effect.effect not in SEARCHED_TERM:
+            return 0.0
+        term = [parameter.name for parameter in effects()[effect.effect].parameters].index(SEARCHED_TERM[effect.effect])
+        does = fitted.values[number][term] * fitted.jacobian[:, fitted.free.index((number, term))]
+        return max(math.log(self.shapes[effect]) - 0.5 * float(does @ does), 0.0)
 
     def _shapes(self, effects: Sequence[EffectAt]) -> float:
         return sum(math.log(self.shapes[effect]) for effect in effects)
@@ -227,7 +247,7 @@ class Judgement:
                     self._left(self.nothing) - left,
                     left,
                     (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),
-                    tried.searched(fitted.effects),
+                    tried.searched_for(fitted),
                 )
             )
         return found

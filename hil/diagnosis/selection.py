@@ -313,7 +313,7 @@ def _pairs_worth_a_fit(
     best, entries = singles[0], len(residual)
     temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - entries)
     price = price_of_a_parameter(base - best.cost, temper)
-    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried.searched(best.effects)) - PAIR_MARGIN
+    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried.searched_for(best)) - PAIR_MARGIN
 
     def evidence(pair: Pair) -> float:
         return 0.5 * pair.gain / temper - pair.freedom * price - tried.searched(pair.start[0])
@@ -403,7 +403,7 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
         return known if set(stand.effects) <= set(fit.effects) else 0.0
 
     temper = temperature_of([(fit.cost, by_numbers(fit)) for fit in fits], base, noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried.searched(fit.effects)))
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried.searched_for(fit)))
 
 
 def _price(fitted: Fitted, temper: float, searched: float) -> float:

@@ -127,6 +127,16 @@ def test_a_set_costs_the_logarithm_of_the_sets_there_were_to_choose_from():
     assert tried(shapes=100.0).sets([VISCOUS]) == pytest.approx(5000.0)
 
 
+@pytest.mark.parametrize(("second", "costs"), [(0.0, 0.0), (2.0, 2.0), (10.0, math.log(100.0))])
+def test_a_searched_term_costs_no_more_than_what_it_does(second, costs):
+    """An eccentricity's error once a turn was not searched: beside it the error per line, of an order that was, may be nothing."""
+    eccentric, rows = EffectAt("encoder_eccentricity", "position_carriage"), np.eye(4)
+    free = tuple((0, k) for k in range(4))  # a, phi, b, Nl
+    fitted = Fitted((eccentric,), (np.array([9.0, 0.0, second, 50.0]),), np.zeros(0), rows[0], 0.0, free, rows, np.zeros(4))
+    several = Tried([Candidate(eccentric, (), 100.0), *(Candidate(EffectAt("delay", f"{k}"), ()) for k in range(49))])
+    assert several.searched_for(fitted) == pytest.approx(costs)
+
+
 def test_what_was_searched_for_an_effect_found_before_is_kept():
     beside = Tried([Candidate(LOAD, ())], tried(shapes=100.0))
     assert beside.searched([VISCOUS, LOAD]) == pytest.approx(math.log(100.0) + math.log(49 / 2))
