@@ -210,7 +210,7 @@ class _Search:
         needed = [one for one in judged if has_no_surplus(one.fitted, stand, way.smaller, tried, len(residual))]
         smaller = (*way.smaller, *fits)
         passed = [one for one in needed if one.passed]
-        formless = (*way.formless, *(one for one in needed if one.gate.lost_form and one.gate.something_is_there))
+        formless = (*way.formless, *without_form(needed))
         gates = (*way.gates, passed[0].gate if passed else _refused(judged[0], needed))
         further = least_by_chance(judged, stand)
         end = Way(stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless)
@@ -225,7 +225,9 @@ class _Search:
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
             more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, limits, len(fits))
-            rivals += [one for one in more if one.passed and has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
+            more = [one for one in more if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
+            rivals += [one for one in more if one.passed]
+            end = replace(end, formless=(*formless, *without_form(more)))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
         return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
 
@@ -273,6 +275,11 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
     """The gate of the step that ends a search."""
     return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
+
+
+def without_form(judged: Sequence[Contender]) -> list[Contender]:
+    """Those that would have passed but for their form."""
+    return [one for one in judged if one.gate.lost_form and one.gate.something_is_there]
 
 
 def least_by_chance(judged: Sequence[Contender], stand: Stand) -> float:

@@ -25,7 +25,12 @@ ALONG = {FRICTION: RUBS, MODE: 0.999 * RUBS + np.sqrt(1.0 - 0.999**2) * ELSE, LO
 
 
 def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[EffectAt]]:
-    """Sets that compete where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
+    """Sets that compete."""
+    return [set(one.fitted.effects) for one in searched(monkeypatch, mode_beside, less).contenders]
+
+
+def searched(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> selection.Selection:
+    """The search where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
     `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there.
     """
@@ -68,7 +73,7 @@ def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[
 
     found = selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
     assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
-    return [set(one.fitted.effects) for one in found.contenders]
+    return found
 
 
 def test_a_rival_with_what_was_found_beside_it_competes(monkeypatch):
@@ -78,6 +83,11 @@ def test_a_rival_with_what_was_found_beside_it_competes(monkeypatch):
 def test_a_rival_that_lost_its_form_beside_what_was_found_does_not_compete(monkeypatch):
     competing = search(monkeypatch, LOST)
     assert {FRICTION, LOAD} in competing and {MODE, LOAD} not in competing
+
+
+def test_a_rival_that_would_have_passed_but_for_its_form_is_kept_apart(monkeypatch):
+    assert [set(one.fitted.effects) for one in searched(monkeypatch, LOST).formless] == [{MODE, LOAD}]
+    assert searched(monkeypatch, SWINGS).formless == ()
 
 
 def test_a_rival_that_gains_nothing_by_what_was_found_beside_it_does_not_compete(monkeypatch):
