@@ -8,11 +8,13 @@ mode's answer is no longer linear, and what the linear answer was short of stood
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil.diagnosis.free_run import HELD_OUT, FreeRuns, Trial
+from hil.diagnosis.refit import MANY, WORTH_LINEARISING
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, quick_sensitivities
 from virtual_bus.settings import EffectSetting
 
@@ -28,16 +30,24 @@ SETTLED = 0.3
 """Expected decrease of the misfit, in units of noise, below which the numbers are where the recordings want them."""
 
 FAIR = 0.3
-"""Share of the expected decrease below which sensitivities are taken anew."""
+"""Share of the expected decrease below which sensitivities are taken anew, on machines of MANY numbers if it was WORTH_LINEARISING."""
 
 LINEARISED_AGAIN = 5
-"""Times at most for a set of effects, which begins with the sensitivities of the machine without them."""
+"""Times at most for a set of effects, which begins with sensitivities of another run."""
+
+KEPT = 2
+"""Sensitivities kept of the sets followed last, on machines of MANY numbers, where they are most of what following costs: sets that compete
+are often alike. 67 MB each for a minute of the C-arm."""
 
 ALIKE = 0.01
 """Energy, per entry in units of noise, up to which a run that differs from the one whose sensitivities were taken has them too. Numbers
 that are nearly degenerate, masses, springs and constants scaled alike, move by small differences of large sensitivities: beside four times
 the viscous friction, whose run differs by 9, they seemed settled 1130 above the misfit that sensitivities taken there led to, and after a
 step with these 1070 above it still."""
+
+
+TWICE = 2.0
+"""Where a run is quadratic in its numbers, sensitivities change along a step by twice what they missed of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +69,32 @@ class Followed:
     misfit: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Sensitivities:
+    """Of the whitened free run with the tuned coordinates.
+
+    Attributes
+    ----------
+    at : (P,) array
+        Tuned coordinates that they were taken at.
+    predicted : (M,) array
+        The run there.
+    jacobian : (M, P) array
+    """
+
+    at: np.ndarray
+    predicted: np.ndarray
+    jacobian: np.ndarray
+
+    def difference(self, predicted: np.ndarray) -> float:
+        """Energy, in units of noise, by which another run differs from theirs."""
+        return float(np.sum((predicted - self.predicted) ** 2))
+
+    def missed(self, at: np.ndarray, predicted: np.ndarray) -> float:
+        """Energy by which it differs otherwise than they say."""
+        return float(np.sum((predicted - self.predicted - self.jacobian @ (at - self.at)) ** 2))
+
+
 class HeldOut:
     """The held-out groups seen from a tuning.
 
@@ -73,16 +109,17 @@ class HeldOut:
         self.measured = runs.measured(HELD_OUT)
         self._weights = tuning.jacobian.T @ tuning.jacobian / OPEN + np.eye(len(tuning.offset))
         self._moved = np.zeros(len(tuning.offset))  # of the machine without effects
-        self._jacobian: np.ndarray | None = None
-        self._linearised: np.ndarray | None = None  # the run whose sensitivities these are
+        self._without_effects: _Sensitivities | None = None
+        self._is_large = len(tuning.offset) > MANY
+        self._worth = WORTH_LINEARISING if self._is_large else SETTLED
+        self._beside_effects: deque[_Sensitivities] = deque(maxlen=KEPT if self._is_large else 0)
         self._followed: dict[tuple[bytes, tuple[object, ...]], Followed | None] = {}
         at = self._at(tuning.offset, self._moved, ())
         for _ in range(STEPS):
             if at is None:
                 break
-            self._moved, self._jacobian = at.moved, self._sensitivities(tuning.offset, at, ())
-            self._linearised = at.predicted
-            at, _ = self._stepped(tuning.offset, at, (), self._jacobian)
+            self._moved, self._without_effects = at.moved, self._sensitivities(tuning.offset, at, ())
+            at, _, _ = self._stepped(tuning.offset, at, (), self._without_effects.jacobian)
 
     def follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         """These effects at these tuned coordinates; None where they cannot be simulated. A set that was chosen is asked for again."""
@@ -98,15 +135,22 @@ class HeldOut:
         if not found:
             return None
         at = min(found, key=lambda one: one.misfit)
-        jacobian, linearised, again = self._jacobian, self._linearised, 0
+        known = [*self._beside_effects, *([] if self._without_effects is None else [self._without_effects])]
+        taken = min(known, key=lambda one: one.difference(at.predicted), default=None)
+        again = 0
         for _ in range(STEPS):
-            if jacobian is None:
-                jacobian, linearised = self._sensitivities(offset, at, effects), at.predicted
-            better, share = self._stepped(offset, at, effects, jacobian)
+            if taken is None:
+                taken = self._sensitivities(offset, at, effects)
+                self._beside_effects.append(taken)
+            better, share, expected = self._stepped(offset, at, effects, taken.jacobian)
+            fresh = taken.predicted is at.predicted  # taken anew they would be the same
             at = at if better is None else better
-            here = at.predicted is linearised  # taken anew they would be the same
-            if again < LINEARISED_AGAIN and not here and (share < FAIR or (better is None and not _alike(at.predicted, linearised))):
-                jacobian, again = None, again + 1
+            if better is not None and share >= FAIR:
+                continue
+            if expected < self._worth and (fresh or self._hold(taken, offset, at)):
+                break
+            if not (fresh and better is None) and again < LINEARISED_AGAIN:
+                taken, again = None, again + 1
             elif better is None:
                 break
         return at
@@ -117,10 +161,11 @@ class HeldOut:
 
     def information(self, response: np.ndarray) -> np.ndarray:
         """(F, F) on what changes held-out runs by these columns (M, F), the numbers free to follow as the linear machine has it."""
-        if self._jacobian is None:
+        if self._without_effects is None:
             return response.T @ response
-        shared = self._jacobian.T @ response
-        return response.T @ response - shared.T @ np.linalg.solve(self._jacobian.T @ self._jacobian + self._weights, shared)
+        jacobian = self._without_effects.jacobian
+        shared = jacobian.T @ response
+        return response.T @ response - shared.T @ np.linalg.solve(jacobian.T @ jacobian + self._weights, shared)
 
     def deviations(self, before: Followed | None, after: Followed | None) -> float:
         """How far the residual goes along a predicted change, in standard deviations of noise, or of what is left if larger.
@@ -141,31 +186,34 @@ class HeldOut:
         residual = self.measured - predicted
         return Followed(predicted, moved, float(residual @ residual + moved @ self._weights @ moved))
 
-    def _sensitivities(self, offset: np.ndarray, at: Followed, effects: tuple[EffectSetting, ...]) -> np.ndarray:
+    def _sensitivities(self, offset: np.ndarray, at: Followed, effects: tuple[EffectSetting, ...]) -> _Sensitivities:
         tuning = replace(self._tuning, offset=offset + at.moved)
-        return quick_sensitivities(self._runs, tuning, at.predicted, effects, HELD_OUT)
+        jacobian = quick_sensitivities(self._runs, tuning, at.predicted, effects, HELD_OUT)
+        return _Sensitivities(tuning.offset, at.predicted, jacobian)
+
+    def _hold(self, taken: _Sensitivities, offset: np.ndarray, at: Followed) -> bool:
+        """Whether sensitivities are those of this run, too: of one that hardly differs, or differs as they say."""
+        change = taken.difference(at.predicted)
+        if self._is_large:
+            change = min(change, TWICE**2 * taken.missed(offset + at.moved, at.predicted))
+        return change < ALIKE * len(at.predicted)
 
     def _stepped(
         self, offset: np.ndarray, at: Followed, effects: tuple[EffectSetting, ...], jacobian: np.ndarray
-    ) -> tuple[Followed | None, float]:
-        """After a Gauss-Newton step within the tuned numbers' bounds, halved until it helps, and the share of the expected decrease that
-        came of it; None where the numbers are where the recordings want them, or no step helps.
+    ) -> tuple[Followed | None, float, float]:
+        """After a Gauss-Newton step within the tuned numbers' bounds, halved until it helps, the share of the expected decrease that came
+        of it, and that decrease; None where the numbers are where the recordings want them, or no step helps.
         """
         if not len(offset):
-            return None, 1.0
+            return None, 1.0, 0.0
         hessian = jacobian.T @ jacobian + self._weights
         gradient = jacobian.T @ (self.measured - at.predicted) - self._weights @ at.moved
         step = bounded_step(self._tuning, hessian, gradient, offset + at.moved)
         expected = float(2.0 * step @ gradient - step @ hessian @ step)
         if expected < SETTLED:
-            return None, 1.0
+            return None, 1.0, expected
         for halved in range(HALVED_AT_MOST):
             found = self._at(offset, at.moved + 0.5**halved * step, effects)
             if found is not None and found.misfit < at.misfit:
-                return found, (at.misfit - found.misfit) / expected
-        return None, 0.0
-
-
-def _alike(predicted: np.ndarray, linearised: np.ndarray | None) -> bool:
-    """Whether sensitivities hold for a run that were taken of another."""
-    return linearised is not None and float(np.sum((predicted - linearised) ** 2)) < ALIKE * len(predicted)
+                return found, (at.misfit - found.misfit) / expected, expected
+        return None, 0.0, expected

@@ -10,6 +10,7 @@ import pytest
 
 from hil.diagnosis.free_run import HELD_OUT
 from hil.diagnosis.held_out import OPEN, HeldOut
+from hil.diagnosis.refit import MANY
 from hil.diagnosis.retune import Tuning
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
@@ -60,10 +61,11 @@ def test_an_effect_that_is_none_gains_nothing_by_starting_nearer():
     assert nothing.misfit - nearer.misfit < 1.0  # the move's own price, of 0.64
 
 
-def test_an_effect_that_is_there_is_followed_with_the_numbers_moved_all_the_same():
+@pytest.mark.parametrize("numbers", [1, MANY + 1])
+def test_an_effect_that_is_there_is_followed_with_the_numbers_moved_all_the_same(numbers):
     measured = wave(np.array([-0.8]), (PUSH,)) + NOISE
-    judge = held_out(wave, measured, 0.0)
-    nothing, pushed = judge.follow(np.zeros(1), ()), judge.follow(np.zeros(1), (PUSH,))
+    judge = held_out(wave, measured, 0.0, numbers)
+    nothing, pushed = judge.follow(np.zeros(numbers), ()), judge.follow(np.zeros(numbers), (PUSH,))
     assert nothing.misfit - pushed.misfit == pytest.approx(9.0 * ROWS, rel=0.05)
     assert judge.deviations(nothing, pushed) == pytest.approx(3.0 * np.sqrt(ROWS), rel=0.05)
     assert judge.deviations(pushed, pushed) == 0.0
@@ -119,17 +121,47 @@ def test_sensitivities_are_not_taken_again_where_no_step_helps():
     assert len(asked) < 20
 
 
-def test_numbers_settle_by_the_sensitivities_of_the_set_itself():
+SHAPE = np.sin(np.linspace(0.0, 60.0, ROWS))
+
+
+def loaded(offset, effects=()):
     """A number that does nothing on the machine without the effect, and much beside it."""
-    shape = np.sin(np.linspace(0.0, 60.0, ROWS))
+    return SHAPE * (3.0 + 0.5 * offset[0]) if effects else 0.0 * SHAPE
 
-    def loaded(offset, effects=()):
-        return shape * (3.0 + 0.5 * offset[0]) if effects else 0.0 * shape
 
+@pytest.mark.parametrize("numbers", [1, MANY + 1])
+def test_numbers_settle_by_the_sensitivities_of_the_set_itself(numbers):
     true = np.array([0.8])
-    followed = held_out(loaded, loaded(true, (PUSH,)) + NOISE, 0.0).follow(np.zeros(1), (PUSH,))
-    assert followed.moved == pytest.approx(true, abs=0.2)
+    followed = held_out(loaded, loaded(true, (PUSH,)) + NOISE, 0.0, numbers).follow(np.zeros(numbers), (PUSH,))
+    assert followed.moved[0] == pytest.approx(true[0], abs=0.2)
     assert followed.misfit == pytest.approx(NOISE @ NOISE + 0.64, abs=4.0)
+
+
+def test_many_numbers_are_asked_about_once_where_runs_differ_as_they_said_and_not_for_sets_that_are_alike():
+    asked = []
+
+    def counted(offset, effects=()):
+        asked.append(effects)
+        return loaded(offset, effects)
+
+    judge = held_out(counted, loaded(np.array([0.8]), (PUSH,)) + NOISE, 0.0, MANY + 1)
+    asked.clear()
+    first = judge.follow(np.zeros(MANY + 1), (PUSH,))
+    assert np.sum((first.predicted - loaded(np.zeros(1), (PUSH,))) ** 2) > 0.05 * ROWS
+    assert MANY < len(asked) < 2 * MANY
+    asked.clear()
+    another = judge.follow(np.zeros(MANY + 1), (replace(PUSH, at="other"),))
+    assert another.misfit == pytest.approx(first.misfit, abs=0.1)
+    assert len(asked) < 10
+
+
+def test_many_numbers_are_asked_about_again_where_a_run_differs_otherwise_than_they_said():
+    def curved(offset, effects=()):
+        return SHAPE * (3.0 + 0.5 * offset[0] + 2.0 * np.sin(offset[0])) if effects else 0.0 * SHAPE
+
+    true = np.array([1.3])
+    followed = held_out(curved, curved(true, (PUSH,)) + NOISE, 0.0, MANY + 1).follow(np.zeros(MANY + 1), (PUSH,))
+    assert followed.misfit == pytest.approx(NOISE @ NOISE + true[0] ** 2, abs=4.0)
 
 
 def test_a_set_that_is_asked_for_again_is_not_run_again():
