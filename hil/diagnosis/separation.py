@@ -25,6 +25,7 @@ import numpy as np
 from controllers.errors import ControlError
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.carried import CarriedImu, carried_imu
+from hil.diagnosis.coordinates import ORDER_UNIT
 from hil.diagnosis.noise import NoiseModel
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
@@ -382,5 +383,6 @@ def _parameter(setting: EffectSetting, name: str) -> Parameter:
 
 
 def _size(setting: EffectSetting, name: str) -> float:
-    parameter = _parameter(setting, name)
-    return max(abs(setting.parameters[name]), 1e-3 * (parameter.high - parameter.low))
+    """A large change of a parameter. An order's is itself: its range is made for turns and for metres."""
+    parameter, value = _parameter(setting, name), abs(setting.parameters[name])
+    return value if parameter.unit == ORDER_UNIT else max(value, 1e-3 * (parameter.high - parameter.low))

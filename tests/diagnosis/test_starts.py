@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -158,3 +159,22 @@ def test_a_cable_s_starts_are_one_shape():
         most = np.maximum(most, ((noise @ along) ** 2).sum(axis=1))
     shapes = np.mean(most > chi2.isf(0.01, 3)) / 0.01  # 1.5; 2.3 with every direction of a cubic
     assert 0.5 < shapes_of("cable_spring", "roll", moved("roll", 3.0 * POSITION), 5) / shapes < 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "wave"),
+    [("position_dependent_friction", "k", 113.0), ("transmission_error", "k", 600.0)],
+)
+def test_a_wave_over_a_short_slide_starts_at_its_radians_per_metre(name, order, wave):
+    """6 cm of travel are at most a few turns of a joint; in metres the same wave has a hundred times as many radians."""
+    position, speed = 0.04 * POSITION, 0.04 * SPEED
+    shape = np.cos(wave * position + 0.4)
+    effort = -(1.0 + shape) * np.sign(speed)
+    slide = moved("propeller", effort).residual("propeller")
+    moves = {"position": position, "speed": speed, "acceleration": np.gradient(speed, TIME_s), "ratio": 1.0}
+    slide = replace(slide, **moves, measured=1e-5 * shape, simulated=0.0 * shape)
+    motion = moved("propeller", effort, 1e4)
+    motion.residual = lambda at, coupled=False: slide
+    place = [parameter.name for parameter in effects()[name].parameters].index(order)
+    apart = np.abs(np.array(starts_of(name, "propeller", motion))[:, place] - wave)
+    assert apart.min() < 0.5 * 2.0 * np.pi / np.ptp(position)

@@ -19,7 +19,7 @@ EFFECT = Effect(
             "k",
             unit="cycles/turn",
             low=0.1,
-            high=100.0,
+            high=100000.0,
             description="periods per turn of the joint (a prismatic joint: radians per metre)",
             is_strength=False,
         ),
