@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,23 +16,10 @@ from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.judgement import Contender
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import (
-    CAP_ASSUMED,
-    CAP_UNCONFIRMED,
-    LIKELIER,
-    Evidence,
-    Weighed,
-    confidence_of,
-    erring,
-    imitated,
-    not_told_apart,
-    ranking,
-    rarity_of,
-)
+from hil.diagnosis.naming import CAP_UNCONFIRMED, LIKELIER, Evidence, Weighed, confidence_of, erring, imitated, not_told_apart, ranking
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -41,7 +29,8 @@ from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, findings_of, verdict_of, with_read_off
+from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too, with_read_off
+from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among
 from hil.diagnosis.without_effects import without_effects
 from hil.machine import Machine
 from hil.recording import Recording
@@ -53,9 +42,6 @@ NEXT_EXPERIMENT = "next_experiment.toml"
 
 MOST_RIVALS = 3
 """Hypotheses that one experiment is asked to separate."""
-
-LARGEST_TIE = 0.999
-"""No hypothesis is more certain than this: what is in no catalogue always has a share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +137,9 @@ def diagnose(
             judged = HeldOut(runs, tuning) if runs.has_held_out else None
             selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
-        evidence = _evidence(runs, tuning, judged, selection)
+        passed, tried = selection.chosen is not None, len(selection.screened)
+        weigh = partial(evidence_of, runs, tuning, judged, formless=selection.formless, tried=tried, found=passed)
+        evidence = weigh(selection.contenders)
         hypotheses = ranking(evidence)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None
         values = tuning.values if chosen is None else tuning.at(chosen.offset)
@@ -173,12 +161,17 @@ def diagnose(
             further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
             imitated=_imitated(selection, evidence),
         )
-        verdict, reason = with_read_off(*verdict_of(standing), [what.says(channel) for channel, what in train.read_off])
+        verdict, reason = verdict_of(standing)
+        unsure: tuple[Weighed, ...] = ()
+        if verdict == "ambiguous":
+            unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
+            reason += what_may_act_too(unsure)
+        verdict, reason = with_read_off(verdict, reason, [what.says(channel) for channel, what in train.read_off])
         spread = spread_of(runs, tuning, chosen)
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
             estimates = effect_estimates(machine.plant, believed(runs, tuning, hypotheses, spread))
-            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(_cap(runs)), verdict)
+            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(cap_of(runs)), verdict, unsure)
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
@@ -227,35 +220,6 @@ def _never_back(report: Report) -> Report:
     return say
 
 
-def _evidence(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Selection) -> Evidence:
-    """Every set that competes for the name, on training and held-out recordings."""
-    rivals, formless = selection.contenders, selection.formless
-    train = min((c.fitted.cost for c in rivals), default=0.0) + max((c.gained for c in rivals), default=0.0)
-    held_out = min((c.left_held_out for c in rivals), default=0.0) + max((c.gained_held_out for c in rivals), default=0.0)
-
-    def weighing(c: Contender) -> Weighed:
-        return Weighed(
-            None,
-            train - c.gained,
-            held_out - c.gained_held_out,
-            searched=c.searched,
-            passed=c.passed,
-            by_numbers=c.by_numbers,
-            rarity=rarity_of(c.fitted.effects, runs.machine.plant),
-        ).priced_as(c.fitted)
-
-    return Evidence(
-        sets=tuple(weighing(c) for c in rivals),
-        base=Weighed(None, train, held_out),
-        entries_train=float(len(tuning.predicted)),
-        entries_held_out=0.0 if judged is None else float(len(judged.measured)),
-        tried=len(selection.screened),
-        found=selection.chosen is not None,
-        cap=_cap(runs),
-        formless=tuple(weighing(c) for c in formless),
-    )
-
-
 def _imitated(selection: Selection, evidence: Evidence) -> str:
     """Why the set that fits best is no name, where that is likelier than all that are; "" where it is not."""
     share, likeliest = imitated(evidence)
@@ -274,10 +238,6 @@ def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
 def _is_same_set(one: Fitted | None, other: Fitted | None) -> bool:
     """Whether both are of the same effects: of a set that two ways came to, the fit that is closer competes for the name."""
     return one is other or (one is not None and other is not None and set(one.effects) == set(other.effects))
-
-
-def _cap(runs: FreeRuns) -> float:
-    return CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
 
 
 def _at_most(hypothesis: Weighed, cap: float) -> Weighed:

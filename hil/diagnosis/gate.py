@@ -102,6 +102,13 @@ class Gate:
         return max(self.gain - (self.scatter - 1.0) * self.needed, self.gain / self.scatter)
 
     @property
+    def shows(self) -> bool:
+        """Whether training shows more than what the best of all gains by chance, in units of its scatter, be it an error of what was found
+        before.
+        """
+        return self.gain > self.scatter * self.needed
+
+    @property
     def chance(self) -> float:
         """Of both gains where there is nothing."""
         return min(self.trained, 1.0) if self.followed is None else chance_of_both(self.trained, self.followed, self.asked)

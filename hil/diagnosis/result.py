@@ -64,7 +64,7 @@ class Finding:
     confidence: float
     parameters: Mapping[str, Estimate]
     ambiguous_with: tuple[EffectAt, ...] = ()  # what those sets have that the likeliest one has not
-    ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones without this effect
+    ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones without this effect, and with others beside all that were found
     separating_experiment: str | None = None  # file that `isocenter run` takes
     evidence_for: tuple[str, ...] = ()
     evidence_against: tuple[str, ...] = ()

@@ -17,13 +17,15 @@ from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, temperature, temperature_of
+from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import UNLIKE, Screened, screen, shortlist, squared_cosine
+from hil.diagnosis.weighing import closer_than, evidence_of
+from hil.diagnosis.what_acts import with_what_acts
 
 REFITTED = 8
 """Candidates refitted after the first screening."""
@@ -79,6 +81,8 @@ class Selection:
         set's equations may err by: what is left is more than noise and errors where it is small, though no effect passed the gate.
     formless : tuple of Contender
         Sets that would have passed but for their form: what they imitate has no name.
+    unsure : tuple of Contender
+        The chosen set with one effect more, which training shows and which did not pass the gate.
     """
 
     chosen: Fitted | None
@@ -88,6 +92,7 @@ class Selection:
     closest: Fitted | None
     further: float = np.inf
     formless: tuple[Contender, ...] = ()
+    unsure: tuple[Contender, ...] = ()
 
 
 def select(
@@ -100,7 +105,8 @@ def select(
     *,
     another_way: bool = True,
 ) -> Selection:
-    """Add effects one at a time, and once more from another first one that was not told apart, where further ones were found.
+    """Add effects one at a time, once more from another first one that was not told apart, where further ones were found, and once more
+    from the likeliest set where it leaves less than the one at the end: further effects are looked for beside what is named.
 
     Parameters
     ----------
@@ -115,7 +121,7 @@ def select(
     report : callable
         Told what is being done, and how far the whole is.
     another_way : bool
-        Whether effects are added from another first one at all.
+        Whether effects are added from another first one, or from the likeliest set, at all.
     """
     judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs))
     search = _Search(runs, tuning, judgement, noise_energy, candidates_of, report)
@@ -125,7 +131,11 @@ def select(
     if another_way and rival is not None:
         other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,), smaller=way.smaller))
         way = joined(way, other, judgement.nothing.cost, noise_energy)
-    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless)
+    weigh = partial(evidence_of, runs, tuning, held_out, tried=len(way.screened), found=True)
+    closer = closer_than(way.stand, way.contenders, len(tuning.predicted), lambda some: ranking(weigh(some))[0].fitted)
+    if another_way and closer is not None:
+        way = continued(way, search.to_the_end(from_another(way, closer, first.tried, judgement.after(closer))))
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, way.unsure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +154,7 @@ class Way:
     tried: Tried | None = None
     is_at_its_end: bool = False
     formless: tuple[Contender, ...] = ()  # of all steps
+    unsure: tuple[Contender, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +214,7 @@ class _Search:
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
-        fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
+        fits = in_order(with_what_acts(runs, tuning, measured, fits, stand.effects), nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, limits)
@@ -215,7 +226,8 @@ class _Search:
         further = least_by_chance(judged, stand)
         end = Way(stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless)
         if not passed and chosen is not None:
-            return end
+            larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
+            return replace(end, unsure=tuple(one for one in larger if one.gate.shows and not one.gate.lost_form))
         least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
         rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
@@ -241,6 +253,20 @@ def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
     closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
     formless = (*one.formless, *(each for each in other.formless if each not in one.formless))
     return replace(likelier, contenders=tuple(each_once((*one.contenders, *other.contenders))), closest=closest, formless=formless)
+
+
+def from_another(way: Way, found: Contender, tried: Tried | None, stand: Stand) -> Way:
+    """A way that goes on from another of the sets that this one came to; `tried` are the candidates of the first step."""
+    steps = tuple({id(gate): gate for gate in found.gates}.values())
+    return replace(way, stand=stand, gates=steps, tried=tried, further=np.inf, is_at_its_end=False, unsure=())
+
+
+def continued(way: Way, other: Way) -> Way:
+    """The way that went on from the likeliest set of the one before, with the sets of both where it found more."""
+    if all(one in way.contenders for one in other.contenders):
+        return other
+    closest = min((one.closest for one in (way, other) if one.closest is not None), key=lambda fit: fit.cost)
+    return replace(other, contenders=tuple(each_once((*way.contenders, *other.contenders))), closest=closest)
 
 
 def another_first(

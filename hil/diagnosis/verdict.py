@@ -154,12 +154,27 @@ def sets_without(listed: Sequence[Weighed], effect: EffectAt) -> tuple[tuple[Eff
     return tuple(found for found in sets if effect not in found)
 
 
+def sets_instead(listed: Sequence[Weighed], effect: EffectAt, likeliest: Sequence[EffectAt]) -> tuple[tuple[EffectAt, ...], ...]:
+    """Those of some sets that an effect of the likeliest set is not in, and those in which others act beside all of the likeliest."""
+    sets = [h.fitted.effects for h in listed if h.fitted is not None]
+    return tuple(found for found in sets if effect not in found or set(likeliest) < set(found))
+
+
+def what_may_act_too(unsure: Sequence[Weighed]) -> str:
+    """Sets in which another effect acts as well, which is not there for certain; "" where none is plausible."""
+    if not unsure:
+        return ""
+    sets = "; ".join(" and ".join(map(str, h.fitted.effects)) for h in unsure if h.fitted is not None)
+    return f"; plausible, though their last effect is not there for certain: {sets}"
+
+
 def findings_of(
     contenders: Sequence[Contender],
     hypotheses: Sequence[Weighed],
     estimates: Sequence[Mapping[str, Estimate]],
     cap: float,
     verdict: Verdict,
+    unsure: Sequence[Weighed] = (),
 ) -> tuple[Finding, ...]:
     """The likeliest set's effects, each with the evidence of the step that added it and the confidence of all sets it is in.
 
@@ -176,6 +191,8 @@ def findings_of(
     verdict : str
         A name that stands alone is told apart from sets that are not plausible by themselves: under `explained` none is listed so that all
         have 95 % together.
+    unsure : sequence of Weighed
+        Plausible sets whose last effect is not there for certain, listed behind the others.
     """
     best = next(contender for contender in contenders if contender.fitted is hypotheses[0].fitted)
     passed = {id(contender.fitted) for contender in contenders if contender.passed}
@@ -186,7 +203,7 @@ def findings_of(
         for_it, against = gate.evidence()
         among = [h for h in hypotheses if h.fitted is not None and effect in h.fitted.effects]
         largest = cap if any(id(h.fitted) in passed for h in among) else CAP_UNCONFIRMED
-        others = sets_without(listed, effect)
+        others = sets_instead([*listed, *unsure], effect, best.fitted.effects)
         near = sets_without(plausible, effect)
         against += [f"{' and '.join(map(str, other))} {'fits' if len(other) == 1 else 'fit'} nearly as well" for other in near]
         found.append(

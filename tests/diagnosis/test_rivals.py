@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from hil.diagnosis import selection
 from hil.diagnosis.candidates import Candidate
@@ -25,18 +26,21 @@ ALONG = {FRICTION: RUBS, MODE: 0.999 * RUBS + np.sqrt(1.0 - 0.999**2) * ELSE, LO
 
 
 def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[EffectAt]]:
-    """Sets that compete."""
-    return [set(one.fitted.effects) for one in searched(monkeypatch, mode_beside, less).contenders]
+    """Sets that compete, see `selected`."""
+    found = selected(monkeypatch, mode_beside, less)
+    assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
+    return [set(one.fitted.effects) for one in found.contenders]
 
 
-def searched(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> selection.Selection:
-    """The search where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
+def selected(monkeypatch, mode_beside: np.ndarray, less: float = 0.0, pulls: float = 7.0, backwards: float = 0.0) -> selection.Selection:
+    """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
-    `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there.
+    `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there, `pulls` how strong the
+    load is, `backwards` what the best response run backwards in time gains beside an effect.
     """
     noise = np.random.default_rng(3).standard_normal(ENTRIES)
     noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE))
-    measured = noise + 30.0 * RUBS + 7.0 * PULLS
+    measured = noise + 30.0 * RUBS + pulls * PULLS
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     sets = {"train": SimpleNamespace(channels=("a",), groups=[SimpleNamespace(time_s=np.zeros(ENTRIES))])}
     layout = SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
@@ -63,17 +67,16 @@ def searched(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> selecti
     monkeypatch.setattr(selection, "screen", screened)
     monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
     monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits, *_: list(fits))
+    monkeypatch.setattr(selection, "with_what_acts", lambda runs, tuning, measured, fits, stand: fits)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
-    monkeypatch.setattr(selection, "placebo_gain", lambda *_: 0.0)
+    monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
 
     def candidates_of(chosen: Fitted | None) -> list[Candidate]:
         return [] if chosen is not None and len(chosen.effects) > 1 else [Candidate(effect, ()) for effect in ALONG]
 
-    found = selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
-    assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
-    return found
+    return selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
 
 
 def test_a_rival_with_what_was_found_beside_it_competes(monkeypatch):
@@ -86,13 +89,21 @@ def test_a_rival_that_lost_its_form_beside_what_was_found_does_not_compete(monke
 
 
 def test_a_rival_that_would_have_passed_but_for_its_form_is_kept_apart(monkeypatch):
-    assert [set(one.fitted.effects) for one in searched(monkeypatch, LOST).formless] == [{MODE, LOAD}]
-    assert searched(monkeypatch, SWINGS).formless == ()
+    assert [set(one.fitted.effects) for one in selected(monkeypatch, LOST).formless] == [{MODE, LOAD}]
+    assert selected(monkeypatch, SWINGS).formless == ()
 
 
 def test_a_rival_that_gains_nothing_by_what_was_found_beside_it_does_not_compete(monkeypatch):
     competing = search(monkeypatch, SWINGS, less=7.0)
     assert {FRICTION, LOAD} in competing and {MODE, LOAD} not in competing
+
+
+@pytest.mark.parametrize(("pulls", "unsure"), [(7.0, [{FRICTION, LOAD}]), (2.0, [])], ids=["training shows it", "chance gains as much"])
+def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_apart(monkeypatch, pulls, unsure):
+    found = selected(monkeypatch, SWINGS, pulls=pulls, backwards=1e6)
+    assert found.chosen is not None and found.chosen.effects == (FRICTION,)
+    assert [set(one.fitted.effects) for one in found.unsure] == unsure
+    assert not any(LOAD in one.fitted.effects and FRICTION in one.fitted.effects for one in found.contenders)
 
 
 def test_a_search_goes_on_from_another_first_effect_that_does_something_else(monkeypatch):

@@ -9,7 +9,8 @@ import pytest
 
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.selection import Way, another_first, each_once, joined
+from hil.diagnosis.selection import Way, another_first, continued, each_once, joined
+from hil.diagnosis.weighing import closer_than
 
 ENTRIES = 100
 ALONG = np.eye(ENTRIES)
@@ -79,3 +80,28 @@ def test_what_lost_its_form_on_either_way_is_kept_once():
 
     one, other = way(contender(16_500.0, RUBBING), first, second), way(contender(18_500.0, COGGING), first, third)
     assert joined(one, other, NOTHING.cost, float(ENTRIES)).formless == (first, second, third)
+
+
+@pytest.mark.parametrize(
+    ("gained", "passed", "likeliest", "goes_on"),
+    [(19_700.0, True, True, True), (19_605.0, True, True, False), (19_700.0, False, True, False), (19_700.0, True, False, False)],
+    ids=["it leaves less", "it leaves as much", "it is not there for certain", "it is less likely"],
+)
+def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_than_the_one_at_its_end(gained, passed, likeliest, goes_on):
+    """Of one parameter, where 4 of noise are left per entry, chance gains some forty."""
+    end, rival = contender(19_600.0, RUBBING), contender(gained, COGGING, passed=passed)
+    stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects, cost=end.fitted.cost)
+    best = rival if likeliest else end
+    assert closer_than(stand, (end, rival), ENTRIES, lambda some: best.fitted) is (rival if goes_on else None)
+
+
+def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
+    first, likeliest = contender(16_000.0, RUBBING), contender(16_100.0, COGGING)
+    larger = contender(16_400.0, COGGING, DELAY)
+    way = Way(SimpleNamespace(fitted=first.fitted), contenders=(first, likeliest), closest=likeliest.fitted)
+    found_nothing = Way(SimpleNamespace(fitted=likeliest.fitted), contenders=(first, likeliest))
+    found_more = Way(SimpleNamespace(fitted=larger.fitted), contenders=(larger,), closest=larger.fitted)
+    assert continued(way, found_nothing) is found_nothing
+    both = continued(way, found_more)
+    assert both.stand is found_more.stand and both.closest is larger.fitted
+    assert [set(one.fitted.effects) for one in both.contenders] == [{RUBBING}, {COGGING, DELAY}]

@@ -15,7 +15,8 @@ from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.verdict import Standing, findings_of, verdict_of
+from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too
+from hil.diagnosis.weighing import plausible_among
 from virtual_bus.effects.registry import effects
 
 NOISE = 20000.0
@@ -81,6 +82,13 @@ def contender(name: str, share: float, *, passes: bool = True) -> Contender:
     return Contender(fitted(name), 0.0, 0.0, 0.0, (gate(share, passes=passes),))
 
 
+def set_of(step: Gate, *names: str) -> Contender:
+    nothing = np.zeros(0)
+    effects = tuple(EffectAt(name, "carriage") for name in names)
+    fit = Fitted(effects, (nothing,) * len(effects), nothing, nothing, 0.0, (), np.zeros((0, 0)), nothing)
+    return Contender(fit, 0.0, 0.0, 0.0, (step,) * len(effects))
+
+
 def first_finding(*sets: tuple[Contender, float], cap: float):
     hypotheses = [Weighed(one.fitted, 0.0, 0.0, (1.0,), confidence) for one, confidence in sets]
     (found,) = findings_of([one for one, _ in reversed(sets)], hypotheses, [{}], cap, "ambiguous")  # in another order than by confidence
@@ -102,6 +110,21 @@ def test_sets_that_a_name_is_not_told_apart_from_stay_sets():
     assert [[other["effect"] for other in one] for one in said["ambiguous_sets"]] == [["end_stop", "delay"], ["delay", "backlash"]]
     assert "end_stop at carriage and delay at carriage fit nearly as well" in cogging.evidence_against
     assert "delay at carriage fits nearly as well" not in cogging.evidence_against
+
+
+def test_a_plausible_set_with_an_effect_that_is_not_certain_is_listed_behind_the_others():
+    """Under each finding where it holds all that was found and more, and in no count of what fits nearly as well."""
+    found, rival = contender("viscous_friction", 0.6), contender("quadratic_friction", 0.6)
+    beside = [set_of(gate(0.6, passes=False), "viscous_friction", name) for name in ("delay", "backlash")]
+    sure = [Weighed(one.fitted, 0.0, 0.0, (1.0,), share) for one, share in ((found, 0.3), (rival, 0.2))]
+    wide = [*sure, Weighed(beside[0].fitted, 0.0, 0.0, (1.0,), 0.1), Weighed(beside[1].fitted, 0.0, 0.0, (1.0,), 0.001)]
+    unsure = plausible_among(beside, wide)
+    assert [h.fitted for h in unsure] == [beside[0].fitted]
+    (finding,) = findings_of([found, rival], sure, [{}], 0.999, "ambiguous", unsure)
+    assert [effect.effect for effect in finding.ambiguous_with] == ["quadratic_friction", "delay"]
+    assert [len(one) for one in finding.ambiguous_sets] == [1, 2] and finding.confidence == 0.3
+    assert not any("delay" in text for text in finding.evidence_against)
+    assert what_may_act_too(()) == "" and "viscous_friction at carriage and delay at carriage" in what_may_act_too(unsure)
 
 
 ONE_OF_MANY = ("coulomb_friction", "delay", "backlash", "cable_spring", "end_stop", "cogging")

@@ -128,7 +128,7 @@ def _findings(diagnosis: Diagnosis, proposal: Proposal | None) -> str:
                 lines.append(f"<p>{heading}:</p><ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in evidence) + "</ul>")
         if finding.ambiguous_sets:
             others = "; ".join(" and ".join(map(str, one)) for one in finding.ambiguous_sets)
-            lines.append(f"<p>Without it these recordings allow: {html.escape(others)}.</p>")
+            lines.append(f"<p>In its place, or with more beside it, these recordings allow: {html.escape(others)}.</p>")
         if finding.separating_experiment and proposal is not None:
             lines.append(f"<p>The next experiment: {html.escape(proposal.said(finding.separating_experiment))}.</p>")
         parts.append("\n".join(lines))

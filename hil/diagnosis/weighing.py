@@ -1,0 +1,99 @@
+"""What is weighed for the name: the sets that a search has come to, on training and on held-out recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.gate import needed_gain
+from hil.diagnosis.held_out import HeldOut
+from hil.diagnosis.judgement import Contender, Stand
+from hil.diagnosis.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart, rarity_of
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.retune import Tuning
+
+LARGEST_TIE = 0.999
+"""No hypothesis is more certain than this: what is in no catalogue always has a share."""
+
+
+def evidence_of(
+    runs: FreeRuns,
+    tuning: Tuning,
+    judged: HeldOut | None,
+    contenders: Sequence[Contender],
+    formless: Sequence[Contender] = (),
+    *,
+    tried: int,
+    found: bool,
+) -> Evidence:
+    """Every set that competes, beside no effect at all.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    tuning : Tuning
+        Without effects.
+    judged : HeldOut or None
+    contenders, formless : sequence of Contender
+        See `selection.Selection`.
+    tried : int
+        Candidates that were screened.
+    found : bool
+        Whether a set passed the gate.
+    """
+    train = min((c.fitted.cost for c in contenders), default=0.0) + max((c.gained for c in contenders), default=0.0)
+    held_out = min((c.left_held_out for c in contenders), default=0.0) + max((c.gained_held_out for c in contenders), default=0.0)
+
+    def weighing(c: Contender) -> Weighed:
+        return Weighed(
+            None,
+            train - c.gained,
+            held_out - c.gained_held_out,
+            searched=c.searched,
+            passed=c.passed,
+            by_numbers=c.by_numbers,
+            rarity=rarity_of(c.fitted.effects, runs.machine.plant),
+        ).priced_as(c.fitted)
+
+    return Evidence(
+        sets=tuple(weighing(c) for c in contenders),
+        base=Weighed(None, train, held_out),
+        entries_train=float(len(tuning.predicted)),
+        entries_held_out=0.0 if judged is None else float(len(judged.measured)),
+        tried=tried,
+        found=found,
+        cap=cap_of(runs),
+        formless=tuple(weighing(c) for c in formless),
+    )
+
+
+def cap_of(runs: FreeRuns) -> float:
+    """Largest share of what has a name."""
+    return CAP_ASSUMED if runs.noise.kind == "assumed" else LARGEST_TIE
+
+
+def plausible_among(unsure: Sequence[Contender], hypotheses: Sequence[Weighed]) -> tuple[Weighed, ...]:
+    """Those of the sets whose last effect is not there for certain that are not told apart from the likeliest of all, weighed with them.
+
+    The gate asks whether an effect is there for certain, a list of what may be there asks whether it is plausible.
+    """
+    doubted = {id(one.fitted) for one in unsure}
+    return tuple(h for h in not_told_apart(hypotheses) if id(h.fitted) in doubted)
+
+
+def closer_than(
+    stand: Stand, contenders: Sequence[Contender], entries: int, likeliest_of: Callable[[Sequence[Contender]], Fitted | None]
+) -> Contender | None:
+    """The likeliest set where it passed the gate, is not the one that a search ended with and leaves less than that by more than chance.
+
+    Where both leave as much, what is missing is the same beside both.
+    """
+    others = [one for one in contenders if set(one.fitted.effects) != set(stand.effects)]
+    if stand.fitted is None or all(one.fitted.cost >= stand.cost for one in others):
+        return None
+    likeliest = likeliest_of(contenders)
+    one = next((one for one in others if one.fitted is likeliest), None)
+    if one is None or not one.passed:
+        return None
+    more = max(one.fitted.freedom - stand.fitted.freedom, 1)
+    return one if stand.cost - one.fitted.cost > needed_gain(1.0, more, one.fitted.cost, entries) else None
