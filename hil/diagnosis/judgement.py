@@ -31,13 +31,14 @@ SEARCHED_TERM = {"encoder_eccentricity": "b"}
 
 
 class Tried:
-    """Candidates that were tried, with the number of shapes that were searched for each."""
+    """Candidates that were tried, with the number of shapes that were searched for each, and for those of the steps before."""
 
-    def __init__(self, candidates: Sequence[Candidate], earlier: Tried | None = None) -> None:
+    def __init__(self, candidates: Sequence[Candidate], *earlier: Tried | None) -> None:
+        before = [tried for tried in earlier if tried is not None]
         self.count = len(candidates)
-        self.first: int = self.count if earlier is None else earlier.first
+        self.first: int = before[0].first if before else self.count
         self.shapes: Mapping[EffectAt, float] = {
-            **({} if earlier is None else earlier.shapes),
+            **{effect: shapes for tried in before for effect, shapes in tried.shapes.items()},
             **{candidate.effect: candidate.shapes for candidate in candidates},
         }
 

@@ -134,7 +134,7 @@ def select(
     weigh = partial(evidence_of, runs, tuning, held_out, tried=len(way.screened), found=True)
     closer = closer_than(way.stand, way.contenders, len(tuning.predicted), lambda some: ranking(weigh(some))[0].fitted)
     if another_way and closer is not None:
-        way = continued(way, search.to_the_end(from_another(way, closer, first.tried, judgement.after(closer))))
+        way = continued(way, search.to_the_end(from_another(way, closer, judgement.after(closer))))
     return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, way.unsure)
 
 
@@ -249,16 +249,23 @@ def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
     ends = [next(c for c in way.contenders if c.fitted is way.stand.fitted) for way in (one, other)]
     temper = temperature_of([(base - end.gained, end.by_numbers[0]) for end in ends], base, noise_energy)
     evidence = [0.5 * end.gained / temper - _price(end.fitted, temper, end.searched) for end in ends]
-    likelier = one if evidence[0] >= evidence[1] else other
+    likelier, less = (one, other) if evidence[0] >= evidence[1] else (other, one)
     closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
     formless = (*one.formless, *(each for each in other.formless if each not in one.formless))
-    return replace(likelier, contenders=tuple(each_once((*one.contenders, *other.contenders))), closest=closest, formless=formless)
+    return replace(
+        likelier,
+        contenders=tuple(each_once((*one.contenders, *other.contenders))),
+        closest=closest,
+        formless=formless,
+        limits={**less.limits, **likelier.limits},
+        tried=Tried((), less.tried, likelier.tried),  # either way may have tried what was a candidate beside its own sets only
+    )
 
 
-def from_another(way: Way, found: Contender, tried: Tried | None, stand: Stand) -> Way:
-    """A way that goes on from another of the sets that this one came to; `tried` are the candidates of the first step."""
+def from_another(way: Way, found: Contender, stand: Stand) -> Way:
+    """A way that goes on from another of the sets that this one came to, at whichever step."""
     steps = tuple({id(gate): gate for gate in found.gates}.values())
-    return replace(way, stand=stand, gates=steps, tried=tried, further=np.inf, is_at_its_end=False, unsure=())
+    return replace(way, stand=stand, gates=steps, further=np.inf, is_at_its_end=False, unsure=())
 
 
 def continued(way: Way, other: Way) -> Way:

@@ -16,13 +16,16 @@ from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
 
 ENTRIES = 4000
-FRICTION, MODE, LOAD = (EffectAt(name, "carriage") for name in ("coulomb_friction", "structural_mode", "constant_load"))
+FRICTION, MODE, LOAD, DAMPER, NOT_THERE = (
+    EffectAt(name, "carriage")
+    for name in ("coulomb_friction", "structural_mode", "constant_load", "viscous_friction", "quadratic_friction")
+)
 SWINGS, LOST = np.array([1.0, 16.0, 0.01]), np.array([1.0, 16.0, 1.0])
 """J, f and zeta of a mode, and of one that no longer swings."""
 
-RUBS, PULLS, ELSE = np.linalg.qr(np.random.default_rng(2).standard_normal((ENTRIES, 3)))[0].T
-ALONG = {FRICTION: RUBS, MODE: 0.999 * RUBS + np.sqrt(1.0 - 0.999**2) * ELSE, LOAD: PULLS}
-"""The mode imitates the friction: alone it leaves 0.2 % more of it."""
+RUBS, PULLS, ELSE, DAMPS, NOWHERE = np.linalg.qr(np.random.default_rng(2).standard_normal((ENTRIES, 5)))[0].T
+ALONG = {FRICTION: RUBS, MODE: 0.999 * RUBS + np.sqrt(1.0 - 0.999**2) * ELSE, LOAD: PULLS, DAMPER: DAMPS, NOT_THERE: NOWHERE}
+"""The mode imitates the friction: alone it leaves 0.2 % more of it. A damper acts in few tests."""
 
 
 def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[EffectAt]]:
@@ -32,15 +35,28 @@ def search(monkeypatch, mode_beside: np.ndarray, less: float = 0.0) -> list[set[
     return [set(one.fitted.effects) for one in found.contenders]
 
 
-def selected(monkeypatch, mode_beside: np.ndarray, less: float = 0.0, pulls: float = 7.0, backwards: float = 0.0) -> selection.Selection:
+def candidates_beside(chosen: Fitted | None) -> list[Candidate]:
+    """Beside two effects no further one."""
+    return [] if chosen is not None and len(chosen.effects) > 1 else [Candidate(effect, ()) for effect in (FRICTION, MODE, LOAD)]
+
+
+def selected(
+    monkeypatch,
+    mode_beside: np.ndarray,
+    less: float = 0.0,
+    pulls: float = 7.0,
+    backwards: float = 0.0,
+    damps: float = 0.0,
+    candidates_of=candidates_beside,
+) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
     `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there, `pulls` how strong the
-    load is, `backwards` what the best response run backwards in time gains beside an effect.
+    load is, `backwards` what the best response run backwards in time gains beside an effect, `damps` how strong a damper is.
     """
     noise = np.random.default_rng(3).standard_normal(ENTRIES)
-    noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE))
-    measured = noise + 30.0 * RUBS + pulls * PULLS
+    noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE, DAMPS, NOWHERE))
+    measured = noise + 30.0 * RUBS + pulls * PULLS + damps * DAMPS
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     sets = {"train": SimpleNamespace(channels=("a",), groups=[SimpleNamespace(time_s=np.zeros(ENTRIES))])}
     layout = SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
@@ -72,9 +88,6 @@ def selected(monkeypatch, mode_beside: np.ndarray, less: float = 0.0, pulls: flo
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
     monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
-
-    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
-        return [] if chosen is not None and len(chosen.effects) > 1 else [Candidate(effect, ()) for effect in ALONG]
 
     return selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
 
@@ -111,3 +124,24 @@ def test_a_search_goes_on_from_another_first_effect_that_does_something_else(mon
     assert {MODE, LOAD} not in search(monkeypatch, SWINGS)  # what imitates the friction is the same thing
     monkeypatch.setattr(selection, "UNLIKE", 1.0)
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
+
+
+def beside_something(chosen: Fitted | None) -> list[Candidate]:
+    """The load is a candidate only beside something, the damper only beside the mode."""
+    there = () if chosen is None else chosen.effects
+    also = [*([LOAD] if there else []), *([DAMPER] if MODE in there else [])]
+    return [Candidate(effect, ()) for effect in (FRICTION, MODE, NOT_THERE, *also)]
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_search_goes_on_from_a_closer_set_of_any_step(monkeypatch, goes_on):
+    """Nothing of the likeliest set need have been a candidate at the first step."""
+
+    def closer(stand, contenders, *_):
+        return next(one for one in contenders if set(one.fitted.effects) == {MODE, LOAD}) if goes_on else None
+
+    monkeypatch.setattr(selection, "closer_than", closer)
+    found = selected(monkeypatch, SWINGS, damps=7.0, candidates_of=beside_something)
+    assert found.chosen is not None
+    assert set(found.chosen.effects) == ({MODE, LOAD, DAMPER} if goes_on else {FRICTION, LOAD})
+    assert ({MODE, LOAD, DAMPER} in [set(one.fitted.effects) for one in found.contenders]) is goes_on

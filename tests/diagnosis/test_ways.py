@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.judgement import Tried
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.selection import Way, another_first, continued, each_once, joined
@@ -80,6 +82,21 @@ def test_what_lost_its_form_on_either_way_is_kept_once():
 
     one, other = way(contender(16_500.0, RUBBING), first, second), way(contender(18_500.0, COGGING), first, third)
     assert joined(one, other, NOTHING.cost, float(ENTRIES)).formless == (first, second, third)
+
+
+def test_of_two_ways_it_is_known_what_either_tried():
+    """A second cogging is a candidate beside the first one only; a search may go on from the sets of either way."""
+    second, step = EffectAt("cogging 2", "rotor"), Tried([Candidate(COGGING, (), 3.0), Candidate(RUBBING, ())])
+
+    def way(gained, effect, tried, limits):
+        end = contender(gained, effect)
+        return Way(SimpleNamespace(fitted=end.fitted), contenders=(end,), closest=end.fitted, tried=tried, limits=limits)
+
+    one = way(18_500.0, RUBBING, Tried([Candidate(DELAY, ())], step), {RUBBING: (0.1, 1.0)})
+    other = way(16_500.0, COGGING, Tried([Candidate(second, (), 7.0)], step), {second: (0.2, 2.0)})
+    for both in (joined(one, other, NOTHING.cost, float(ENTRIES)), joined(other, one, NOTHING.cost, float(ENTRIES))):
+        assert both.tried.shapes == {COGGING: 3.0, RUBBING: 1.0, DELAY: 1.0, second: 7.0} and both.tried.first == 2
+        assert both.limits == {RUBBING: (0.1, 1.0), second: (0.2, 2.0)}
 
 
 @pytest.mark.parametrize(
