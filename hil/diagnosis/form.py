@@ -81,8 +81,8 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
         least, most = limits.get(effect, NO_LIMIT)
         if effect.effect in SLIDES_AT and (slides_at := SLIDES_AT[effect.effect](*values)) > most:
             return f"{effect} slides at {slides_at:.3g}, more than the {most:.3g} that the recordings can show: what fits may be a spring"
-        if effect.effect in SLIDES_AT and slides_at < least:
-            return f"{effect} slides at {slides_at:.3g}, less than the {least:.3g} that its encoder shows: any dry friction does"
+        if effect.effect in BENDS_BY and (bends_by := BENDS_BY[effect.effect](*values)) < least:
+            return f"{effect} bends by {bends_by:.3g}, less than the {least:.3g} that its encoder shows: any dry friction does"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
                 continue
@@ -111,6 +111,14 @@ def _bristles_slide_at(Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, 
 
 SLIDES_AT: Mapping[str, Callable[..., float]] = {"bouc_wen_hysteresis": _bouc_wen_slides_at, "presliding_hysteresis": _bristles_slide_at}
 """Displacement [rad or m] at which a hysteresis that went on at its first slope would have its steady effort, by its parameters."""
+
+
+def _bristles_bend_by(Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, sigma1: float) -> float:
+    return float((Fc + Fs_minus_Fc) / sigma0)
+
+
+BENDS_BY: Mapping[str, Callable[..., float]] = {"bouc_wen_hysteresis": _bouc_wen_slides_at, "presliding_hysteresis": _bristles_bend_by}
+"""The most [rad or m] that a hysteresis gives way before it slides: bristles, while it creeps, to the level at which they break away."""
 
 
 def _bound(name: str, parameter: Parameter, value: float) -> float | None:

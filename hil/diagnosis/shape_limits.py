@@ -21,7 +21,8 @@ taken as twice the drive's largest effort over its stiffness, 0.3 to 11 times of
 LEAST_BEND = 2.0
 """Counts of the joint's encoder that a friction's bristles bend before they slide, at least: readings differ by one without any motion. Dry
 friction of every law gives way a little before it slides, and one that sticks at once leaves that over: bristles took it up where friction
-fell with speed or differed with direction (sealed 984, 1029, spent, bent by 0.07 and 1.2 counts). A shorter bend tells no law of them."""
+fell with speed, differed with direction or grew with acceleration (sealed 984, 1029, 235, spent, bent by 0.4, 1.2 and 0.08 counts).
+Hidden bristles were fitted bending by 14 counts and more (development 13, sealed 763). A shorter bend tells no law of them."""
 
 NO_LIMIT = (0.0, inf)
 
@@ -29,8 +30,8 @@ NO_LIMIT = (0.0, inf)
 def shape_limits(name: str, at: str, motion: Motion) -> tuple[float, float]:
     """Between which ends recordings can show an effect's shape.
 
-    Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle. Of a hysteresis the smallest and
-    the largest displacement [rad or m] at which it slides.
+    Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle. Of a hysteresis the least
+    [rad or m] that it bends before it slides, and the largest displacement at which it does.
     """
     if name in HYSTERESES:
         return LEAST_BEND * _count(motion, at), _stroke(motion, at) * (1.0 - LEAST_SLIDING) / 2.0

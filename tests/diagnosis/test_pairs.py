@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.form import lost_form
+from hil.diagnosis.form import BENDS_BY, lost_form
 from hil.diagnosis.judgement import Stand, Tried
 from hil.diagnosis.pairs import beside_rivals, pairs
 from hil.diagnosis.refit import Fitted
@@ -16,6 +16,8 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
 from hil.diagnosis.selection import has_no_surplus
+from virtual_bus.effects import presliding_hysteresis
+from virtual_bus.effects.motion import ReactionState
 
 ENTRIES = 400
 
@@ -89,6 +91,9 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 3.0, 0.0], False),
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 50.0, 0.0], False),
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 70.0, 0.0], True),  # bends by 0.00086, the encoder shows 0.001
+        ("presliding_hysteresis", [0.06, 0.03, 0.1, 70.0, 0.0], False),  # by 0.0013 while it creeps, slides at 0.00086
+        ("presliding_hysteresis", [0.0, 0.06, 0.1, 50.0, 0.0], False),
+        ("presliding_hysteresis", [0.06, 0.06, 0.1, 3.0, 0.0], False),  # slides at 0.02, although it bends by 0.04
         ("stribeck_friction", [5.0, 1.0, 1.4], True),  # Fs - Fc, vs, delta
         ("stribeck_friction", [5.0, 0.1, 2.0], False),
         ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
@@ -104,6 +109,14 @@ def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
     limits = {"cogging": (1.0, np.inf), "bouc_wen_hysteresis": (0.001, 0.025), "presliding_hysteresis": (0.001, 0.025)}
     limits_at = {EffectAt(effect, "carriage"): ends for effect, ends in limits.items()}
     assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost
+
+
+@pytest.mark.parametrize("parameters", [(10.0, 10.0, 1e-3, 7e3, 0.0), (0.0, 20.0, 1e-3, 7e3, 0.0), (10.0, 0.0, 1e-3, 7e3, 0.0)])
+def test_bristles_bend_as_far_as_their_law_says_that_creeps(parameters):
+    bend = 0.0
+    for _ in range(4000):  # 0.04 rad
+        _, bend, _ = presliding_hysteresis.react(ReactionState(bend, 0.0, 0.0, 1e-5, 1e-5, 1.0), *parameters)
+    assert BENDS_BY["presliding_hysteresis"](*parameters) == pytest.approx(bend, rel=1e-3)
 
 
 @pytest.mark.parametrize(
