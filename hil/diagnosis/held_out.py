@@ -30,10 +30,10 @@ SETTLED = 0.3
 """Expected decrease of the misfit, in units of noise, below which the numbers are where the recordings want them."""
 
 FAIR = 0.3
-"""Share of the expected decrease below which sensitivities are taken anew. On machines of MANY numbers, where less than WORTH_LINEARISING is
-expected, only if those that it is expected by are not the run's (`_hold`): a set may end so much above its least, and by which of them it
-ends depends on the sets followed before. Asked again with its own, the likeliest set of development case 7 (C-arm) had 3.0 left and came
-down by 3.0, the next (share 0.005) 1.9 and 1.4: 1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
+"""Share of the expected decrease below which sensitivities are taken anew. On machines of MANY numbers, where less than WORTH_LINEARISING
+is expected, only if they are not the run's own (`_hold`): a set may end so much above its least, and by which of them it ends depends on
+the sets followed before. Asked again with its own, the likeliest set of development case 7 (C-arm) had 3.0 left and came down by 3.0, the
+next (share 0.005) 1.9 and 1.4: 1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
 
 LINEARISED_AGAIN = 5
 """Times at most for a set of effects, which begins with sensitivities of another run."""

@@ -53,10 +53,10 @@ class Tried:
         return self._shapes(effects) + math.log(math.comb(self.first, len(effects)) / self.first)
 
     def searched_for(self, fitted: Fitted) -> float:
-        """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the training recordings
-        would lose without it: what it was fitted to nothing for is the law without that term, which nobody searched. That loss is an upper
-        bound: in log evidence at a temperature of 1 (the ranking divides by its own, which is larger where equations err), and of the
-        term's whole response, with what the machine's numbers and the law's other term would imitate of it.
+        """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the training
+        recordings would lose without it: what it was fitted to nothing for is the law without that term, which nobody searched. That loss
+        is an upper bound: in log evidence at a temperature of 1 (the ranking divides by its own, which is larger where equations err), and
+        of the term's whole response, with what the machine's numbers and the law's other term would imitate of it.
         """
         return self.searched(fitted.effects) - sum(self._not_needed(fitted, number) for number in range(len(fitted.effects)))
 
