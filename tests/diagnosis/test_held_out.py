@@ -164,6 +164,31 @@ def test_many_numbers_are_asked_about_again_where_a_run_differs_otherwise_than_t
     assert followed.misfit == pytest.approx(NOISE @ NOISE + true[0] ** 2, abs=4.0)
 
 
+@pytest.mark.parametrize("numbers", [1, MANY + 1])
+def test_sensitivities_of_another_set_that_say_otherwise_than_a_run_are_taken_again_although_that_is_alike(numbers):
+    """A number that pushes the other way beside the effect, whose runs at first are the same: 57 of the misfit are asked about anew."""
+
+    def turned(offset, effects=()):
+        return SHAPE * 0.3 * (-offset[0] if effects else offset[0])
+
+    true = np.array([-0.8])
+    judge = held_out(turned, turned(true, (PUSH,)) + NOISE, 0.0, numbers)
+    assert judge.follow(np.zeros(numbers), (PUSH,)).misfit == pytest.approx(NOISE @ NOISE + true[0] ** 2, abs=4.0)
+
+
+def test_many_numbers_are_asked_about_again_where_a_run_differs_by_little_otherwise_than_they_said():
+    """By 14, of 264 by which it differs: sensitivities may change by twice that, which is 57 and more than is left out of 2000."""
+    other = np.cos(np.linspace(0.0, 60.0, ROWS))
+
+    def bent(offset, effects=()):
+        return 0.5 * other * offset[1] + (SHAPE * (0.12 + 0.3 * offset[0]) if effects else 0.0)
+
+    known, true = np.zeros(MANY + 1), np.zeros(MANY + 1)
+    known[1], true[:2] = 1e5, (0.8, 1.0)  # the second is known, and fitted with the effect
+    judge = held_out(bent, bent(true, (PUSH,)) + NOISE, known, MANY + 1)
+    assert judge.follow(np.eye(MANY + 1)[1], (PUSH,)).misfit == pytest.approx(NOISE @ NOISE + true[0] ** 2, abs=4.0)
+
+
 def test_a_set_that_is_asked_for_again_is_not_run_again():
     asked = []
 

@@ -13,7 +13,7 @@ from hil.diagnosis.naming import temperature
 from hil.diagnosis.next_experiment import DRAWS, REFINEMENTS, REFITTED, propose
 from hil.diagnosis.noise import assumed_noise
 from hil.diagnosis.retune import tunable
-from hil.diagnosis.separation import ROUNDS, Model, Separation
+from hil.diagnosis.separation import EFFECT_STEP, ROUNDS, Model, Separation
 from hil.experiments import Jog, JogOnly, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine
@@ -90,6 +90,15 @@ def test_a_law_is_told_from_its_special_case_only_where_the_law_is_right(rivals,
     either_way = replace(coulomb, effects=values, free=tuple((0, name) for name in names))
     ((if_special, if_law),) = Separation(RAIL, [coulomb, either_way], noise, CHANNELS).of_plan(slow_jog()).separations
     assert if_special < 0.1 * if_law
+
+
+@pytest.mark.parametrize("order", [0.5, 4.0, 400.0])
+def test_an_order_is_moved_by_a_share_of_itself_however_far_it_may_reach(order):
+    """A thousandth of that is 100 radians per metre: a change of a slow wave for another one."""
+    wavy = model("transmission_error", "k", order)
+    ((moved, step),) = wavy.effect_moves(slow_jog())
+    assert moved.effects[0].parameters["k"] == pytest.approx(order * (1.0 + EFFECT_STEP))
+    assert wavy.at(np.append(np.zeros(len(wavy.indices)), step)).effects == moved.effects
 
 
 def test_the_search_says_how_far_it_is_and_refits_few_draws(proposal, told, rivals):
