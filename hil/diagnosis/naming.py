@@ -236,15 +236,31 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
 def imitated(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[float, Weighed | None]:
     """Share that sets which lost their form would have beside the known ones, were they names, and the likeliest of them.
 
-    What such a set fits better than every name does is there, and none of the names is it.
+    What such a set fits better than every name does is there, and none of the names is it. Of sets of which one holds the other, or that
+    were fitted twice, the likeliest counts: they are one another's imitations, and their shares together would be of one set.
     """
     if not evidence.formless or not evidence.sets:
         return 0.0, None
     entries = evidence.entries_train, evidence.entries_held_out
-    ranked, _ = weighed((*evidence.sets, *evidence.formless), evidence.base, entries, evidence.tried, evidence.cap, weights)
-    own = {id(h.fitted) for h in evidence.formless}
-    formless = [h for h in ranked if id(h.fitted) in own]
+
+    def beside_names(formless: Sequence[Weighed]) -> list[Weighed]:
+        """With their shares, the likeliest first."""
+        ranked, _ = weighed((*evidence.sets, *formless), evidence.base, entries, evidence.tried, evidence.cap, weights)
+        own = {id(h.fitted) for h in formless}
+        return [h for h in ranked if id(h.fitted) in own]
+
+    formless = beside_names(_not_nested(beside_names(evidence.formless)))
     return sum(h.share for h in formless), formless[0]
+
+
+def _not_nested(hypotheses: Sequence[Weighed]) -> list[Weighed]:
+    """Those that neither hold nor are part of one before them."""
+    kept: list[tuple[Weighed, set[EffectAt]]] = []
+    for h in hypotheses:
+        own = set() if h.fitted is None else set(h.fitted.effects)
+        if not any(own <= other or other <= own for _, other in kept):
+            kept.append((h, own))
+    return [h for h, _ in kept]
 
 
 def weighed(

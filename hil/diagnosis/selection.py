@@ -24,7 +24,7 @@ from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted,
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import UNLIKE, Screened, screen, shortlist, squared_cosine
-from hil.diagnosis.weighing import closer_than, evidence_of
+from hil.diagnosis.weighing import closer_than, evidence_of, least_by_chance, without_form
 from hil.diagnosis.what_acts import with_what_acts
 
 REFITTED = 8
@@ -135,7 +135,9 @@ def select(
     closer = closer_than(way.stand, way.contenders, len(tuning.predicted), lambda some: ranking(weigh(some))[0].fitted)
     if another_way and closer is not None:
         way = continued(way, search.to_the_end(from_another(way, closer, judgement.after(closer))))
-    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, way.unsure)
+    competing = [set(one.fitted.effects) for one in way.contenders]
+    unsure = tuple(one for one in way.unsure if set(one.fitted.effects) not in competing)  # a rival of the first step may be one
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +216,13 @@ class _Search:
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
-        fits = in_order(with_what_acts(runs, tuning, measured, fits, stand.effects), nothing.cost, noise_energy, tried, stand)
+
+        def may_stand(fit: Fitted) -> bool:
+            """As what was found: a set without one of the stand's effects is judged against nothing."""
+            return fit.cost < stand.cost and _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))
+
+        fits = with_what_acts(runs, tuning, measured, fits, stand.effects, may_stand)
+        fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, limits)
@@ -308,17 +316,6 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
     """The gate of the step that ends a search."""
     return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
-
-
-def without_form(judged: Sequence[Contender]) -> list[Contender]:
-    """Those that would have passed but for their form."""
-    return [one for one in judged if one.gate.lost_form and one.gate.something_is_there]
-
-
-def least_by_chance(judged: Sequence[Contender], stand: Stand) -> float:
-    """Of sets that add an effect to those that were found: the least expected number that gain as much in training by chance."""
-    beside = [one.gate.trained for one in judged if stand.effects and set(stand.effects) < set(one.fitted.effects)]
-    return min(beside, default=np.inf)
 
 
 def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import needed_gain
 from hil.diagnosis.held_out import HeldOut
@@ -97,3 +99,14 @@ def closer_than(
         return None
     more = max(one.fitted.freedom - stand.fitted.freedom, 1)
     return one if stand.cost - one.fitted.cost > needed_gain(1.0, more, one.fitted.cost, entries) else None
+
+
+def without_form(judged: Sequence[Contender]) -> list[Contender]:
+    """Those that would have passed but for their form."""
+    return [one for one in judged if one.gate.lost_form and one.gate.something_is_there]
+
+
+def least_by_chance(judged: Sequence[Contender], stand: Stand) -> float:
+    """Of sets that add an effect to those that were found: the least expected number that gain as much in training by chance."""
+    beside = [one.gate.trained for one in judged if stand.effects and set(stand.effects) < set(one.fitted.effects)]
+    return min(beside, default=np.inf)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,14 @@ from hil.diagnosis.retune import Tuning
 from virtual_bus.effects.registry import effects
 
 
-def with_what_acts(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], stand: Sequence[EffectAt]) -> list[Fitted]:
+def with_what_acts(
+    runs: FreeRuns,
+    tuning: Tuning,
+    measured: np.ndarray,
+    fits: Sequence[Fitted],
+    stand: Sequence[EffectAt],
+    may_stand: Callable[[Fitted], bool],
+) -> list[Fitted]:
     """The fits, each larger set of which an effect has no strength without that effect and fitted on.
 
     Where effects are added one at a time, what stood for another is left over beside it. Only a smaller set pays for no more than it has.
@@ -28,20 +35,22 @@ def with_what_acts(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: S
     measured : (M,) array
     fits : sequence of Fitted
     stand : sequence of EffectAt
-        The effects that the fits add to; a fit that adds nothing stays as it is.
+        The effects that the fits add to; a fit that adds nothing to them, or to a part of them, stays as it is.
+    may_stand : callable
+        Whether a smaller set, once it is fitted, may take a fit's place.
     """
     found: list[Fitted] = []
-    there = {frozenset(fit.effects) for fit in fits} | {frozenset(stand), frozenset()}
+    there = {frozenset(fit.effects) for fit in fits}
     for fit in fits:
         kept = [k for k, (effect, values) in enumerate(zip(fit.effects, fit.values, strict=True)) if acts(effect, values)]
         smaller = tuple(fit.effects[k] for k in kept)
-        if len(kept) == len(fit.effects) or frozenset(smaller) in there:
+        if len(kept) == len(fit.effects) or set(smaller) <= set(stand) or frozenset(smaller) in there:
             found.append(fit)
             continue
         there.add(frozenset(smaller))
         begun = replace(fit, effects=smaller, values=tuple(fit.values[k] for k in kept), cost=np.inf)  # any end is better
         (done,) = polish(runs, tuning, measured, [begun])
-        found.append(fit if done is begun else done)
+        found.append(done if done is not begun and may_stand(done) else fit)
     return found
 
 

@@ -69,6 +69,28 @@ def test_what_fits_better_than_every_name_without_its_form_has_the_larger_share(
     assert imitated(Evidence((sets[0],), base, ENTRIES, 0.0, TRIED, True)) == (0.0, None)
 
 
+def test_a_set_without_its_form_counts_once():
+    """However often it was fitted, and whatever was found beside it."""
+    spring, mode, load = (EffectAt(name, "hinge") for name in ("nonlinear_stiffness", "structural_mode", "constant_load"))
+
+    def weighed_set(misfit: float, *effects: EffectAt) -> Weighed:
+        own = Fitted(effects, (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
+        return Weighed(own, ENTRIES + misfit, 0.0, (1600.0,) * 3)
+
+    def share(*formless: Weighed) -> tuple[float, Weighed | None]:
+        base = Weighed(None, ENTRIES + 1600.0, 0.0)
+        return imitated(Evidence((weighed_set(100.0, spring),), base, ENTRIES, 0.0, TRIED, True, formless=formless))
+
+    one = weighed_set(100.0, mode)
+    once = share(one)[0]
+    assert 0.4 < once < LIKELIER
+    for again in (weighed_set(102.0, mode), weighed_set(101.0, mode, load)):
+        assert share(one, again)[0] == pytest.approx(once, rel=0.02)
+    closer = weighed_set(20.0, mode, load)  # what is found beside it may be what counts
+    assert share(one, closer)[0] > once and share(one, closer)[1].fitted is closer.fitted
+    assert share(one, weighed_set(100.0, load))[0] > LIKELIER  # another set is another chance
+
+
 def test_small_differences_between_large_effects_prove_nothing():
     one, other = confidences(1e6, 2000.0, 5000.0)
     assert one < ALONE

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hil.diagnosis import selection
+from hil.diagnosis import judgement, selection
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form_error import FormError
 from hil.diagnosis.refit import Fitted
@@ -48,6 +49,7 @@ def selected(
     backwards: float = 0.0,
     damps: float = 0.0,
     candidates_of=candidates_beside,
+    what_acts=lambda runs, tuning, measured, fits, stand, may_stand: fits,
 ) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
@@ -83,7 +85,7 @@ def selected(
     monkeypatch.setattr(selection, "screen", screened)
     monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
     monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits, *_: list(fits))
-    monkeypatch.setattr(selection, "with_what_acts", lambda runs, tuning, measured, fits, stand: fits)
+    monkeypatch.setattr(selection, "with_what_acts", what_acts)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
     monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
@@ -145,3 +147,56 @@ def test_a_search_goes_on_from_a_closer_set_of_any_step(monkeypatch, goes_on):
     assert found.chosen is not None
     assert set(found.chosen.effects) == ({MODE, LOAD, DAMPER} if goes_on else {FRICTION, LOAD})
     assert ({MODE, LOAD, DAMPER} in [set(one.fitted.effects) for one in found.contenders]) is goes_on
+
+
+def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(monkeypatch):
+    """Not where it leaves more than what was found, nor where one of its effects leaves as little by chance."""
+    stands = []
+
+    def what_acts(runs, tuning, measured, fits, stand, may_stand):
+        stands.append(stand)
+        if stand:
+            best = min(fits, key=lambda fit: fit.cost)
+            leaves = best.cost + 49.0  # what the friction alone leaves, and the load takes
+            assert may_stand(replace(best, cost=leaves - 1.0)) and not may_stand(replace(best, cost=leaves + 1.0))
+            two = replace(best, effects=(MODE, LOAD))
+            assert may_stand(replace(two, cost=best.cost - 500.0)) and not may_stand(replace(two, cost=leaves - 1.0))
+        return [fit for fit in fits if MODE not in fit.effects]
+
+    found = selected(monkeypatch, SWINGS, what_acts=what_acts)
+    assert stands == [(), (FRICTION,)]
+    assert not any(MODE in one.fitted.effects for one in found.contenders)
+
+
+def test_what_training_shows_competes_once(monkeypatch):
+    """A pair may be a rival from the first step on, and be fitted again beside the chosen set."""
+    (unsure,) = selected(monkeypatch, SWINGS, backwards=1e6).unsure
+    whole = selection._Search.step
+
+    def step(self, way):
+        found = whole(self, way)
+        return replace(found, contenders=(*found.contenders, unsure)) if not way.stand.effects else found
+
+    monkeypatch.setattr(selection._Search, "step", step)
+    monkeypatch.setattr(selection, "closer_than", lambda *_: None)
+    found = selected(monkeypatch, SWINGS, backwards=1e6)
+    assert unsure in found.contenders and found.unsure == ()
+
+
+def test_what_lost_its_form_beside_the_chosen_set_is_not_unsure(monkeypatch):
+    monkeypatch.setattr(judgement, "lost_form", lambda fit, *_: "it is none" if LOAD in fit.effects else "")
+    assert selected(monkeypatch, SWINGS, backwards=1e6).unsure == ()
+
+
+def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(monkeypatch):
+    """At the first step, where single effects are."""
+    asked = []
+
+    def with_numbers(runs, tuning, measured, fits, *_):
+        asked.append(fits[0].effects)
+        return [*fits, replace(fits[0], effects=(NOT_THERE,))]
+
+    monkeypatch.setattr(selection, "with_numbers_of_the_file", with_numbers)
+    found = selected(monkeypatch, SWINGS, candidates_of=beside_something)
+    assert asked == [(FRICTION,)]
+    assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]

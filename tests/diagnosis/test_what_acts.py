@@ -36,8 +36,8 @@ def sets_fitted_on(monkeypatch):
     return begun
 
 
-def without_idle(*fits: Fitted, stand: tuple[EffectAt, ...] = ()) -> list[Fitted]:
-    return with_what_acts(SimpleNamespace(), SimpleNamespace(), np.zeros(4), fits, stand)
+def without_idle(*fits: Fitted, stand: tuple[EffectAt, ...] = (), may_stand=lambda fit: True) -> list[Fitted]:
+    return with_what_acts(SimpleNamespace(), SimpleNamespace(), np.zeros(4), fits, stand, may_stand)
 
 
 def test_what_stood_for_another_is_left_out_beside_it(sets_fitted_on):
@@ -55,6 +55,18 @@ def test_what_stood_for_another_is_left_out_beside_it(sets_fitted_on):
 def test_other_sets_stay_as_they_are(sets_fitted_on, last, others, stand):
     fits = [fitted(7.5, (QUADRATIC, [1.0]), (VISCOUS, last)), *(fitted(8.0, one) for one in others)]
     assert without_idle(*fits, stand=stand) == fits and not sets_fitted_on
+
+
+def test_what_comes_to_nothing_beside_two_does_not_take_the_place_of_both(sets_fitted_on):
+    """One of the two would be judged against nothing, pass and stand for both."""
+    three = fitted(7.5, (SIGN, [1.0, 1.0]), (QUADRATIC, [0.0]), (VISCOUS, [0.0]))
+    assert without_idle(three, stand=(SIGN, QUADRATIC)) == [three] and not sets_fitted_on
+
+
+def test_a_smaller_set_that_may_not_stand_takes_no_place(sets_fitted_on):
+    three = fitted(7.5, (SIGN, [1.0, 1.0]), (QUADRATIC, [0.0]), (VISCOUS, [2.0]))
+    assert without_idle(three, stand=(SIGN, QUADRATIC), may_stand=lambda fit: fit.cost > 7.0) == [three]
+    assert [fit.effects for fit in sets_fitted_on] == [(SIGN, VISCOUS)]
 
 
 def test_a_limit_acts_whatever_its_number_is():
