@@ -50,7 +50,7 @@ class Tried:
         """What a set costs in log evidence beyond a single effect of one shape: the logarithm of how many shapes it had, and of how many
         sets of its size there were to choose from for each single effect.
         """
-        return self._shapes(effects) + math.log(math.comb(self.first, len(effects)) / self.first)
+        return self._shapes(effects) + math.log(math.comb(max(self.first, len(effects)), len(effects)) / self.first)
 
     def searched_for(self, fitted: Fitted) -> float:
         """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the training

@@ -111,3 +111,18 @@ def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted,
         if set(one.effects) not in left_out and not set(added) & set(one.effects) and len(one.effects) <= len(stand.effects)
     ]
     return [((*one.effects, *added), (*one.values, *values)) for one in others[:MOST_RIVALS]]
+
+
+def beside(chosen: Fitted | None, added: Screened) -> Start:
+    """An effect more than those that were chosen."""
+    if chosen is None:
+        return (added.effect,), (added.values,)
+    return (*chosen.effects, added.effect), (*chosen.values, added.values)
+
+
+def instead(chosen: Fitted | None, added: Screened) -> list[Start]:
+    """The most promising effect in place of each of a pair: one of two that were found together may have stood for it."""
+    if chosen is None or len(chosen.effects) < 2:
+        return []
+    kept = [[k for k in range(len(chosen.effects)) if k != left_out] for left_out in range(len(chosen.effects))]
+    return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.exchanged import exchanged
 from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.from_nominal import with_numbers_from_nominal
@@ -19,7 +20,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
-from hil.diagnosis.pairs import Pair, Start, beside_rivals, pairs
+from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -193,7 +194,7 @@ class _Search:
         most = REFITTED if size == 0 else REFITTED_BESIDE
         worth = shortlist(screened, most, WORTH_A_FIT)
         self.report("fitting", 0.35 + 0.2 * size)
-        starts = [*(_beside(chosen, s) for s in worth), *_instead(chosen, worth[0])]
+        starts = [*(beside(chosen, s) for s in worth), *instead(chosen, worth[0])]
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
             return end
@@ -243,6 +244,9 @@ class _Search:
             known = _not_told_apart(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
+            several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
+            there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
+            starts += exchanged(tuning, several, singles, first, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
             more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, limits, len(fits))
             more = [one for one in more if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
@@ -412,20 +416,6 @@ def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list
         for one in earlier
         if one.gained > RIVAL_SHARE * most and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger)
     ]
-
-
-def _beside(chosen: Fitted | None, added: Screened) -> tuple[tuple[EffectAt, ...], tuple[np.ndarray, ...]]:
-    if chosen is None:
-        return (added.effect,), (added.values,)
-    return (*chosen.effects, added.effect), (*chosen.values, added.values)
-
-
-def _instead(chosen: Fitted | None, added: Screened) -> list[Start]:
-    """The most promising effect in place of each of a pair: one of two that were found together may have stood for it."""
-    if chosen is None or len(chosen.effects) < 2:
-        return []
-    kept = [[k for k in range(len(chosen.effects)) if k != left_out] for left_out in range(len(chosen.effects))]
-    return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]
 
 
 def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:

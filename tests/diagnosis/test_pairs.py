@@ -100,7 +100,10 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("cogging", [1.1, 1.0, 0.0, 0.0, 0.0], False),
         ("viscous_friction", [0.0], False),
         ("gear_ratio", [0.1], True),  # no machine's ratio is off by a tenth
-        ("rectified_sensor", [1.0, 1.0], False),
+        ("rectified_sensor", [1.0, 1.0], False),  # share, sign
+        ("rectified_sensor", [0.74, 1.0], False),
+        ("rectified_sensor", [0.0, -1.0], False),
+        ("rectified_sensor", [2e-5, 1.0], True),
         ("backlash", [1e-5, 9e-5], False),  # b, flank: fits keep it within that (`coordinates.AT_MOST`)
         ("backlash", [1e-5, 0.0], False),
     ],

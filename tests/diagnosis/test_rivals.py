@@ -121,8 +121,14 @@ def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_ap
     assert not any(LOAD in one.fitted.effects and FRICTION in one.fitted.effects for one in found.contenders)
 
 
+def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeypatch):
+    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+    assert {MODE, LOAD} in search(monkeypatch, SWINGS)
+
+
 def test_a_search_goes_on_from_another_first_effect_that_does_something_else(monkeypatch):
     monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
     assert {MODE, LOAD} not in search(monkeypatch, SWINGS)  # what imitates the friction is the same thing
     monkeypatch.setattr(selection, "UNLIKE", 1.0)
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
@@ -163,6 +169,7 @@ def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(
             assert may_stand(replace(two, cost=best.cost - 500.0)) and not may_stand(replace(two, cost=leaves - 1.0))
         return [fit for fit in fits if MODE not in fit.effects]
 
+    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
     found = selected(monkeypatch, SWINGS, what_acts=what_acts)
     assert stands == [(), (FRICTION,)]
     assert not any(MODE in one.fitted.effects for one in found.contenders)

@@ -1,0 +1,89 @@
+"""Sets that were found with one of their effects exchanged for another that answers alike: without a free run, where a fit may start.
+
+Of several effects a search finds one after the other, each beside those before it. What imitates one of them only beside the others was
+never fitted there: alone it may have been far behind. Of the found set's response along one effect, with re-tuning and all that the others'
+parameters do taken out, another candidate takes its squared cosine; what is left of it decides whether the two can be told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from hil.diagnosis.information import is_in_proportion
+from hil.diagnosis.pairs import Start
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.screening import Screened, scaled
+from virtual_bus.effects.registry import effects
+
+MOST_EXCHANGED = 3
+"""Sets that are fitted: each costs a fit and its polishing."""
+
+LEAST_ALIKE = 0.5
+"""Squared cosine below which another shape of the candidate will not make it the same either."""
+
+
+def exchanged(
+    tuning: Tuning, found: Fitted, singles: Sequence[Fitted], screened: Sequence[Screened], there: Collection[set[EffectAt]]
+) -> list[Start]:
+    """Starts of the sets, the most alike first; none of a single effect, whose rivals were all fitted.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Without effects.
+    found : Fitted
+    singles : sequence of Fitted
+        Effects that were fitted alone.
+    screened : sequence of Screened
+        The others, tried alone.
+    there : collection of sets
+        That were fitted already.
+
+    Notes
+    -----
+    A spring that hardens, beside a load, is a cable for a fit that had the cable first: the hardening was fitted alone, where
+    it leaves 350 times as much, and never beside the load (silverbox, `benchmarks/real_recordings.py`).
+    """
+    if len(found.effects) < 2:
+        return []
+    projection = Projection.of(tuning)
+    columns = projection.left(found.jacobian.T)
+    fitted = {fit.effects[0] for fit in singles if len(fit.effects) == 1}
+    bank = [(fit.effects[0], fit.values[0], projection.left(fit.predicted - tuning.predicted)) for fit in singles if len(fit.effects) == 1]
+    bank += [(one.effect, one.values, one.response.astype(float)) for one in screened if one.effect not in fitted]
+    each = []
+    for number, effect in enumerate(found.effects):
+        others = np.array([e != number for e, _ in found.free])
+        basis = np.linalg.qr(columns[others].T)[0]
+        own = _beyond(basis, _strengths(found, number) @ columns)
+        energy = float(own @ own)
+        for name, values, response in bank:
+            rest = tuple(other for other in found.effects if other != effect)
+            answer = _beyond(basis, response)
+            size = float(answer @ answer)
+            if name in found.effects or {*rest, name} in there or min(size, energy) <= 0.0:
+                continue
+            along = float(own @ answer)
+            start = scaled(name, values, along / size)
+            if along**2 > LEAST_ALIKE * size * energy and start is not None:
+                kept = tuple(own for other, own in zip(found.effects, found.values, strict=True) if other != effect)
+                each.append((along**2 / (size * energy), ((*rest, name), (*kept, start))))
+    return [start for _, start in sorted(each, key=lambda one: -one[0])[:MOST_EXCHANGED]]
+
+
+def _strengths(found: Fitted, number: int) -> np.ndarray:
+    """(F,) steps of the free parameters by which the effect of this number grows from nothing, as far as it is in proportion to them."""
+    steps = np.zeros(len(found.free))
+    for column, (e, k) in enumerate(found.free):
+        if e == number and is_in_proportion(effects()[found.effects[e].effect].parameters[k]):
+            steps[column] = found.values[e][k]
+    return steps
+
+
+def _beyond(basis: np.ndarray, response: np.ndarray) -> np.ndarray:
+    return response - basis @ (basis.T @ response)
