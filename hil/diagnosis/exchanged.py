@@ -46,8 +46,8 @@ def exchanged(
 
     Notes
     -----
-    A spring that hardens, beside a load, is a cable for a fit that had the cable first: the hardening was fitted alone, where
-    it leaves 350 times as much, and never beside the load (silverbox, `benchmarks/real_recordings.py`).
+    Silverbox (`benchmarks/real_recordings.py`): alone a spring that hardens leaves twelve times what a cable leaves, since a cable has a
+    place of its own and takes the load's part. The load was found beside the cable, and the hardening was never fitted beside the load.
     """
     if len(found.effects) < 2:
         return []

@@ -110,7 +110,7 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
     if not is_sure and named:
         return f", which these recordings do not tell apart from {'; '.join(' and '.join(map(str, one)) for one in named)}"
     if standing.imitated:
-        return f", but a set that fits better is no known effect: {standing.imitated}"
+        return f", but a likelier set is no known effect: {standing.imitated}"
     if standing.further <= LEVEL:
         return ", beside which training shows more than its equations may err by, but no effect for certain"
     if left > ALONE_LEFT:
