@@ -1,21 +1,21 @@
 """What can go wrong with a device, drawn in one file.
 
-    DriverError                    base; exit status 1 unless a class says otherwise
-    |-- BusError                       the bus itself
-    |   |-- BusUnavailable (OSError)       no such interface, interface down, bad URL           exit status 2
-    |   `-- BusTimeout (TimeoutError)      nobody answered in time
-    |-- DeviceError                    one device
-    |   |-- NodeAbsent (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
-    |   |-- WrongIdentity                  vendor, product or revision differ from the file      exit status 2
-    |   |-- DuplicateNode                  two nodes answer to one id                            exit status 2
-    |   |-- ConfigurationRefused           an SDO abort, or a read-back that differs from what was written
-    |   |-- DeviceFault                    the drive is in fault; carries the EMCY in words
-    |   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
-    |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
-    |-- imaging.SpoolError             a panel's folder does not hold frames
-    |-- imaging.PanelError             a panel on the network hung up, or sends no frames
-    |-- imaging.ClocksDisagree         a panel's stamps and the loop's pulses tell different times
-    `-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
+DriverError                    base; exit status 1 unless a class says otherwise
+|-- BusError                       the bus itself
+|   |-- BusUnavailable (OSError)       no such interface, interface down, bad URL           exit status 2
+|   `-- BusTimeout (TimeoutError)      nobody answered in time
+|-- DeviceError                    one device
+|   |-- NodeAbsent (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
+|   |-- WrongIdentity                  vendor, product or revision differ from the file      exit status 2
+|   |-- DuplicateNode                  two nodes answer to one id                            exit status 2
+|   |-- ConfigurationRefused           an SDO abort, or a read-back that differs from what was written
+|   |-- DeviceFault                    the drive is in fault; carries the EMCY in words
+|   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
+|   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
+|-- imaging.SpoolError             a panel's folder does not hold frames
+|-- imaging.PanelError             a panel on the network hung up, or sends no frames
+|-- imaging.ClocksDisagree         a panel's stamps and the loop's pulses tell different times
+`-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
 """
 
 

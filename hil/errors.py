@@ -1,12 +1,12 @@
 """What can go wrong on the bench, drawn in one file.
 
-    BenchError                 base: one line that names what is wrong, where, and what would be right
-    |-- UnusableInput          exit status 2: the input cannot be used
-    |   |-- MachineFileError       carm.toml: drives.roll.rated_current_A = -3.0: must be positive
-    |   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
-    |   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
-    `-- BadAnswer              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
-        `-- LoopAborted            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
+BenchError                 base: one line that names what is wrong, where, and what would be right
+|-- UnusableInput          exit status 2: the input cannot be used
+|   |-- MachineFileError       carm.toml: drives.roll.rated_current_A = -3.0: must be positive
+|   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
+|   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
+`-- BadAnswer              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
+    `-- LoopAborted            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
 
 

@@ -158,6 +158,7 @@ class PlantSettings:
     def joint_sensors(self) -> tuple[Encoder | SpeedSensor, ...]:
         """Encoders, then speed sensors."""
         return (*self.encoders, *self.speeds)
+
     effects: tuple[EffectSetting, ...] = field(default=())
 
 

@@ -65,9 +65,7 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
         grid_mode=True,
         mode="nearest",
     )[: image.shape[0], : image.shape[1]]
-    background = np.pad(
-        background, ((0, image.shape[0] - background.shape[0]), (0, image.shape[1] - background.shape[1])), mode="edge"
-    )
+    background = np.pad(background, ((0, image.shape[0] - background.shape[0]), (0, image.shape[1] - background.shape[1])), mode="edge")
     depth = np.log(np.maximum(background, 1.0)) - np.log(np.maximum(clean, 1.0))
     smooth = ndimage.gaussian_filter(depth, 0.25 * radius_pixels)
     noise = 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))

@@ -1,9 +1,9 @@
 """Effects files (TOML): physics added to a machine, by name and parameters with units.
 
-    [[effect]]
-    name = "coulomb_friction"
-    at = "roll"
-    Fc_Nm = 12.0
+[[effect]]
+name = "coulomb_friction"
+at = "roll"
+Fc_Nm = 12.0
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def _words(kind: str, context: dict[str, Any], message: str) -> str:
         case "literal_error":
             return f"must be {context['expected']}"
         case "union_tag_not_found":
-            return "needs a type: \"encoder\", \"current\", \"imu\" or \"temperature\""
+            return 'needs a type: "encoder", "current", "imu" or "temperature"'
         case "union_tag_invalid":
             return f"unknown type; write one of {context['expected_tags']}"
         case "tuple_type" | "list_type":

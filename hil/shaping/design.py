@@ -197,9 +197,7 @@ def design_all(
     return Candidates(tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))), refused)
 
 
-def shaper_of(
-    design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = ""
-) -> AxisShaper:
+def shaper_of(design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = "") -> AxisShaper:
     """A design as the loop runs it."""
     return axis_shaper(axis, design.filters, sample_rate_Hz, positions, schedule_axis, design.verdict.static_gain)
 

@@ -101,9 +101,7 @@ def test_supervision_starts_with_the_first_heartbeat(drive: tuple[Wire, canopen.
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 0x7F), (1, 0x05), (2, 0x04)])
-def test_a_lost_heartbeat_leads_where_the_error_behaviour_says(
-    drive: tuple[Wire, canopen.RemoteNode], behaviour: int, state: int
-) -> None:
+def test_a_lost_heartbeat_leads_where_the_error_behaviour_says(drive: tuple[Wire, canopen.RemoteNode], behaviour: int, state: int) -> None:
     wire, remote = drive
     remote.sdo.download(0x1029, 1, bytes((behaviour,)))
     watch_master(wire, remote)
@@ -230,9 +228,7 @@ def test_a_node_off_the_bus_is_silent_and_reports_when_it_is_back(drive: tuple[W
 
 
 @pytest.mark.parametrize(("command", "kept"), [(RESET_NODE, False), (RESET_COMMUNICATION, True)])
-def test_a_reset_of_communication_leaves_the_application_alone(
-    drive: tuple[Wire, canopen.RemoteNode], command: int, kept: bool
-) -> None:
+def test_a_reset_of_communication_leaves_the_application_alone(drive: tuple[Wire, canopen.RemoteNode], command: int, kept: bool) -> None:
     wire, remote = drive
     default = remote.sdo[0x6085].raw
     remote.sdo[0x6085].raw = default + 1

@@ -233,9 +233,7 @@ def test_a_pdo_that_is_switched_off_is_silent(drive: tuple[Wire, canopen.RemoteN
 
 
 @pytest.mark.parametrize(("length", "code", "applied"), [(2, 0x8210, False), (3, 0x8210, False), (5, 0x8220, True)])
-def test_an_rpdo_of_the_wrong_length_is_reported(
-    drive: tuple[Wire, canopen.RemoteNode], length: int, code: int, applied: bool
-) -> None:
+def test_an_rpdo_of_the_wrong_length_is_reported(drive: tuple[Wire, canopen.RemoteNode], length: int, code: int, applied: bool) -> None:
     wire, remote = drive
     configure(remote, 0x1400, [HOME_OFFSET], 0x204, 255)
     wire.command(START)

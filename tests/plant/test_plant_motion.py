@@ -101,9 +101,7 @@ def test_natural_frequencies_are_those_of_mujoco(carm: PlantSettings, roll: floa
     q = resting_state(physics.plant, physics.model, pose, held_by_brakes=False)[: physics.plant.joints]
     theirs = np.linalg.eigvals(mujoco_gradients(carm, q, physics.holding_effort(pose))[0])
     flexible = 2.0 * np.pi * 1.0  # rad/s: slower are the two axes swinging under gravity
-    np.testing.assert_allclose(
-        np.sort_complex(ours[ours.imag > flexible]), np.sort_complex(theirs[theirs.imag > flexible]), rtol=1e-6
-    )
+    np.testing.assert_allclose(np.sort_complex(ours[ours.imag > flexible]), np.sort_complex(theirs[theirs.imag > flexible]), rtol=1e-6)
     assert (ours.imag > flexible).sum() == 5
 
 

@@ -262,9 +262,7 @@ def test_the_shaped_machine_rings_less_after_a_sweep(machine, exact, nominal):
     scan = Scan("propeller", -0.5, 0.5, speed=0.5, dwell_s=1.0)
     raw = scan.plans(gentle)[0].reference_raw
     raw = np.vstack([raw, np.tile(raw[-1], (256, 1))])
-    reference, _ = shaped(
-        ReferenceShaper(machine.axes, [shaper_of(design, "propeller", RATE)], gentle.limits, RATE), raw, raw[0]
-    )
+    reference, _ = shaped(ReferenceShaper(machine.axes, [shaper_of(design, "propeller", RATE)], gentle.limits, RATE), raw, raw[0])
     arrived = np.flatnonzero(np.abs(np.diff(raw[:, 0])) > 0.0)[-1]
     swing = []
     for driven in (raw, reference):

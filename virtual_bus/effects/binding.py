@@ -82,9 +82,7 @@ def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[P
     return {parameter.key(prismatic, unit): (parameter, parameter.unit_at(prismatic, unit)) for parameter in effect.parameters}
 
 
-def _parameters(
-    effect: Effect, entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str
-) -> dict[str, float]:
+def _parameters(effect: Effect, entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str) -> dict[str, float]:
     for key in entry:
         if key not in keys and key not in RESERVED:
             raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")

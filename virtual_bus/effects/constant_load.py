@@ -11,9 +11,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="constant_load",
     kind=EFFORT,
-    parameters=(
-        Parameter("tau0", unit="Nm", low=-5000.0, high=5000.0, description="the effort"),
-    ),
+    parameters=(Parameter("tau0", unit="Nm", low=-5000.0, high=5000.0, description="the effort"),),
     equation="tau0",
     convention="effort on the joint = +tau0: positive pushes towards positive position, on the joint's side of the gear",
     neighbours=("gravity_imbalance", "asymmetric_friction"),

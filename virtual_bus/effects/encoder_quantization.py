@@ -10,9 +10,7 @@ from virtual_bus.effects.residual import Residual
 EFFECT = Effect(
     name="encoder_quantization",
     kind=LATTICE,
-    parameters=(
-        Parameter("q", unit="rad", low=0.0, high=0.1, description="step of the lattice, at the joint"),
-    ),
+    parameters=(Parameter("q", unit="rad", low=0.0, high=0.1, description="step of the lattice, at the joint"),),
     equation="y = q floor(y / q + 1/2)",
     convention="the reading is the nearest multiple of q, halves upwards, then on the encoder's own lattice",
     neighbours=("coulomb_friction",),

@@ -10,9 +10,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="gear_ratio",
     kind=CHANGE,
-    parameters=(
-        Parameter("beta", unit="", low=-0.1, high=0.1, description="relative error of the ratio"),
-    ),
+    parameters=(Parameter("beta", unit="", low=-0.1, high=0.1, description="relative error of the ratio"),),
     equation="N (1 + beta)",
     convention=(
         "the ratio is N (1 + beta): the motor's side turns (1 + beta) times as far, so position reads start + (1 + beta) "

@@ -22,17 +22,14 @@ EFFECT = Effect(
     ),
     equation="y = (I + S) a + b",
     convention=(
-        "reading = (1 + s) true + b per channel, in the sensor's frame, in addition to the machine file's bias; before noise "
-        "and lattice"
+        "reading = (1 + s) true + b per channel, in the sensor's frame, in addition to the machine file's bias; before noise and lattice"
     ),
     neighbours=("imu_misalignment",),
     source="IEEE Std 1293; IEEE Std 1431",
 )
 
 
-def calibration(
-    sx: float, sy: float, sz: float, bx: float, by: float, bz: float, sg: float, bg: float
-) -> tuple[np.ndarray, np.ndarray]:
+def calibration(sx: float, sy: float, sz: float, bx: float, by: float, bz: float, sg: float, bg: float) -> tuple[np.ndarray, np.ndarray]:
     """Gain (2, 3, 3) of accelerometer and gyro, and offset (6,) after it."""
     return np.stack([np.diag([1.0 + sx, 1.0 + sy, 1.0 + sz]), (1.0 + sg) * np.eye(3)]), np.array([bx, by, bz, bg, bg, bg])
 

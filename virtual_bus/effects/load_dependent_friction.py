@@ -11,9 +11,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="load_dependent_friction",
     kind=FRICTION,
-    parameters=(
-        Parameter("Kl", unit="", low=0.0, high=0.5, description="friction per effort carried"),
-    ),
+    parameters=(Parameter("Kl", unit="", low=0.0, high=0.5, description="friction per effort carried"),),
     equation="Kl abs(load) sign(speed)",
     convention=(
         "effort on the joint = -Kl abs(load) sign(speed); load is the effort that gravity, velocities and added efforts ask of "

@@ -10,9 +10,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="payload",
     kind=BODY_CHANGE,
-    parameters=(
-        Parameter("dm", unit="kg", low=0.0, high=500.0, description="mass added"),
-    ),
+    parameters=(Parameter("dm", unit="kg", low=0.0, high=500.0, description="mass added"),),
     equation="inertia and gravity of dm at the body's centre of mass",
     convention="the body's mass grows by dm at the centre of mass the machine file gives; acts at a body that has a mass",
     neighbours=("torque_constant", "gravity_imbalance"),

@@ -16,8 +16,7 @@ EFFECT = Effect(
     ),
     equation="y = abs(x), or -x",
     convention=(
-        "reading = sign (x + share (abs(x) - x)) of the noise-free value, before noise and lattice; sign +1 and share 0 is no "
-        "effect"
+        "reading = sign (x + share (abs(x) - x)) of the noise-free value, before noise and lattice; sign +1 and share 0 is no effect"
     ),
     neighbours=("constant_load",),
     source="CoupledDrives benchmark (Wigren and Schoukens 2017): pulse counters without direction",

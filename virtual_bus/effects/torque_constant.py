@@ -10,9 +10,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="torque_constant",
     kind=CHANGE,
-    parameters=(
-        Parameter("eps", unit="", low=-0.5, high=1.0, description="relative error of the constant"),
-    ),
+    parameters=(Parameter("eps", unit="", low=-0.5, high=1.0, description="relative error of the constant"),),
     equation="Kt (1 + eps)",
     convention="effort per unit of the drive is (1 + eps) times the machine file's",
     neighbours=("coulomb_friction", "payload", "gear_ratio"),

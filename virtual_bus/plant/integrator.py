@@ -171,9 +171,7 @@ def second_order(k, model, work):
 
 
 @compiled
-def advance(
-    axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model, work
-):
+def advance(axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model, work):
     """One sample: `model.steps` plant steps at constant targets of the drives, and the IMUs' low passes along with them."""
     n = len(work.position)
     first_drive = 4 * n + 6 * imus + 1

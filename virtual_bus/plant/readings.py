@@ -11,9 +11,7 @@ from virtual_bus.plant.reactions import instant_reactions
 
 
 @compiled
-def joint_acceleration(
-    axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, state, effort, brakes, model, work
-):
+def joint_acceleration(axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, state, effort, brakes, model, work):
     """Joint accelerations (n,) at this instant, into work.acceleration. A joint at rest that its friction holds has none."""
     n = len(work.position)
     read_state(imus, len(axis_joints), state, model, work)
