@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from concealed.making import COMMAND, Places, make, seal
+from hil.recording.toml_text import toml_text
 
 TIME_LIMIT_S = 900.0
 CHECKED = 3
@@ -84,7 +84,7 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
     case, out = places.case(number), places.answer(number)
     machine = out / "machine_held_out.toml"
     recorded = tomllib.loads((case / "held_out.toml").read_text(encoding="utf-8"))["machine"]["text"]
-    machine.write_text(_with_controllers_of(recorded, (out / "machine.toml").read_text(encoding="utf-8")), encoding="utf-8")
+    machine.write_text(with_controllers_of(recorded, (out / "machine.toml").read_text(encoding="utf-8")), encoding="utf-8")
     errors = {}
     for name, extra in (("retuned", []), ("extended", ["--effects", str(out / "effects.toml")])):
         simulated, compared = out / f"{name}.csv", out / f"{name}.json"
@@ -100,9 +100,7 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
     return {"held_out_rms": errors}
 
 
-def _with_controllers_of(recorded: str, tuned: str) -> str:
+def with_controllers_of(recorded: str, tuned: str) -> str:
     """The re-tuned machine file under the controllers that a recording was made with."""
-    # on one line, as the tool writes it, or in rows that may end in comments
-    block = re.compile(r"^position_sections = \[(?:\[[^\n]*\]\]$|$.*?^\]$)", re.DOTALL | re.MULTILINE)
-    theirs = iter(block.findall(recorded))
-    return block.sub(lambda match: next(theirs, match[0]), tuned)
+    document, theirs = tomllib.loads(tuned), tomllib.loads(recorded)
+    return toml_text(document | {key: theirs[key] for key in ("controller",) if key in theirs})

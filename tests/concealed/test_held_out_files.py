@@ -8,20 +8,24 @@ import tomllib
 import pytest
 from conftest import BENCHMARKS
 
+from hil.machine.load import machine_from_text
+
 FILES = sorted((BENCHMARKS / "concealed" / "machines").glob("*.toml"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_all_controllers_are_those_of_the_recording(file):
-    from concealed.running import _with_controllers_of
+def test_controllers_are_those_of_the_recording_and_all_else_is_the_tools(file):
+    from concealed.running import with_controllers_of
 
-    tuned = file.read_text(encoding="utf-8")
-    numbers = re.compile(r"(position_sections = \[\n    \[)([\d.]+)")
-    softer = numbers.sub(lambda match: f"{match[1]}{0.75 * float(match[2])!r}", tuned)
-    parsed = tomllib.loads(tuned).get("controller", {})
-    in_rows = re.compile(r"^position_sections = \[$.*?^\]$", re.DOTALL | re.MULTILINE)
-    on_a_line = in_rows.sub(lambda match: f"position_sections = {tomllib.loads(match[0])['position_sections']}", tuned)
-    found = tomllib.loads(_with_controllers_of(softer, tuned))
-    assert found == tomllib.loads(softer)
-    assert tomllib.loads(_with_controllers_of(softer, on_a_line)) == tomllib.loads(softer)
-    assert (found != tomllib.loads(tuned)) == bool(parsed)
+    nominal = file.read_text(encoding="utf-8")
+    tuned = re.sub(r"(?m)^mass_kg = ([\d.]+)", lambda match: f"mass_kg = {1.05 * float(match[1])!r}", nominal)
+    gains = re.compile(r"(position_sections = \[\n    \[)([\d.]+)")
+    softer = gains.sub(lambda match: f"{match[1]}{0.75 * float(match[2])!r}", nominal)
+    text = with_controllers_of(softer, tuned)
+    found = tomllib.loads(text)
+    has_controllers = "controller" in tomllib.loads(nominal)
+    assert (softer != nominal) == has_controllers
+    assert tuned != nominal
+    assert found.pop("controller", None) == tomllib.loads(softer).get("controller")
+    assert found == {key: value for key, value in tomllib.loads(tuned).items() if key != "controller"}
+    machine_from_text(text, file)  # it loads
