@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from itertools import pairwise
@@ -45,13 +46,13 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
         if seal(path) != answer["truth_sha256"]:
             raise SystemExit(f"{path}: is not the truth that was sealed when case {number} was answered")
         judged.append(judge(answer, json.loads(path.read_text(encoding="utf-8"))))
-    bars, strata, curve = _bars(judged), _strata(judged), _curve(judged)
+    bars, strata, kinds, curve = _bars(judged), _strata(judged), by_kind(judged), _curve(judged)
     table = {"seeds": places.seeds, "cases": len(judged), "missing": missing, "commits": commits}
-    table |= {"bars": bars, "strata": strata, "curve": curve}
+    table |= {"bars": bars, "strata": strata, "kinds": kinds, "curve": curve}
     table["cases_judged"] = [asdict(each) for each in judged]
     (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     draw_curves(curve, results / f"detectability_{places.seeds}.svg")
-    return _text(bars, strata, judged)
+    return _text(bars, strata, kinds, judged)
 
 
 def _refuse_parts(path: Path, missing: Sequence[int], commits: Sequence[str]) -> None:
@@ -181,6 +182,24 @@ def _strata(judged: list[Judgement]) -> list[dict[str, Any]]:
     return rows
 
 
+def by_kind(judged: Sequence[Judgement]) -> list[dict[str, Any]]:
+    """Of every kind of physics that was hidden alone and whose name was asked for: how often it was named, and as what else."""
+    groups: dict[tuple[str, str], list[Judgement]] = {}
+    for each in judged:
+        if each.stratum in ("single", "off") and each.asked:
+            groups.setdefault((each.stratum, each.kinds[0].split("@")[0]), []).append(each)
+    rows = []
+    for (stratum, kind), group in sorted(groups.items(), key=lambda entry: (entry[0][0] != "single", entry[0][1])):
+        missed = [each for each in group if each.alarm and not each.right]
+        others = Counter(" and ".join(sorted({name.split("@")[0] for name in each.findings})) for each in missed)
+        rows.append({
+            "stratum": stratum, "kind": kind, "asked": len(group), "right": sum(each.right for each in group),
+            "among_three": sum(each.among_three for each in group), "confident": sum(each.confident and not each.right for each in group),
+            "instead": dict(others.most_common()), "nothing": sum(not each.alarm and not each.right for each in group),
+        })  # fmt: skip
+    return rows
+
+
 def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
     """Detection over detectability, naming over the distance to the nearest other name, single effects."""
     singles = [each for each in judged if each.stratum == "single" and each.condition not in ("little", "uncovered")]
@@ -199,7 +218,7 @@ def _met(bar: dict[str, Any]) -> str:
     return "–" if not bar["n"] or bar["asked"] == NOT_ASKED else "yes" if bar["met"] else "no"
 
 
-def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list[Judgement]) -> str:
+def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[dict[str, Any]], judged: list[Judgement]) -> str:
     lines = ["| bar | measured | 95 % interval | cases | asked | met |", "|---|---|---|---|---|---|"]
     for bar in bars:
         if "bins" in bar:
@@ -221,6 +240,15 @@ def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], judged: list
         verdicts = ", ".join(f"{verdict} {count}" for verdict, count in row["verdicts"].items())
         cells = [row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")]
         lines.append("| " + " | ".join(map(str, [*cells, verdicts])) + " |")
+    lines += [
+        "",
+        "| hidden alone | stratum | name asked | right | among three | confidently another | instead | nothing |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in kinds:
+        instead = ", ".join(f"{name or 'no name'} {count}" for name, count in row["instead"].items())
+        cells = [row[key] for key in ("kind", "stratum", "asked", "right", "among_three", "confident")]
+        lines.append("| " + " | ".join(map(str, [*cells, instead, row["nothing"]])) + " |")
     if judged:
         lines += ["", f"{len(judged)} cases; {np.median([each.seconds for each in judged]):.1f} s each in the median"]
     return "\n".join(lines)

@@ -136,6 +136,21 @@ def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue():
     assert judged.confident and judged.wrong and not judged.right
 
 
+def test_every_kind_says_what_it_was_called_instead():
+    from concealed.judging import judge
+    from concealed.scoring import by_kind
+
+    answers = [
+        answer("explained", [finding("coulomb_friction", "roll")]),
+        answer("explained", [finding("viscous_friction", "roll")]),
+        answer("ambiguous", [finding("viscous_friction", "roll"), finding("delay", "roll")]),
+        answer("retuned", []),
+    ]
+    (row,) = by_kind([judge(one, truth()) for one in answers])
+    assert (row["kind"], row["asked"], row["right"], row["confident"], row["nothing"]) == ("coulomb_friction", 4, 1, 1, 1)
+    assert row["instead"] == {"viscous_friction": 1, "delay and viscous_friction": 1}
+
+
 def test_removed_share_and_overlap():
     from concealed.judging import judge
 
