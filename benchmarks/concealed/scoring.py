@@ -191,13 +191,19 @@ def by_kind(judged: Sequence[Judgement]) -> list[dict[str, Any]]:
     rows = []
     for (stratum, kind), group in sorted(groups.items(), key=lambda entry: (entry[0][0] != "single", entry[0][1])):
         missed = [each for each in group if each.alarm and not each.right]
-        others = Counter(" and ".join(sorted({name.split("@")[0] for name in each.findings})) for each in missed)
+        others = Counter(_called(each, kind) for each in missed)
         rows.append({
             "stratum": stratum, "kind": kind, "asked": len(group), "right": sum(each.right for each in group),
             "among_three": sum(each.among_three for each in group), "confident": sum(each.confident and not each.right for each in group),
             "instead": dict(others.most_common()), "nothing": sum(not each.alarm and not each.right for each in group),
         })  # fmt: skip
     return rows
+
+
+def _called(each: Judgement, kind: str) -> str:
+    """What a wrong answer says that it is; "" where it has no name."""
+    names = {name.split("@")[0] for name in each.findings} if each.verdict != "unknown_physics" else set()
+    return " and ".join(f"{name} elsewhere" if name == kind and len(names) == 1 else name for name in sorted(names))
 
 
 def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:

@@ -145,10 +145,12 @@ def test_every_kind_says_what_it_was_called_instead():
         answer("explained", [finding("viscous_friction", "roll")]),
         answer("ambiguous", [finding("viscous_friction", "roll"), finding("delay", "roll")]),
         answer("retuned", []),
+        answer("unknown_physics", [finding("coulomb_friction", "roll")]),
+        answer("explained", [finding("coulomb_friction", "propeller")]),
     ]
     (row,) = by_kind([judge(one, truth()) for one in answers])
-    assert (row["kind"], row["asked"], row["right"], row["confident"], row["nothing"]) == ("coulomb_friction", 4, 1, 1, 1)
-    assert row["instead"] == {"viscous_friction": 1, "delay and viscous_friction": 1}
+    assert (row["kind"], row["asked"], row["right"], row["confident"], row["nothing"]) == ("coulomb_friction", 6, 1, 2, 1)
+    assert row["instead"] == {"viscous_friction": 1, "delay and viscous_friction": 1, "": 1, "coulomb_friction elsewhere": 1}
 
 
 def test_removed_share_and_overlap():
