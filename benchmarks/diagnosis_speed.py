@@ -75,6 +75,8 @@ def main() -> None:
     parser.add_argument("--without-search", action="store_true", help="leave out the search for the next experiment")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="know every Nth effect of the catalogue alone")
     arguments = parser.parse_args()
+    if arguments.every < 1:
+        parser.error(f"--every {arguments.every}: one or more")
     machine = load_machine(arguments.machine)
     known = know_every(arguments.every)
     friction = EffectSetting(FRICTION, machine.axes[-1], {"Fc": FRICTION_Nm})
