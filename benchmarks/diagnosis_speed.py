@@ -37,11 +37,11 @@ def driven(machine, seconds: float, seed: int) -> Recording:
     time_s = np.arange(round(seconds * machine.sample_rate_Hz)) / machine.sample_rate_Hz
     gate = 0.5 - 0.5 * np.cos(np.pi * np.clip(time_s, 0.0, 1.0))
     channels = {"time": Channel("s", time_s)}
-    for axis in machine.axes:
+    for axis, units in zip(machine.axes, machine.units, strict=True):
         slow = sum(0.04 * np.sin(2.0 * np.pi * f * time_s + random.uniform(0.0, 6.0)) for f in random.uniform(0.05, 0.5, 4))
         fast = sum(0.05 * np.sin(2.0 * np.pi * f * time_s + random.uniform(0.0, 6.0)) for f in random.uniform(1.0, 25.0, 20))
-        channels[f"reference_{axis}"] = Channel("rad", gate * slow)
-        channels[f"excitation_{axis}"] = Channel("A", gate * fast)
+        channels[f"reference_{axis}"] = Channel(units.position, gate * slow)
+        channels[f"excitation_{axis}"] = Channel(units.effort, gate * fast)
     return Recording(channels, recording_metadata(machine, experiment={"start_pose": [0.0] * len(machine.axes)}))
 
 

@@ -103,4 +103,6 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
 def with_controllers_of(recorded: str, tuned: str) -> str:
     """The re-tuned machine file under the controllers that a recording was made with."""
     document, theirs = tomllib.loads(tuned), tomllib.loads(recorded)
-    return toml_text(document | {key: theirs[key] for key in ("controller",) if key in theirs})
+    if "controller" in theirs:
+        document["controller"] = theirs["controller"]
+    return toml_text(document)

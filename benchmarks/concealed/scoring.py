@@ -43,6 +43,9 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     judged = []
     for number, answer in sorted(answers.items()):
         path = places.truth(number)
+        if not path.exists():
+            remake = f"`python benchmarks/concealed make --seeds {places.seeds} --cases {number}` makes it anew"
+            raise SystemExit(f"{path}: the truth of case {number} is not here; {remake}, or --work names the folder that has it")
         if seal(path) != answer["truth_sha256"]:
             raise SystemExit(f"{path}: is not the truth that was sealed when case {number} was answered")
         judged.append(judge(answer, json.loads(path.read_text(encoding="utf-8"))))
@@ -224,6 +227,10 @@ def _met(bar: dict[str, Any]) -> str:
     return "–" if not bar["n"] or bar["asked"] == NOT_ASKED else "yes" if bar["met"] else "no"
 
 
+def _row(*cells: object) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
+
+
 def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[dict[str, Any]], judged: list[Judgement]) -> str:
     lines = ["| bar | measured | 95 % interval | cases | asked | met |", "|---|---|---|---|---|---|"]
     for bar in bars:
@@ -236,7 +243,7 @@ def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[
             )
         else:
             value, interval = f"{bar['value']:.2f}" if bar["n"] else "–", ""
-        lines.append(f"| {bar['bar']} | {value} | {interval} | {bar['n']} | {bar['asked']} | {_met(bar)} |")
+        lines.append(_row(bar["bar"], value, interval, bar["n"], bar["asked"], _met(bar)))
     lines += [
         "",
         "| stratum | condition | cases | alarms | name asked | right | confidently wrong | verdicts |",
@@ -244,8 +251,7 @@ def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[
     ]
     for row in strata:
         verdicts = ", ".join(f"{verdict} {count}" for verdict, count in row["verdicts"].items())
-        cells = [row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")]
-        lines.append("| " + " | ".join(map(str, [*cells, verdicts])) + " |")
+        lines.append(_row(*(row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")), verdicts))
     lines += [
         "",
         "| hidden alone | stratum | name asked | right | among three | confidently another | instead | nothing |",
@@ -253,8 +259,8 @@ def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[
     ]
     for row in kinds:
         instead = ", ".join(f"{name or 'no name'} {count}" for name, count in row["instead"].items())
-        cells = [row[key] for key in ("kind", "stratum", "asked", "right", "among_three", "confident")]
-        lines.append("| " + " | ".join(map(str, [*cells, instead, row["nothing"]])) + " |")
+        cells = (row[key] for key in ("kind", "stratum", "asked", "right", "among_three", "confident"))
+        lines.append(_row(*cells, instead, row["nothing"]))
     if judged:
         lines += ["", f"{len(judged)} cases; {np.median([each.seconds for each in judged]):.1f} s each in the median"]
     return "\n".join(lines)

@@ -8,7 +8,7 @@
 2. On the held-out recordings, everything frozen: does the misfit fall as predicted, by more than on machines that hide nothing? They are
    independent of training and nothing is searched on them, so that the chances of both count together (Fisher).
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
-4. Does it explain a share of what there is to explain, and, beside effects that were found, more than their equations may err by?
+4. Does it, where it is the first, explain a share of what there is to explain?
 5. Is it still its own equation (`form.py`)?
 """
 

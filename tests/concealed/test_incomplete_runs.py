@@ -87,3 +87,12 @@ def test_a_case_whose_recordings_a_killed_run_removed_is_made_again(tmp_path, mo
     for number in (1, 2):
         making.make(places, number)
     assert made == [2]
+
+
+def test_a_truth_that_is_not_here_is_named_with_how_to_make_it(tmp_path):
+    from concealed.scoring import score
+
+    places = make_run(tmp_path)
+    places.truth(2).unlink()
+    with pytest.raises(SystemExit, match=r"truth of case 2 is not here; .*make --seeds development --cases 2"):
+        score(places, tmp_path, NUMBERS)
