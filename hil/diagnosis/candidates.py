@@ -76,6 +76,7 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
     for name, effect in effects().items():
         if effect.kind is DROPOUT or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
             continue
+        is_of_readings = effect.kind in (CLOCK, SIGN) or "encoder" in effect.kind.allowed_at
         for at in places(effect.kind, settings):
             key = at
             if effect.kind in (ELASTIC, SPRING_CHANGE, TRANSMISSION):
@@ -84,11 +85,7 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
                 key = joint_at(at, settings)
                 if key not in driven and (name not in ON_A_SPRING or spring_at(at, settings) is None):
                     continue
-            elif effect.kind in (CLOCK, SIGN) and at != WHOLE_IMU and at not in channels:
-                continue
-            elif effect.kind is CLOCK and at.startswith(("imu_", "gyro_")):
-                continue  # one clock stamps all of an IMU's channels
-            elif (effect.kind is SIGN and at == WHOLE_IMU) or ("encoder" in effect.kind.allowed_at and at not in channels):
+            elif is_of_readings and at not in channels and not (effect.kind is CLOCK and at == WHOLE_IMU):
                 continue
             if "imu" in effect.kind.allowed_at and not any(channel.startswith(("imu_", "gyro_")) for channel in channels):
                 continue

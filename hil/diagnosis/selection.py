@@ -24,6 +24,7 @@ from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pai
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+from hil.diagnosis.same_order import with_others_of_its_order
 from hil.diagnosis.screening import UNLIKE, Screened, screen, shortlist, squared_cosine
 from hil.diagnosis.weighing import closer_than, evidence_of, least_by_chance, without_form
 from hil.diagnosis.what_acts import with_what_acts
@@ -203,6 +204,7 @@ class _Search:
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
+            fits = with_others_of_its_order(runs, tuning, stand.tuning, measured, fits, found, size)
             if size == 0:
                 fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand.cost)
         first, singles = way.screened, way.singles

@@ -20,6 +20,7 @@ from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
+from hil.diagnosis.same_order import with_others_of_its_order
 from hil.diagnosis.screening import screen
 from hil.diagnosis.visited import Visited
 from hil.machine import load_machine
@@ -285,3 +286,21 @@ def test_a_law_is_not_left_at_half_its_order_nor_without_its_second_harmonic(sta
     order, a1, _, a2, _ = fit.values[0]
     assert (order, a1) == pytest.approx((72.0, 0.1), rel=0.02)
     assert a2 == pytest.approx(0.02, rel=0.3)
+
+
+def test_a_cogging_is_found_at_the_order_of_what_stands_for_it():
+    """A friction over position that was found at its order; its own starts were at orders that are none."""
+    recordings = pieces(8, Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
+    friction, cogging = EffectAt("position_dependent_friction", "rotor"), EffectAt("cogging", "rotor")
+    elsewhere = Candidate(cogging, (np.array([10.0, 0.1, 0.4, 0.0, 0.0]),))
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
+        tuning = retune(runs)
+        fits = [fit for fit in refit(runs, tuning, runs.measured(), [((friction,), (np.array([0.1, 72.0, 0.0]),))]) if fit is not None]
+        found = with_others_of_its_order(runs, tuning, tuning, runs.measured(), fits, [elsewhere], 0)
+        once_more = with_others_of_its_order(runs, tuning, tuning, runs.measured(), found, [elsewhere], 0)
+    assert found[:1] == fits
+    (fit,) = found[1:]
+    assert fit.effects == (cogging,)
+    assert fit.values[0][:2] == pytest.approx((72.0, 0.1), rel=0.1)
+    assert fit.cost < 0.1 * fits[0].cost
+    assert once_more == found  # what is there at that order is not fitted again

@@ -64,3 +64,8 @@ def test_gravity_is_no_candidate_where_the_machine_file_has_none():
     circuit, carm = load_machine("silverbox"), load_machine("carm")
     assert "gravity_imbalance" not in {place.effect for place in places_to_try(circuit.plant, ["position_mass"])}
     assert EffectAt("gravity_imbalance", "propeller") in places_to_try(carm.plant, ["position_propeller"])
+
+
+def test_a_clock_may_be_one_channels_or_that_of_a_whole_imu():
+    tried = places_to_try(load_machine("carm").plant, ["imu_x", "gyro_y", "current_roll"])
+    assert {place.at for place in tried if place.effect == "clock_offset"} == {"imu", "imu_x", "gyro_y", "current_roll"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from hil.diagnosis import diagnose as diagnosing
 from hil.diagnosis.align import aligned
 from hil.diagnosis.bounded_noise import with_bounded_noise
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.free_run import Trial
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import linearised, retune, with_covariance
+from hil.diagnosis.without_effects import with_its_numbers, without_effects
 
 
 def stopped_short(runs):
@@ -45,3 +49,37 @@ def test_a_bound_on_the_noise_is_that_of_the_best_numbers_as_well(monkeypatch):
     whole = with_bounded_noise(train, 1, lambda what, share: None)
     monkeypatch.setattr(bounded_noise, "retune", stopped_short)
     assert with_bounded_noise(train, 1, lambda what, share: None).noise.std == pytest.approx(whole.noise.std, rel=0.002)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "is_tuning"),
+    [
+        (EffectAt("payload", "carriage"), [0.08 * MASS_kg], True),
+        (EffectAt("payload", "carriage"), [0.3 * MASS_kg], False),  # beyond what re-tuning may do
+        (EffectAt("viscous_friction", "carriage"), [0.1 * DAMPING], True),
+        (EffectAt("coulomb_friction", "carriage"), [0.1], False),  # no number of the machine file
+    ],
+)
+def test_an_effect_that_is_a_number_within_re_tunings_bounds_is_that_number(effect, values, is_tuning):
+    with FreeRuns({TRAIN: (found := mismatch(MACHINE, aligned(MACHINE, repeats(**TRUTH))))}, found.noise) as runs:
+        tuning = retune(runs)
+        nominal = np.zeros_like(tuning.offset)
+        fit = fitted(effect, np.array(values), nominal, runs.measured())
+        offset = with_its_numbers(tuning, fit, MACHINE.plant)
+        assert (offset is not None) is is_tuning
+        if offset is not None:
+            by_the_effect = runs.run_one(Trial(tuning.at(nominal), fit.settings))
+            assert runs.run_one(Trial(tuning.at(offset))) == pytest.approx(by_the_effect, abs=1e-6)
+
+
+def test_re_tuning_that_stopped_short_goes_on_from_a_number_that_was_taken_for_an_effect():
+    with FreeRuns({TRAIN: (found := mismatch(MACHINE, aligned(MACHINE, repeats(**TRUTH))))}, found.noise) as runs:
+        short = stopped_short(runs)
+        fit = fitted(EffectAt("payload", "carriage"), np.array([0.05 * MASS_kg]), np.zeros_like(short.offset), runs.measured())
+        again = without_effects(runs, short, SimpleNamespace(contenders=[SimpleNamespace(fitted=fit)], closest=None))
+        left = float(np.mean((runs.measured() - again.predicted) ** 2))
+    assert left < 1.1
+
+
+def fitted(effect: EffectAt, values: np.ndarray, offset: np.ndarray, predicted: np.ndarray) -> Fitted:
+    return Fitted((effect,), (values,), offset, predicted, 0.0, ((0, 0),), np.zeros((len(predicted), 1)), np.ones(1))
