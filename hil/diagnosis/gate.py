@@ -58,6 +58,12 @@ fall says that the change is not training's own. At 0.01 development case 7, a g
 10^-6; in the committed evidence of 67 answers to development nulls no set gains more than 24 in training and has a fall between the two,
 its scatter taken as 1 or as the first set's."""
 
+AS_PREDICTED = 2.0
+"""Standard deviations by which held-out recordings may miss what was predicted of them and still agree with it. Recordings that show little
+of an effect cannot be asked to confirm it: where three deviations are predicted they do so at HELD_OUT_LEVEL with 0.85, two with 0.63, one
+with 0.20. Whether it is there is for both chances together to say, as it is for training alone where nothing is held out; from 4.5 on what
+agrees is confirmed as well."""
+
 PLACEBO_FACTOR = 1.5
 """The effect must gain this many times what the best placebo gains."""
 
@@ -93,6 +99,7 @@ class Gate:
     is_first: bool
     lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see selection.py
     beyond: float | None = None  # of the gain, what no error of equations found before explains, see form_error.py
+    held_out_variance: float = 1.0  # of the noise along the predicted change, in units of the noise model's
 
     @property
     def certain_gain(self) -> float:
@@ -120,7 +127,15 @@ class Gate:
 
     @property
     def confirmed(self) -> bool:
-        return self.followed is None or self.followed < HELD_OUT_LEVEL
+        """Whether held-out recordings show it, or show as much of it as was predicted."""
+        return self.followed is None or self.followed < HELD_OUT_LEVEL or self.is_as_predicted
+
+    @property
+    def is_as_predicted(self) -> bool:
+        """Of a change of length L and z deviations along it, (L - z)^2 is z^2 less the fall: see `chance_held_out`."""
+        if self.held_out_deviations is None or self.held_out_gain is None or self.held_out_deviations <= 0.0:
+            return False
+        return self.held_out_deviations**2 - self.held_out_gain <= AS_PREDICTED**2 * self.held_out_variance
 
     @property
     def beats_placebo(self) -> bool:

@@ -277,6 +277,7 @@ class Judgement:
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
+        held_out_variance = 1.0
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
             held_out_variance, of_simulator = self._held_out_variance(before, after, scatter)
@@ -294,6 +295,7 @@ class Judgement:
             held_out_deviations=deviations,
             held_out_gain=fall,
             followed=followed,
+            held_out_variance=held_out_variance,
             placebo_gain=placebo,
             share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
             is_first=before.fitted is None,

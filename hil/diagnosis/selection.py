@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,14 +17,24 @@ from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import PLAUSIBLE, Weighed, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
+from hil.diagnosis.naming import numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
-from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.same_order import with_others_of_its_order
-from hil.diagnosis.screening import UNLIKE, Screened, screen, shortlist, squared_cosine
+from hil.diagnosis.screening import Screened, screen, shortlist
+from hil.diagnosis.ways import (
+    RIVAL_SHARE,
+    Way,
+    another_first,
+    competes,
+    continued,
+    from_another,
+    joined,
+    not_told_apart_in_training,
+    price_in_training,
+)
 from hil.diagnosis.weighing import closer_than, evidence_of, least_by_chance, without_form
 from hil.diagnosis.what_acts import with_what_acts
 
@@ -51,9 +60,6 @@ PAIR_MARGIN = 8.0
 """Logarithm of the evidence by which a pair's filter may stay behind the best single effect and still be worth a fit."""
 
 MOST_EFFECTS = 3
-RIVAL_SHARE = 0.5
-"""Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate."""
-
 WORTH_A_FIT = 0.02
 """Of the best score: candidates below are not refitted."""
 
@@ -143,25 +149,6 @@ def select(
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """How far effects were added, and what was fitted and judged on the way; see `Selection`."""
-
-    stand: Stand
-    gates: tuple[Gate, ...] = ()
-    contenders: tuple[Contender, ...] = ()
-    screened: tuple[Screened, ...] = ()
-    closest: Fitted | None = None
-    further: float = np.inf
-    singles: tuple[Fitted, ...] = ()
-    smaller: tuple[Fitted, ...] = ()  # of all steps
-    limits: Mapping[EffectAt, tuple[float, float]] = field(default_factory=dict)
-    tried: Tried | None = None
-    is_at_its_end: bool = False
-    formless: tuple[Contender, ...] = ()  # of all steps
-    unsure: tuple[Contender, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class _Search:
     """What is the same at every step; see `select`."""
 
@@ -194,6 +181,8 @@ class _Search:
             return end
         most = REFITTED if size == 0 else REFITTED_BESIDE
         worth = shortlist(screened, most, WORTH_A_FIT)
+        loudest = max(screened, key=lambda s: s.score)
+        worth += [] if loudest in worth else [loudest]
         self.report("fitting", 0.35 + 0.2 * size)
         starts = [*(beside(chosen, s) for s in worth), *instead(chosen, worth[0])]
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
@@ -239,11 +228,10 @@ class _Search:
         if not passed and chosen is not None:
             larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
             return replace(end, unsure=tuple(one for one in larger if one.gate.shows and not one.gate.lost_form))
-        least = RIVAL_SHARE * passed[0].gate.certain_gain if passed else 0.0
-        rivals = [one for one in needed if one.passed or (one.gate.certain_gain > least and not one.gate.lost_form)]
+        rivals = [one for one in needed if one.passed or competes(one.gate, passed[0].gate if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits)) if one.passed]
-            known = _not_told_apart(way.contenders, rivals, nothing.cost, noise_energy)
+            known = not_told_apart_in_training(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
@@ -256,67 +244,6 @@ class _Search:
             end = replace(end, formless=(*formless, *without_form(more)))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
         return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
-
-
-def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
-    """The likelier of two ways by training, with the sets of both; `base` is the cost of no effect at all."""
-    ends = [next(c for c in way.contenders if c.fitted is way.stand.fitted) for way in (one, other)]
-    temper = temperature_of([(base - end.gained, end.by_numbers[0]) for end in ends], base, noise_energy)
-    evidence = [0.5 * end.gained / temper - _price(end.fitted, temper, end.searched) for end in ends]
-    likelier, less = (one, other) if evidence[0] >= evidence[1] else (other, one)
-    closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
-    formless = (*one.formless, *(each for each in other.formless if each not in one.formless))
-    return replace(
-        likelier,
-        contenders=tuple(each_once((*one.contenders, *other.contenders))),
-        closest=closest,
-        formless=formless,
-        limits={**less.limits, **likelier.limits},
-        tried=Tried((), less.tried, likelier.tried),  # either way may have tried what was a candidate beside its own sets only
-    )
-
-
-def from_another(way: Way, found: Contender, stand: Stand) -> Way:
-    """A way that goes on from another of the sets that this one came to, at whichever step."""
-    steps = tuple({id(gate): gate for gate in found.gates}.values())
-    return replace(way, stand=stand, gates=steps, further=np.inf, is_at_its_end=False, unsure=())
-
-
-def continued(way: Way, other: Way) -> Way:
-    """The way that went on from the likeliest set of the one before, with the sets of both where it found more."""
-    if all(one in way.contenders for one in other.contenders):
-        return other
-    closest = min((one.closest for one in (way, other) if one.closest is not None), key=lambda fit: fit.cost)
-    return replace(other, contenders=tuple(each_once((*way.contenders, *other.contenders))), closest=closest)
-
-
-def another_first(
-    contenders: Sequence[Contender], found: Sequence[EffectAt], stand: Stand, nothing: Stand, noise_energy: float
-) -> Contender | None:
-    """A set of the first step from which effects should be added as well: one that an equation's error may hold beside the first stand and
-    that does something else, where further effects were found beside that. None where there is none.
-    """
-    if stand.fitted is None or len(found) <= len(stand.effects):
-        return None
-    own = stand.fitted.predicted - nothing.tuning.predicted
-    known = _not_told_apart(contenders, contenders, nothing.cost, noise_energy)
-    for one in contenders:
-        response = one.fitted.predicted - nothing.tuning.predicted
-        is_another = not set(one.fitted.effects) <= set(found) and squared_cosine(own, response) < UNLIKE
-        if one.fitted in known and is_another:
-            return one
-    return None
-
-
-def each_once(contenders: Sequence[Contender]) -> list[Contender]:
-    """Of sets that were fitted twice the closer one; without those that are part of another, or gain too little to compete."""
-    closest: dict[frozenset[EffectAt], Contender] = {}
-    for one in contenders:
-        known = closest.setdefault(frozenset(one.fitted.effects), one)
-        if one.fitted.cost < known.fitted.cost:
-            closest[frozenset(one.fitted.effects)] = one
-    most = max((one.gained for one in closest.values()), default=0.0)
-    return [one for own, one in closest.items() if one.gained > RIVAL_SHARE * most and not any(own < others for others in closest)]
 
 
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
@@ -356,7 +283,7 @@ def _pairs_worth_a_fit(
     best, entries = singles[0], len(residual)
     temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - entries)
     price = price_of_a_parameter(base - best.cost, temper)
-    least = 0.5 * (base - best.cost) / temper - _price(best, temper, tried.searched_for(best)) - PAIR_MARGIN
+    least = 0.5 * (base - best.cost) / temper - price_in_training(best, temper, tried.searched_for(best)) - PAIR_MARGIN
 
     def evidence(pair: Pair) -> float:
         return 0.5 * pair.gain / temper - pair.freedom * price - tried.searched(pair.start[0])
@@ -398,16 +325,6 @@ def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: 
     return True
 
 
-def _not_told_apart(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
-    """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
-    leave more; `base` is the cost of no effect at all.
-    """
-    weighed = [(base - one.gained, one.by_numbers[0]) for one in (*earlier, *larger)]
-    much = -2.0 * math.log(PLAUSIBLE) * temperature_of(weighed, base, noise_energy)
-    most = max(one.gained for one in larger)
-    return [one.fitted for one in earlier if one.passed and one.gained > most - much]
-
-
 def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:
     """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one."""
     if not larger:
@@ -432,8 +349,4 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
         return known if set(stand.effects) <= set(fit.effects) else 0.0
 
     temper = temperature_of([(fit.cost, by_numbers(fit)) for fit in fits], base, noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + _price(fit, temper, tried.searched_for(fit)))
-
-
-def _price(fitted: Fitted, temper: float, searched: float) -> float:
-    return Weighed(None, 0.0, 0.0, searched=searched).priced_as(fitted).price(temper)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

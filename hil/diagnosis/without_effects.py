@@ -45,13 +45,14 @@ def with_its_numbers(tuning: Tuning, fit: Fitted, settings: PlantSettings) -> np
     """(P,) tuned coordinates with what a fit's effects make of the machine's own numbers; None where they change none of these, one that is
     not tuned, or one by more than re-tuning may.
     """
-    beside = tuning.at(fit.offset)
-    values = {(parameter.owner, parameter.quantity): float(value) for parameter, value in zip(tuning.parameters, beside, strict=True)}
+    names = [(parameter.owner, parameter.quantity) for parameter in tuning.parameters]
+    beside = dict(zip(names, tuning.at(fit.offset).tolist(), strict=True)) | {(imu.name, "low_pass_shape"): 0.0 for imu in settings.imus}
+    values = dict(beside)
     changed_values(values, fit.settings, settings)
-    change = np.array([values[parameter.owner, parameter.quantity] for parameter in tuning.parameters]) - beside
-    offset = fit.offset + change[tuning.indices] / tuning.scale
-    change[tuning.indices] = 0.0
-    is_tuning = not np.any(change) and not np.array_equal(offset, fit.offset) and float(np.abs(offset).max()) <= LARGEST_CHANGE / PRIOR
+    changed = {name for name, value in values.items() if value != beside[name]}
+    tuned = [names[index] for index in tuning.indices]
+    offset = fit.offset + np.array([values[name] - beside[name] for name in tuned]) / tuning.scale
+    is_tuning = changed and changed <= set(tuned) and float(np.abs(offset).max()) <= LARGEST_CHANGE / PRIOR
     return offset if is_tuning else None
 
 

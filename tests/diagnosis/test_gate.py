@@ -133,7 +133,7 @@ def gate(trained: float, followed: float | None) -> Gate:
         trained=trained,
         over_simulator=5.0,
         asked=8,
-        held_out_deviations=None if followed is None else 5.0,
+        held_out_deviations=None if followed is None else 8.0,
         held_out_gain=None if followed is None else 25.0,
         followed=followed,
         placebo_gain=3.0,
@@ -146,7 +146,7 @@ def test_what_training_shows_weakly_and_another_motion_strongly_is_there():
     assert gate(0.3, 1e-4).passed
     assert not gate(0.3, 5e-3).passed
     assert gate(1e-9, 0.049).passed
-    assert not gate(1e-9, 0.051).passed  # training alone does not do where there is a held-out recording
+    assert not gate(1e-9, 0.051).passed  # training alone does not do where a held-out recording does not agree
     assert not gate(0.3, None).passed
     assert gate(1e-3, None).passed
 
@@ -181,3 +181,28 @@ def test_of_a_gain_what_chance_gains_more_where_repeats_scatter_is_not_certain()
     assert one.certain_gain == 30.0
     assert Gate(**{**vars(one), "gain": 100.0, "scatter": 2.0}).certain_gain == pytest.approx(80.0)
     assert Gate(**{**vars(one), "scatter": 2.0}).certain_gain == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize(
+    ("predicted", "seen", "passes"),
+    [
+        (1.0, 0.5, True),  # too short to be confirmed by anything
+        (3.0, 1.5, True),  # within noise of what was predicted
+        (3.0, 0.9, False),
+        (1.0, -0.5, False),  # the other way
+        (6.0, 2.6, False),  # a recording that would show it shows half of it at most
+        (6.0, 4.5, True),
+    ],
+)
+def test_held_out_recordings_that_show_little_of_an_effect_need_only_show_as_much_as_was_predicted(predicted, seen, passes):
+    fall = 2.0 * predicted * seen - predicted**2
+    followed = chance_held_out(fall, 1.0)
+    one = Gate(**{**vars(gate(1e-5, followed)), "held_out_deviations": seen, "held_out_gain": fall})
+    assert one.passed is passes
+    assert not Gate(**{**vars(one), "trained": 0.3, "followed": max(followed, 0.06)}).passed  # it is there by both chances together
+
+
+def test_an_agreement_is_judged_by_the_noise_along_the_response():
+    one = Gate(**{**vars(gate(1e-5, 1.0)), "held_out_deviations": 1.0, "held_out_gain": -4.0})
+    assert not one.passed
+    assert Gate(**{**vars(one), "held_out_variance": 1.5}).passed

@@ -11,7 +11,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.judgement import Tried
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.selection import Way, another_first, continued, each_once, joined
+from hil.diagnosis.ways import Way, another_first, competes, continued, each_once, joined
 from hil.diagnosis.weighing import closer_than
 
 ENTRIES = 100
@@ -122,3 +122,24 @@ def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
     both = continued(way, found_more)
     assert both.stand is found_more.stand and both.closest is larger.fitted
     assert [set(one.fitted.effects) for one in both.contenders] == [{RUBBING}, {COGGING, DELAY}]
+
+
+@pytest.mark.parametrize(
+    ("training", "held_out", "lost_form", "rival"),
+    [
+        (60.0, 0.0, "", True),
+        (40.0, 0.0, "", False),
+        (40.0, 60.0, "", True),  # of 100 and 40 together, as naming weighs them
+        (40.0, -60.0, "", False),
+        (60.0, 60.0, "no longer that effect", False),
+        (0.0, 200.0, "", False),
+    ],
+)
+def test_a_set_competes_that_gains_half_as_much_in_training_or_in_both_motions(training, held_out, lost_form, rival):
+    chosen = SimpleNamespace(certain_gain=100.0, held_out_gain=40.0, lost_form="")
+    assert competes(SimpleNamespace(certain_gain=training, held_out_gain=held_out, lost_form=lost_form), chosen) is rival
+
+
+def test_where_nothing_was_chosen_all_that_gain_are_what_came_closest():
+    assert competes(SimpleNamespace(certain_gain=1.0, held_out_gain=None, lost_form=""), None)
+    assert not competes(SimpleNamespace(certain_gain=0.0, held_out_gain=None, lost_form=""), None)
