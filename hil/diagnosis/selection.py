@@ -181,8 +181,6 @@ class _Search:
             return end
         most = REFITTED if size == 0 else REFITTED_BESIDE
         worth = shortlist(screened, most, WORTH_A_FIT)
-        loudest = max(screened, key=lambda s: s.score)
-        worth += [] if loudest in worth else [loudest]
         self.report("fitting", 0.35 + 0.2 * size)
         starts = [*(beside(chosen, s) for s in worth), *instead(chosen, worth[0])]
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)

@@ -59,6 +59,13 @@ def test_many_alike_leave_a_fit_to_what_is_unlike_them():
     assert shortlist([*alike, unlike], 3, 0.6) == alike[:3]
 
 
+def test_the_loudest_candidate_is_fitted_wherever_its_scatter_puts_it():
+    quiet = [Screened(EffectAt(f"quiet_{n}", "mass"), np.ones(1), np.array([1.0, 0.0]), 10.0 - n) for n in range(4)]
+    loud = Screened(EffectAt("loud", "mass"), np.ones(1), np.array([1.0, 0.0]), 50.0)
+    assert shortlist([*quiet, loud], 3, 0.02) == [*quiet[:3], loud]
+    assert shortlist([loud, *quiet], 3, 0.02) == [loud, *quiet[:2]]
+
+
 def test_gravity_is_no_candidate_where_the_machine_file_has_none():
     """An electronic oscillator carries no weight; the C-arm's propeller may."""
     circuit, carm = load_machine("silverbox"), load_machine("carm")
