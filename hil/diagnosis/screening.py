@@ -142,8 +142,8 @@ def shortlist(screened: Sequence[Screened], most: int, worth: float) -> list[Scr
     """The best candidates, those after them whose responses are unlike all of these, and the one of the largest score.
 
     Where a machine turns one way only, every friction, a load and a torque constant are one response, and all of them score alike: eight of
-    them would leave no fit to a wave that explains more, but not in proportion to its response at a start's phase. Their order takes off what
-    a strength scatters by over the repeats, which two or three deviations know badly: an inertia over pose, five times as loud as all
+    them would leave no fit to a wave that explains more, but not in proportion to its response at a start's phase. Their order takes off
+    what a strength scatters by over the repeats, which two or three deviations know badly: an inertia over pose, five times as loud as all
     others, was not fitted (sealed 1092).
 
     Parameters
