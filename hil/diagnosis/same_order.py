@@ -41,7 +41,7 @@ THE_SAME = 0.5
 def with_others_of_its_order(
     runs: FreeRuns, tuning: Tuning, beside: Tuning, measured: np.ndarray, fits: Sequence[Fitted], found: Sequence[Candidate], size: int
 ) -> list[Fitted]:
-    """The fits; where the best one's last effect is a wave, the other waves over that joint's position are fitted at its order too.
+    """The fits; where the best one's last effect is a wave over an axis' position, the other waves over that are fitted at its order too.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ def with_others_of_its_order(
     """
     best = min(fits, key=lambda fit: fit.cost)
     name = best.effects[-1]
-    if name.effect not in ORDER or len(best.effects) != size + 1:
-        return list(fits)
     settings = runs.machine.plant
     part = part_at(name.at, settings)
+    if name.effect not in ORDER or len(best.effects) != size + 1 or part not in runs.machine.axes:
+        return list(fits)
     order = _order(name, best.values[-1], settings)
     cycle = 2.0 * np.pi / _travel(runs, part)
     known = {
