@@ -92,7 +92,9 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 50.0, 0.0], False),
         ("presliding_hysteresis", [0.06, 0.0, 0.1, 70.0, 0.0], True),  # bends by 0.00086, the encoder shows 0.001
         ("presliding_hysteresis", [0.06, 0.03, 0.1, 70.0, 0.0], False),  # by 0.0013 while it creeps, slides at 0.00086
-        ("presliding_hysteresis", [0.0, 0.06, 0.1, 50.0, 0.0], False),
+        ("presliding_hysteresis", [0.06, 0.11, 0.1, 50.0, 0.0], False),
+        ("presliding_hysteresis", [0.06, 0.13, 0.1, 50.0, 0.0], True),  # sticks three times as hard as it slides
+        ("presliding_hysteresis", [0.0, 0.06, 0.1, 50.0, 0.0], True),
         ("presliding_hysteresis", [0.06, 0.06, 0.1, 3.0, 0.0], False),  # slides at 0.02, although it bends by 0.04
         ("stribeck_friction", [5.0, 1.0, 1.4], True),  # Fs - Fc, vs, delta
         ("stribeck_friction", [5.0, 0.1, 2.0], False),
