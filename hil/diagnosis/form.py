@@ -3,9 +3,9 @@
 A fit that runs into a bound of what decides an effect's shape (a corner speed, a frequency, a stiffness) wants another law: a mode damped
 until it no longer swings is a damper, a Stribeck speed above every speed that was driven is viscous friction. So is a wave of which the
 motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring; or that slides before the
-encoder has seen it bend: dry friction of any law; or that sticks several times as hard as it slides: no surface does. A strength at the bound
-that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like that.
-A gap that is held from wider flanks, and wants them, is a spring that hardens.
+encoder has seen it bend: dry friction of any law; or that sticks several times as hard as it slides: no surface does. A strength at the
+bound that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like
+that. A gap that is held from wider flanks, and wants them, is a spring that hardens.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ LOST_SIGN = 0.5
 (development 80)."""
 
 STICKS_AT_MOST = 3.0
-"""Break-away level over that of sliding. Of surfaces, dry or greased, it is 1 to 2. Bristles of real laws were named with 1.0 to 1.5 in kept
-answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed theirs took."""
+"""Break-away level over that of sliding. Of surfaces, dry or greased, it is 1 to 2. Bristles of real laws were named with 1.0 to 1.5 in
+kept answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed theirs took."""
 
 WITHOUT = (("imu_bandwidth", "fc"),)
 """Numbers whose bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
