@@ -43,7 +43,7 @@ LOST_SIGN = 0.5
 
 STICKS_AT_MOST = 3.0
 """Break-away level over that of sliding. Of surfaces, dry or greased, it is 1 to 2. Bristles of real laws were named with 1.0 to 1.5 in
-kept answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed theirs took."""
+kept answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed they took."""
 
 WITHOUT = (("imu_bandwidth", "fc"),)
 """Numbers whose bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
