@@ -30,7 +30,7 @@ from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
 from hil.diagnosis.sufficiency import what_is_missing
 from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too, with_read_off
-from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among
+from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among, with_unsure
 from hil.diagnosis.without_effects import without_effects
 from hil.machine import Machine
 from hil.recording import Recording
@@ -192,7 +192,7 @@ def diagnose(
             findings=findings,
             hypotheses=tuple(
                 Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in read_off)), h.confidence)
-                for h in hypotheses
+                for h in with_unsure(hypotheses, unsure)
             ),
             retuned=retuned,
             frozen=frozen,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -81,6 +82,18 @@ def plausible_among(unsure: Sequence[Contender], hypotheses: Sequence[Weighed]) 
     """
     doubted = {id(one.fitted) for one in unsure}
     return tuple(h for h in not_told_apart(hypotheses) if id(h.fitted) in doubted)
+
+
+def with_unsure(hypotheses: Sequence[Weighed], unsure: Sequence[Weighed]) -> tuple[Weighed, ...]:
+    """Hypotheses in their order, with sets whose last effect is not there for certain among them, never before the first: with the
+    confidence they have when they are weighed with all others, as far as there is any left.
+    """
+    if not hypotheses or not unsure:
+        return tuple(hypotheses)
+    first, *others = hypotheses
+    most = min(first.confidence, (1.0 - sum(h.confidence for h in hypotheses)) / len(unsure))
+    others += [replace(h, confidence=min(h.confidence, most)) for h in unsure]
+    return first, *sorted(others, key=lambda h: -h.confidence)
 
 
 def closer_than(
