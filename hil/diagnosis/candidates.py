@@ -73,6 +73,7 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
     driven = {drive.joint for drive in settings.drives}
     chosen: list[EffectAt] = []
     taken: set[tuple[str, str]] = set()
+    of_imus = [channel for channel in channels if channel.startswith(("imu_", "gyro_"))]
     for name, effect in effects().items():
         if effect.kind is DROPOUT or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
             continue
@@ -85,9 +86,9 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
                 key = joint_at(at, settings)
                 if key not in driven and (name not in ON_A_SPRING or spring_at(at, settings) is None):
                     continue
-            elif is_of_readings and at not in channels and not (effect.kind is CLOCK and at == WHOLE_IMU):
-                continue
-            if "imu" in effect.kind.allowed_at and not any(channel.startswith(("imu_", "gyro_")) for channel in channels):
+            elif is_of_readings and at not in channels and not (effect.kind is CLOCK and at == WHOLE_IMU and len(of_imus) > 1):
+                continue  # of a single channel's clock and its IMU's nothing tells which it is
+            if "imu" in effect.kind.allowed_at and not of_imus:
                 continue
             if (name, key) not in taken:
                 taken.add((name, key))

@@ -192,7 +192,7 @@ def diagnose(
             findings=findings,
             hypotheses=tuple(
                 Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in read_off)), h.confidence)
-                for h in with_unsure(hypotheses, unsure)
+                for h in with_unsure(hypotheses, unsure, confidence_of(cap_of(runs)))
             ),
             retuned=retuned,
             frozen=frozen,

@@ -17,6 +17,7 @@ import numpy as np
 from hil.diagnosis.coordinates import AT_MOST
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.screening import squared_cosine
 from hil.diagnosis.shape_limits import NO_LIMIT
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
@@ -44,6 +45,9 @@ LOST_SIGN = 0.5
 STICKS_AT_MOST = 3.0
 """Break-away level over that of sliding. Of surfaces, dry or greased, it is 1 to 2. Bristles of real laws were named with 1.0 to 1.5 in
 kept answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed they took."""
+
+ONE_LEVEL = 0.9
+"""Squared cosine of the responses to the level of sliding and to what is above it while sticking, from which on they are one."""
 
 WITHOUT = (("imu_bandwidth", "fc"),)
 """Numbers whose bound is the law without its term: a sensor without a low pass is one whose machine file says too much of it."""
@@ -94,7 +98,7 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
             return f"{effect} slides at {slides_at:.3g}, more than the {most:.3g} that the recordings can show: what fits may be a spring"
         if effect.effect in BENDS_BY and (bends_by := BENDS_BY[effect.effect](*values)) < least:
             return f"{effect} bends by {bends_by:.3g}, less than the {least:.3g} that its encoder shows: any dry friction does"
-        if effect.effect == "presliding_hysteresis" and values[1] > (STICKS_AT_MOST - 1.0) * values[0]:
+        if effect.effect == "presliding_hysteresis" and _sticks_hard(fitted, number):
             return f"{effect} sticks at {values[0] + values[1]:.3g} and slides at {values[0]:.3g}: what fits is no longer that effect"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
             if (effect.effect, parameter.name) in OF_A_REFINEMENT:
@@ -107,6 +111,15 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
             if parameter.unit in OF_WAVES and value < least:
                 return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
     return ""
+
+
+def _sticks_hard(fitted: Fitted, number: int) -> bool:
+    """Whether bristles break away at several times what they slide at. Motion slower than vs throughout shows the sum of both alone."""
+    sliding, above = fitted.values[number][:2]
+    if above <= (STICKS_AT_MOST - 1.0) * sliding:
+        return False
+    columns = {p: fitted.jacobian[:, column] for column, (k, p) in enumerate(fitted.free) if k == number and p in (0, 1)}
+    return len(columns) < 2 or squared_cosine(columns[0], columns[1]) < ONE_LEVEL
 
 
 def _keeps_its_sign(share: float, sign: float) -> bool:

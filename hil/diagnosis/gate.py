@@ -6,7 +6,8 @@
    response than the spectrum says). Beside effects that were found, what is left counts where the response is (`structure_left.py`), and of
    the gain only what no error of their equations explains (`form_error.py`).
 2. On the held-out recordings, everything frozen: does the misfit fall as predicted, by more than on machines that hide nothing? They are
-   independent of training and nothing is searched on them, so that the chances of both count together (Fisher).
+   independent of training and nothing is searched on them, so that the chances of both count together (Fisher). Of recordings that can
+   show little of it no more is asked than that they agree.
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
 4. Does it, where it is the first, explain a share of what there is to explain?
 5. Is it still its own equation (`form.py`)?
@@ -59,10 +60,12 @@ fall says that the change is not training's own. At 0.01 development case 7, a g
 its scatter taken as 1 or as the first set's."""
 
 AS_PREDICTED = 2.0
-"""Standard deviations by which held-out recordings may miss what was predicted of them and still agree with it. Recordings that show little
-of an effect cannot be asked to confirm it: where three deviations are predicted they do so at HELD_OUT_LEVEL with 0.85, two with 0.63, one
-with 0.20. Whether it is there is for both chances together to say, as it is for training alone where nothing is held out; from 4.5 on what
-agrees is confirmed as well."""
+"""Standard deviations by which held-out recordings may stay behind what was predicted of them and still agree with it."""
+
+SHORT = 4.6
+"""Predicted deviations below which agreeing is enough: from there on what agrees is confirmed as well. Recordings that show little of an
+effect cannot be asked to confirm it: where three deviations are predicted they do so at HELD_OUT_LEVEL with 0.85, two with 0.63, one with
+0.20. Whether it is there is for both chances together to say, as it is for training alone where nothing is held out."""
 
 PLACEBO_FACTOR = 1.5
 """The effect must gain this many times what the best placebo gains."""
@@ -99,7 +102,8 @@ class Gate:
     is_first: bool
     lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see selection.py
     beyond: float | None = None  # of the gain, what no error of equations found before explains, see form_error.py
-    held_out_variance: float = 1.0  # of the noise along the predicted change, in units of the noise model's
+    predicted: float | None = None  # length of the held-out change beyond such errors, in standard deviations of the noise along it
+    seen: float | None = None  # how far the held-out recordings go along it, in the same
 
     @property
     def certain_gain(self) -> float:
@@ -127,15 +131,20 @@ class Gate:
 
     @property
     def confirmed(self) -> bool:
-        """Whether held-out recordings show it, or show as much of it as was predicted."""
-        return self.followed is None or self.followed < HELD_OUT_LEVEL or self.is_as_predicted
+        """Whether held-out recordings show it, or are too few to and agree."""
+        return self.is_followed or self.agrees
 
     @property
-    def is_as_predicted(self) -> bool:
-        """Of a change of length L and z deviations along it, (L - z)^2 is z^2 less the fall: see `chance_held_out`."""
-        if self.held_out_deviations is None or self.held_out_gain is None or self.held_out_deviations <= 0.0:
+    def is_followed(self) -> bool:
+        """Whether held-out recordings, where there are any, show it by themselves."""
+        return self.followed is None or self.followed < HELD_OUT_LEVEL
+
+    @property
+    def agrees(self) -> bool:
+        """Whether held-out recordings show as much as was predicted of them, which is too little to confirm anything."""
+        if self.predicted is None or self.seen is None:
             return False
-        return self.held_out_deviations**2 - self.held_out_gain <= AS_PREDICTED**2 * self.held_out_variance
+        return self.predicted < SHORT and self.predicted - self.seen <= AS_PREDICTED
 
     @property
     def beats_placebo(self) -> bool:
@@ -167,6 +176,9 @@ class Gate:
         if self.held_out_deviations is not None and self.followed is not None:
             follow = f"held-out recordings follow the prediction by {self.held_out_deviations:.3g} standard deviations"
             fall = f"their sum of squares falls by {self.held_out_gain:.4g}, by chance with a probability of {self.followed:.2g}"
+            if self.agrees and not self.is_followed:
+                follow = f"held-out recordings show {self.seen:.2g} standard deviations of it where {self.predicted:.2g} were predicted"
+                fall = "too little to confirm it, and no less than noise explains"
             lines.insert(1, (self.confirmed, f"{follow}; {fall}"))
         if self.beyond is not None and not self.is_first:
             lines.append((self.significant, f"of the gain, {self.beyond:.4g} is nothing that an error of what was found before explains"))

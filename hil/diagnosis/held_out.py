@@ -177,10 +177,14 @@ class HeldOut:
         """
         if before is None or after is None:
             return -np.inf
-        change, moved = after.predicted - before.predicted, after.moved - before.moved
-        squared = float(change @ change + moved @ self._weights @ moved)
+        squared = self.squared_change(before, after)
         level = max(1.0, after.misfit / max(len(self.measured), 1))
         return 0.5 * (before.misfit - after.misfit + squared) / np.sqrt(squared * level) if squared > 0.0 else 0.0
+
+    def squared_change(self, before: Followed, after: Followed) -> float:
+        """L^2 of a predicted change, what the numbers' move costs in it: see `deviations`."""
+        change, moved = after.predicted - before.predicted, after.moved - before.moved
+        return float(change @ change + moved @ self._weights @ moved)
 
     def _at(self, offset: np.ndarray, moved: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         predicted = self._runs.run_one(Trial(self._tuning.at(offset + moved), effects), HELD_OUT)

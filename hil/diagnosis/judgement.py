@@ -277,12 +277,13 @@ class Judgement:
         trials = tried.sets(added)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
-        held_out_variance = 1.0
+        predicted = seen = None
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
             held_out_variance, of_simulator = self._held_out_variance(before, after, scatter)
             there = self._beyond_held_out(before, after, fall)
             followed = chance_held_out(there, held_out_variance) if before.held_out is not None else 1.0  # what diverged shows no fall
+            predicted, seen = self._agreement(before, after, there, held_out_variance)
             over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,
@@ -295,7 +296,8 @@ class Judgement:
             held_out_deviations=deviations,
             held_out_gain=fall,
             followed=followed,
-            held_out_variance=held_out_variance,
+            predicted=predicted,
+            seen=seen,
             placebo_gain=placebo,
             share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
             is_first=before.fitted is None,
@@ -322,6 +324,21 @@ class Judgement:
             return fall
         taken = [before.held_out_errors.taken_by(self._judge.measured - run.predicted) for run in (before.held_out, after)]
         return min(fall, fall - taken[0] + taken[1])
+
+    def _agreement(self, before: Stand, after: Followed | None, fall: float, variance: float) -> tuple[float | None, float | None]:
+        """Length of a held-out change and how far the recordings go along it, in standard deviations of the noise along it.
+
+        `fall` is the misfit's, beyond what errors of the equations found before explain; of a length L, z deviations lower it by
+        2 L z - L^2.
+        """
+        if self._judge is None or before.held_out is None or after is None:
+            return None, None
+        squared = self._judge.squared_change(before.held_out, after)
+        squared -= before.held_out_errors.taken_by(after.predicted - before.held_out.predicted)
+        if squared <= 0.0:
+            return 0.0, 0.0
+        length, deviation = float(np.sqrt(squared)), float(np.sqrt(variance))
+        return length / deviation, 0.5 * (fall + squared) / length / deviation
 
     def _left(self, stand: Stand) -> float:
         """Held-out misfit."""

@@ -21,7 +21,7 @@ from hil.diagnosis.screening import Screened
 from virtual_bus.effects.registry import effects
 
 WORTH_POLISHING = 0.5
-"""Of the closest fit's gain: what gains less does not compete for the name (`selection.RIVAL_SHARE`)."""
+"""Of the closest fit's gain: what gains less seldom competes for the name (`ways.RIVAL_SHARE`)."""
 
 
 def with_numbers_of_the_file(

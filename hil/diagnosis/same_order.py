@@ -14,6 +14,8 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.judgement import Stand
+from hil.diagnosis.numbers_of_the_file import WORTH_POLISHING
 from hil.diagnosis.refit import POLISHED_GAIN, Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -39,7 +41,7 @@ THE_SAME = 0.5
 
 
 def with_others_of_its_order(
-    runs: FreeRuns, tuning: Tuning, beside: Tuning, measured: np.ndarray, fits: Sequence[Fitted], found: Sequence[Candidate], size: int
+    runs: FreeRuns, tuning: Tuning, stand: Stand, measured: np.ndarray, fits: Sequence[Fitted], found: Sequence[Candidate]
 ) -> list[Fitted]:
     """The fits; where the best one's last effect is a wave over an axis' position, the other waves over that are fitted at its order too.
 
@@ -48,39 +50,42 @@ def with_others_of_its_order(
     runs : FreeRuns
     tuning : Tuning
         Without effects.
-    beside : Tuning
-        Beside the effects that were found before, the first `size` of every fit.
+    stand : Stand
+        What was found before, to which the last effect of the best fit was added.
     measured : (M,) array
     fits : sequence of Fitted
     found : sequence of Candidate
         All that may act.
-    size : int
     """
     best = min(fits, key=lambda fit: fit.cost)
     name = best.effects[-1]
     settings = runs.machine.plant
     part = part_at(name.at, settings)
-    if name.effect not in ORDER or len(best.effects) != size + 1 or part not in runs.machine.axes:
+    if name.effect not in ORDER or best.effects[:-1] != stand.effects or part not in runs.machine.axes:
         return list(fits)
     order = _order(name, best.values[-1], settings)
     cycle = 2.0 * np.pi / _travel(runs, part)
+    waves = [*zip(best.effects, best.values, strict=True), *((fit.effects[-1], fit.values[-1]) for fit in fits)]
     known = {
-        fit.effects[-1]
-        for fit in fits
-        if fit.effects[-1].effect in ORDER and abs(_order(fit.effects[-1], fit.values[-1], settings) - order) < THE_SAME * cycle
+        (wave.effect, wave.at)
+        for wave, values in waves
+        if wave.effect in ORDER and abs(_order(wave, values, settings) - order) < THE_SAME * cycle
     }
     others = [
         _at_orders(candidate, [order + share * cycle for share in AROUND], settings)
         for candidate in found
-        if candidate.effect.effect in ORDER and candidate.effect not in known and part_at(candidate.effect.at, settings) == part
+        if candidate.effect.effect in ORDER
+        and (candidate.effect.effect, candidate.effect.at) not in known
+        and part_at(candidate.effect.at, settings) == part
     ]
     others = [candidate for candidate in others if candidate.starts]
     if not others:
         return list(fits)
-    present = tuple(best.settings[:-1])
-    screened = screen(runs, beside, others, measured - beside.predicted, present)
+    present = () if stand.fitted is None else stand.fitted.settings
+    screened = screen(runs, stand.tuning, others, measured - stand.tuning.predicted, present)
     starts = [((*best.effects[:-1], one.effect), (*best.values[:-1], one.values)) for one in screened if one.score > 0.0]
-    again = [fit for fit in refit(runs, beside, measured, starts) if fit is not None]
+    least = WORTH_POLISHING * (stand.cost - best.cost)
+    again = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
     again = [fit for fit in again if all(fit.cost < one.cost - POLISHED_GAIN for one in fits if one.effects == fit.effects)]
     kept = [fit for fit in fits if fit.effects not in [one.effects for one in again]]
     return [*kept, *polish(runs, tuning, measured, again)]

@@ -25,12 +25,12 @@ from hil.diagnosis.retune import Tuning
 from hil.diagnosis.same_order import with_others_of_its_order
 from hil.diagnosis.screening import Screened, screen, shortlist
 from hil.diagnosis.ways import (
-    RIVAL_SHARE,
     Way,
     another_first,
     competes,
     continued,
     from_another,
+    is_rival_of,
     joined,
     not_told_apart_in_training,
     price_in_training,
@@ -191,7 +191,7 @@ class _Search:
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
-            fits = with_others_of_its_order(runs, tuning, stand.tuning, measured, fits, found, size)
+            fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             if size == 0:
                 fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand.cost)
         first, singles = way.screened, way.singles
@@ -327,11 +327,10 @@ def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list
     """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one."""
     if not larger:
         return []
-    most = max(rival.gained for rival in larger)
     return [
         one
         for one in earlier
-        if one.gained > RIVAL_SHARE * most and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger)
+        if is_rival_of(one, larger) and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger)
     ]
 
 

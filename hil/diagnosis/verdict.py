@@ -22,7 +22,8 @@ UNKNOWN_LEFT = 0.5
 ALONE_LEFT = 0.1
 """The same from which a name that it has does not stand alone, whether or not it is for certain: the rest may be what the name imitates. Of
 136 `explained` answers that five tools gave (be872f2 to 8ad47cf, without those of lost samples and lattices), 10 of 19 that left more were
-wrong, 13 of 117 that left less."""
+wrong, 13 of 117 that left less; the share was chosen on them (5 of 7 between it and a quarter were wrong). Of a gain of a few hundred
+chance leaves as much now and then, and a right name is `ambiguous` then."""
 
 OTHER_MOTION = 5.0
 """Excess of the held-out misfit over its noise, as a share of it, that another motion's disturbances reach: a narrow line at a frequency of
@@ -129,7 +130,7 @@ def _stands_out(gate: Gate, standing: Standing) -> bool:
     if gate.gain <= UNNAMED_GAIN * gate.needed * gate.scatter:
         return False
     held_out = standing.held_out
-    also_there = gate.confirmed or held_out is None or min(held_out[:2]) - held_out[2] > certain_excess(held_out[2])
+    also_there = gate.is_followed or held_out is None or min(held_out[:2]) - held_out[2] > certain_excess(held_out[2])
     return also_there or standing.best_misfit > (1.0 + NULLS_LEFT) * standing.noise
 
 

@@ -97,8 +97,14 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
         known = closest.setdefault(frozenset(one.fitted.effects), one)
         if one.fitted.cost < known.fitted.cost:
             closest[frozenset(one.fitted.effects)] = one
-    most = max((one.gained for one in closest.values()), default=0.0)
-    return [one for own, one in closest.items() if one.gained > RIVAL_SHARE * most and not any(own < others for others in closest)]
+    sets = list(closest.values())
+    return [one for own, one in closest.items() if is_rival_of(one, sets) and not any(own < others for others in closest)]
+
+
+def is_rival_of(one: Contender, others: Sequence[Contender]) -> bool:
+    """Whether a set gains enough beside the one of these that gains most, in training or in both motions together."""
+    gains = [(each.gained, each.gained + max(each.gained_held_out, 0.0)) for each in (one, *others)]
+    return any(gain > RIVAL_SHARE * max(of_all) for gain, of_all in zip(gains[0], zip(*gains, strict=True), strict=True))
 
 
 def competes(one: Gate, chosen: Gate | None) -> bool:

@@ -84,14 +84,20 @@ def plausible_among(unsure: Sequence[Contender], hypotheses: Sequence[Weighed]) 
     return tuple(h for h in not_told_apart(hypotheses) if id(h.fitted) in doubted)
 
 
-def with_unsure(hypotheses: Sequence[Weighed], unsure: Sequence[Weighed]) -> tuple[Weighed, ...]:
-    """Hypotheses in their order, with sets whose last effect is not there for certain among them, never before the first: with the
-    confidence they have when they are weighed with all others, as far as there is any left.
+def with_unsure(hypotheses: Sequence[Weighed], unsure: Sequence[Weighed], whole: float) -> tuple[Weighed, ...]:
+    """Hypotheses in their order, with sets whose last effect is not there for certain among them, never before the first.
+
+    Parameters
+    ----------
+    hypotheses, unsure : sequence of Weighed
+        The latter with the confidences that they have when they are weighed with all others.
+    whole : float
+        Confidence that all names have together; the unsure ones share what the others leave of it.
     """
     if not hypotheses or not unsure:
         return tuple(hypotheses)
     first, *others = hypotheses
-    most = min(first.confidence, (1.0 - sum(h.confidence for h in hypotheses)) / len(unsure))
+    most = min(first.confidence, max(whole - sum(h.confidence for h in hypotheses), 0.0) / len(unsure))
     others += [replace(h, confidence=min(h.confidence, most)) for h in unsure]
     return first, *sorted(others, key=lambda h: -h.confidence)
 

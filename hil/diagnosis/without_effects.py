@@ -50,10 +50,11 @@ def with_its_numbers(tuning: Tuning, fit: Fitted, settings: PlantSettings) -> np
     values = dict(beside)
     changed_values(values, fit.settings, settings)
     changed = {name for name, value in values.items() if value != beside[name]}
-    tuned = [names[index] for index in tuning.indices]
+    tuned, bound = [names[index] for index in tuning.indices], LARGEST_CHANGE / PRIOR
     offset = fit.offset + np.array([values[name] - beside[name] for name in tuned]) / tuning.scale
-    is_tuning = changed and changed <= set(tuned) and float(np.abs(offset).max()) <= LARGEST_CHANGE / PRIOR
-    return offset if is_tuning else None
+    own = np.array([name in changed for name in tuned])
+    is_tuning = changed and changed <= set(tuned) and float(np.abs(offset[own]).max()) <= bound
+    return np.clip(offset, -bound, bound) if is_tuning else None  # a fit's steps may end a little beyond
 
 
 def _cost(measured: np.ndarray, predicted: np.ndarray, offset: np.ndarray) -> float:

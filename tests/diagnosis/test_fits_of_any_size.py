@@ -296,8 +296,9 @@ def test_a_cogging_is_found_at_the_order_of_what_stands_for_it():
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
         tuning = retune(runs)
         fits = [fit for fit in refit(runs, tuning, runs.measured(), [((friction,), (np.array([0.1, 72.0, 0.0]),))]) if fit is not None]
-        found = with_others_of_its_order(runs, tuning, tuning, runs.measured(), fits, [elsewhere], 0)
-        once_more = with_others_of_its_order(runs, tuning, tuning, runs.measured(), found, [elsewhere], 0)
+        nothing = SimpleNamespace(effects=(), fitted=None, tuning=tuning, cost=float(np.sum((runs.measured() - tuning.predicted) ** 2)))
+        found = with_others_of_its_order(runs, tuning, nothing, runs.measured(), fits, [elsewhere])
+        once_more = with_others_of_its_order(runs, tuning, nothing, runs.measured(), found, [elsewhere])
     assert found[:1] == fits
     (fit,) = found[1:]
     assert fit.effects == (cogging,)

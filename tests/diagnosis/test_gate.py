@@ -10,6 +10,8 @@ import scipy.integrate
 import scipy.stats
 
 from hil.diagnosis.gate import (
+    AS_PREDICTED,
+    HELD_OUT_LEVEL,
     IN_SAMPLE,
     LEVEL,
     PRIOR_FREEDOM,
@@ -186,23 +188,29 @@ def test_of_a_gain_what_chance_gains_more_where_repeats_scatter_is_not_certain()
 @pytest.mark.parametrize(
     ("predicted", "seen", "passes"),
     [
-        (1.0, 0.5, True),  # too short to be confirmed by anything
-        (3.0, 1.5, True),  # within noise of what was predicted
+        (0.0, 0.0, True),  # nothing of it would show
+        (1.0, -0.5, True),  # too short to be confirmed by anything
+        (3.0, 1.5, True),  # no more behind than noise is
         (3.0, 0.9, False),
-        (1.0, -0.5, False),  # the other way
-        (6.0, 2.6, False),  # a recording that would show it shows half of it at most
-        (6.0, 4.5, True),
+        (4.5, 2.4, False),
+        (6.0, 4.1, True),  # followed by itself
+        (6.0, 3.1, False),  # a recording that would show it shows half of it
     ],
 )
 def test_held_out_recordings_that_show_little_of_an_effect_need_only_show_as_much_as_was_predicted(predicted, seen, passes):
-    fall = 2.0 * predicted * seen - predicted**2
-    followed = chance_held_out(fall, 1.0)
-    one = Gate(**{**vars(gate(1e-5, followed)), "held_out_deviations": seen, "held_out_gain": fall})
+    followed = chance_held_out(2.0 * predicted * seen - predicted**2, 1.0)
+    one = Gate(**{**vars(gate(1e-5, followed)), "predicted": predicted, "seen": seen})
     assert one.passed is passes
     assert not Gate(**{**vars(one), "trained": 0.3, "followed": max(followed, 0.06)}).passed  # it is there by both chances together
 
 
-def test_an_agreement_is_judged_by_the_noise_along_the_response():
-    one = Gate(**{**vars(gate(1e-5, 1.0)), "held_out_deviations": 1.0, "held_out_gain": -4.0})
-    assert not one.passed
-    assert Gate(**{**vars(one), "held_out_variance": 1.5}).passed
+@pytest.mark.parametrize("predicted", [4.6, 6.0, 10.0])
+def test_where_enough_is_predicted_what_agrees_is_followed_as_well(predicted):
+    seen = predicted - AS_PREDICTED
+    assert chance_held_out(2.0 * predicted * seen - predicted**2, 1.0) < HELD_OUT_LEVEL
+
+
+def test_what_only_agrees_is_said_to_be_no_confirmation():
+    one = Gate(**{**vars(gate(1e-5, 0.3)), "predicted": 2.0, "seen": 1.2})
+    for_it, _ = one.evidence()
+    assert any("1.2 standard deviations of it where 2 were predicted; too little to confirm it" in text for text in for_it)

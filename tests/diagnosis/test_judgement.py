@@ -168,6 +168,9 @@ class OtherMotion:
         change = after.predicted - before.predicted
         return float(change @ (self.measured - before.predicted)) / float(np.linalg.norm(change))
 
+    def squared_change(self, before, after):
+        return float(np.sum((after.predicted - before.predicted) ** 2))
+
 
 def followed(fall: float, variance: float) -> float:
     return float(scipy.stats.t.sf(math.sqrt(fall / variance) / HELD_OUT_SCALE, HELD_OUT_FREEDOM))
@@ -179,6 +182,7 @@ def test_a_held_out_fall_counts_in_units_of_what_is_left_there():
         (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
         assert found.gate.held_out_gain == pytest.approx(81.0)
         assert found.gate.followed == pytest.approx(followed(81.0, noise**2), rel=1e-3)
+        assert (found.gate.predicted, found.gate.seen) == pytest.approx((9.0 / noise, 9.0 / noise), rel=1e-3)
 
 
 def test_beside_a_large_effect_a_held_out_fall_must_exceed_what_its_equation_may_err_by():
@@ -191,6 +195,7 @@ def test_beside_a_large_effect_a_held_out_fall_must_exceed_what_its_equation_may
         chances.append(found.gate.followed)
     assert chances[0] == pytest.approx(followed(64.0, 1.0), rel=0.5)
     assert chances[1] > 10.0 * chances[0]
+    assert found.gate.predicted == pytest.approx(found.gate.seen) and found.gate.predicted < 8.0  # of 8, beyond that error
 
 
 def test_what_training_hardly_shows_may_be_more_than_the_simulator_s_error_in_another_motion():

@@ -76,3 +76,5 @@ def test_gravity_is_no_candidate_where_the_machine_file_has_none():
 def test_a_clock_may_be_one_channels_or_that_of_a_whole_imu():
     tried = places_to_try(load_machine("carm").plant, ["imu_x", "gyro_y", "current_roll"])
     assert {place.at for place in tried if place.effect == "clock_offset"} == {"imu", "imu_x", "gyro_y", "current_roll"}
+    alone = places_to_try(load_machine("carm").plant, ["gyro_y", "current_roll"])
+    assert {place.at for place in alone if place.effect == "clock_offset"} == {"gyro_y", "current_roll"}  # not one law twice

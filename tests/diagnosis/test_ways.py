@@ -20,12 +20,12 @@ COGGING, RUBBING, DELAY, RIPPLE = (EffectAt(name, "rotor") for name in ("cogging
 NOTHING = SimpleNamespace(tuning=SimpleNamespace(predicted=np.zeros(ENTRIES)), cost=20_000.0)
 
 
-def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool = True):
+def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool = True, held_out: float = 0.0):
     """A set that a search has come to, with this change of the free run."""
     nothing = np.zeros((ENTRIES, 0))
     cost = NOTHING.cost - gained
     fitted = Fitted(effects, (np.ones(1),) * len(effects), np.zeros(0), response, cost, (), nothing, np.zeros(0))
-    return SimpleNamespace(fitted=fitted, gained=gained, passed=passed, by_numbers=(0.0, 0.0), searched=0.0)
+    return SimpleNamespace(fitted=fitted, gained=gained, gained_held_out=held_out, passed=passed, by_numbers=(0.0, 0.0), searched=0.0)
 
 
 def another(*rivals, found=(RUBBING, DELAY), first=(RUBBING,)):
@@ -143,3 +143,10 @@ def test_a_set_competes_that_gains_half_as_much_in_training_or_in_both_motions(t
 def test_where_nothing_was_chosen_all_that_gain_are_what_came_closest():
     assert competes(SimpleNamespace(certain_gain=1.0, held_out_gain=None, lost_form=""), None)
     assert not competes(SimpleNamespace(certain_gain=0.0, held_out_gain=None, lost_form=""), None)
+
+
+def test_a_set_that_competes_by_both_motions_is_kept_where_ways_are_joined():
+    strong, weak = contender(100.0, COGGING, held_out=40.0), contender(40.0, RIPPLE, held_out=60.0)
+    assert each_once((strong, weak)) == [strong, weak]
+    assert each_once((strong, contender(40.0, RIPPLE, held_out=10.0))) == [strong]
+    assert each_once((strong, contender(60.0, RIPPLE, held_out=-50.0)))[1:] != []

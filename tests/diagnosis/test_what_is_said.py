@@ -75,8 +75,7 @@ def fitted(name: str) -> Fitted:
 
 
 def gate(share: float, *, passes: bool) -> Gate:
-    seen, chance = (9.0, 1e-9) if passes else (-1.0, 0.5)
-    return Gate(1000.0, 20.0, 1.0, 1e-9, 50.0, 8, seen, 500.0, chance, 0.0, share, True)
+    return Gate(1000.0, 20.0, 1.0, 1e-9, 50.0, 8, 9.0, 500.0, 1e-9 if passes else 0.5, 0.0, share, True)
 
 
 def contender(name: str, share: float, *, passes: bool = True) -> Contender:
@@ -128,16 +127,16 @@ def test_a_plausible_set_with_an_effect_that_is_not_certain_is_listed_behind_the
     assert what_may_act_too(()) == "" and "viscous_friction at carriage and delay at carriage" in what_may_act_too(unsure)
 
 
-@pytest.mark.parametrize(("said", "listed"), [(0.05, 0.05), (0.6, 0.5), (0.45, 0.25)])  # no more than the first has, nor than is left
-def test_sets_with_an_effect_that_is_not_certain_are_hypotheses_behind_the_first(said, listed):
-    first, second, none = (Weighed(None, 0.0, 0.0, (1.0,), confidence) for confidence in (0.5, 0.25 if said == 0.45 else 0.01, 0.0))
+@pytest.mark.parametrize(("said", "left", "listed"), [(0.05, 0.2, 0.05), (0.6, 0.7, 0.3), (0.2, 0.1, 0.1), (0.2, 0.0, 0.0)])
+def test_sets_with_an_effect_that_is_not_certain_are_hypotheses_behind_the_first(said, left, listed):
+    """With no more confidence than the first has, nor than the others leave of what all names have."""
+    first, second, none = (Weighed(None, 0.0, 0.0, (1.0,), confidence) for confidence in (0.3, 0.01, 0.0))
     doubtful = Weighed(None, 1.0, 0.0, (1.0,), said)
-    ranked = with_unsure((first, second, none), (doubtful,))
+    ranked = with_unsure((first, second, none), (doubtful,), 0.31 + left)
     assert ranked[0] is first
     assert [h.confidence for h in ranked] == sorted((h.confidence for h in ranked), reverse=True)
-    assert next(h.confidence for h in ranked if h.train == 1.0) == pytest.approx(min(listed, 1.0 - first.confidence - second.confidence))
-    assert sum(h.confidence for h in ranked) <= 1.0
-    assert with_unsure((first, second), ()) == (first, second) and with_unsure((), (doubtful,)) == ()
+    assert next(h.confidence for h in ranked if h.train == 1.0) == pytest.approx(listed)
+    assert with_unsure((first, second), (), 0.5) == (first, second) and with_unsure((), (doubtful,), 0.5) == ()
 
 
 ONE_OF_MANY = ("coulomb_friction", "delay", "backlash", "cable_spring", "end_stop", "cogging")
@@ -195,9 +194,10 @@ def test_many_times_the_noise_is_never_called_retuned(left, said):
     ("here", "there", "said"),
     [(1.07, 1.03, "retuned"), (1.12, 1.03, "retuned"), (1.12, 1.5, "unknown_physics"), (1.3, 1.03, "unknown_physics")],
 )
-def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, said):
+@pytest.mark.parametrize("agrees", [-0.5, 0.5])  # by chance every second time where two deviations are predicted: that is no sign of it
+def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, said, agrees):
     """The mean of four repeats of a null was 7 % above its noise, along a load as well, which the held-out recording did not follow."""
-    nothing_passed = replace(gate(0.01, passes=False), gain=60.0)
+    nothing_passed = replace(gate(0.01, passes=False), gain=60.0, predicted=2.0, seen=agrees)
     held_out = there * NOISE, there * NOISE, NOISE
     standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, here * NOISE, here * NOISE, NOISE, 8, "", held_out)
     assert verdict_of(standing)[0] == said
