@@ -18,7 +18,7 @@ from hil.diagnosis.coordinates import AT_MOST
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.screening import squared_cosine
-from hil.diagnosis.shape_limits import NO_LIMIT
+from hil.diagnosis.shape_limits import NO_LIMIT, SLOWEST_BASE_MOTION_Hz
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 
@@ -109,8 +109,12 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
             if (effect.effect, parameter.name) in DAMPING and _left_after_a_cycle(float(value)) < LEFT_AFTER_A_CYCLE:
                 return f"{effect} has {parameter.name} = {value:.2g} and no longer swings: what fits is no longer that effect"
             if parameter.unit in OF_WAVES and value < least:
-                return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, of which the recordings show less than half a cycle"
+                return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, {_too_slow(value, least)}"
     return ""
+
+
+def _too_slow(value: float, least: float) -> str:
+    return "slower than floors shake" if least == SLOWEST_BASE_MOTION_Hz else "of which the recordings show less than half a cycle"
 
 
 def _sticks_hard(fitted: Fitted, number: int) -> bool:

@@ -100,6 +100,8 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("stribeck_friction", [5.0, 0.1, 2.0], False),
         ("cogging", [0.9, 1.0, 0.0, 0.0, 0.0], True),  # Np, A1, phi1, A2, phi2: half a cycle is 1 per turn
         ("cogging", [1.1, 1.0, 0.0, 0.0, 0.0], False),
+        ("base_motion", [0.1, 0.9, 0.0], True),  # A, f, phi
+        ("base_motion", [0.1, 1.1, 0.0], False),
         ("viscous_friction", [0.0], False),
         ("gear_ratio", [0.1], True),  # no machine's ratio is off by a tenth
         ("rectified_sensor", [1.0, 1.0], False),  # share, sign
@@ -111,7 +113,12 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
-    limits = {"cogging": (1.0, np.inf), "bouc_wen_hysteresis": (0.001, 0.025), "presliding_hysteresis": (0.001, 0.025)}
+    limits = {
+        "cogging": (1.0, np.inf),
+        "base_motion": (1.0, np.inf),
+        "bouc_wen_hysteresis": (0.001, 0.025),
+        "presliding_hysteresis": (0.001, 0.025),
+    }
     limits_at = {EffectAt(effect, "carriage"): ends for effect, ends in limits.items()}
     assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost
 

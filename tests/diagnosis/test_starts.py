@@ -106,6 +106,11 @@ def test_a_hysteresis_bends_by_more_than_the_encoder_of_its_joint_rounds(name, a
     assert least == pytest.approx(counts * count)
 
 
+def test_a_base_motion_is_a_vibration_of_a_floor_however_long_it_was_recorded():
+    """Criteria of floors begin at 1 Hz; of 10 s half a cycle is 0.05 Hz."""
+    assert shape_limits("base_motion", "roll", moved("roll", SPEED)) == (1.0, np.inf)
+
+
 def test_a_friction_that_warms_starts_with_some_where_a_damper_stands_for_it():
     """Re-tuned dampers take the mean of it: what is missing pushes at first and brakes in the end, or the other way round."""
     found = starts("temperature_dependent_friction", "roll", 40.0 * SPEED * np.exp(-TIME_s))
