@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate, candidates
+from hil.diagnosis.filtered_orders import with_filtered_orders
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.motion import Motion
@@ -37,13 +38,12 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
         values = tuning.values if found is None else tuning.at(found.offset)
         rows = runs.rows(Trial(values, () if found is None else found.settings))
         assert rows is not None
+        groups = [replace(group, simulated=simulated) for group, simulated in zip(train.groups, rows, strict=True)]
+        motions = [Motion(train.machine, values, group, train.channels) for group in groups]
         longest = max(len(simulated) for simulated in rows)
-        first, *others = [
-            Motion(train.machine, values, replace(group, simulated=simulated), train.channels)
-            for group, simulated in zip(train.groups, rows, strict=True)
-            if len(simulated) == longest
-        ]
-        return candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
+        first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
+        tried = candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
+        return with_filtered_orders(runs, tuning, tried, motions, runs.measured() - runs.joined(rows))
 
     return found_beside
 

@@ -61,6 +61,14 @@ class CarriedImu:
         left[..., self.imu] -= carried
         return left
 
+    def without_taken_back(self, rows: np.ndarray) -> np.ndarray:
+        """(N, C), the adjoint of `without`."""
+        back = np.array(rows, dtype=float)
+        for order, gradients in enumerate(self.gradients):
+            carried = (gradients * rows[:, self.imu, None]).sum(axis=1)
+            back[:, self.encoders] -= _derivatives_back(carried, order, self.rate_Hz)
+        return back
+
 
 def carried_imu(machine: Machine, channels: Sequence[str], positions: np.ndarray) -> CarriedImu | None:
     """None where no IMU channel or no encoder is among the channels.
@@ -128,6 +136,20 @@ def _derivatives(values: np.ndarray, rate_Hz: float) -> list[np.ndarray]:
         slopes[..., -half:, :] = weights[half + 1 :] @ values[..., -window:, :]
         found.append(slopes)
     return found
+
+
+def _derivatives_back(slopes: np.ndarray, order: int, rate_Hz: float) -> np.ndarray:
+    """(N, k), the adjoint of this one of `_derivatives`."""
+    window = max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
+    if len(slopes) < window:
+        return slopes if order == 0 else np.zeros_like(slopes)
+    half, weights = window // 2, _weights(window, order, rate_Hz)
+    inner = slopes.copy()
+    inner[:half], inner[-half:] = 0.0, 0.0
+    back = scipy.ndimage.correlate1d(inner, weights[half][::-1], axis=0, mode="constant")
+    back[:window] += weights[:half].T @ slopes[:half]
+    back[-window:] += weights[half + 1 :].T @ slopes[-half:]
+    return back
 
 
 @lru_cache(maxsize=16)

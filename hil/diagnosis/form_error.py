@@ -2,7 +2,7 @@
 
 A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
 deflection; a wave over position as its other harmonics, and as one that changes slowly along the way. A few such functions, added to the
-joint's equation and sent through the linear closed loop (`disturbance.loop_response`), span what errors do to recordings. In units of
+joint's equation and sent through the linear closed loop (`through_the_loop.py`), span what errors do to recordings. In units of
 their standard deviations beforehand the residual has the covariance 1 + B'B for responses B, and further effects are judged by that: what
 lies outside of B counts in full, what lies within only beyond what the law that was found may err by (a Gaussian process as model
 discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
@@ -18,7 +18,6 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 
-from hil.diagnosis.disturbance import LOWEST_Hz, loop_response
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.naming import NUMBERS, WEIGHTS, is_a_whole_sign
@@ -26,7 +25,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
-from hil.machine import Machine
+from hil.diagnosis.through_the_loop import ThroughTheLoop
 from virtual_bus.effects.effect import ELASTIC, FRICTION, SIGN, TRANSMISSION
 from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
@@ -58,12 +57,6 @@ beside a viscous friction, another friction of that size says nothing."""
 
 RIDGE = 1e-6
 """Share of its energy by which a function's response must differ from the others' to be told from them."""
-
-DIES_OUT = 9.0
-"""Logarithm by which answers fall before they go around twice the record: to 10^-4."""
-
-RUNS_AWAY = 1.5
-"""Of an effort of half the frequency, from which on a joint's answer grows without end: one that nothing holds doubles at least."""
 
 SPANNED = 0.2
 """Of an effect's own response, that its functions span at least: else they are not what it depends on."""
@@ -136,7 +129,7 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         if whole is None or without is None:
             continue
         efforts = _joint_efforts(runs, name, tuning, effect, values)
-        responses = _responses(runs, name, efforts, tuning)
+        responses = ThroughTheLoop.of(runs, name, tuning).responses(efforts)
         seen = np.flatnonzero(np.sum(responses**2, axis=1) > 0.0)
         efforts, responses = [[group[k] for k in seen] for group in efforts], responses[seen]
         own = _squared_effort(efforts, responses, whole - without)
@@ -251,35 +244,3 @@ def since_reversal(motion: Residual) -> np.ndarray:
     turns = np.flatnonzero(np.concatenate([[True], way[1:] * way[:-1] < 0.0]))
     start = np.repeat(motion.position[turns], np.diff([*turns, len(way)]))
     return np.abs(motion.position - start)
-
-
-def _responses(runs: FreeRuns, name: str, efforts: Sequence[Sequence[tuple[int, np.ndarray]]], tuning: Tuning) -> np.ndarray:
-    """(K, M) whitened, of joint efforts per group.
-
-    What acts on the first row has acted before: the machine stands under it, but for joints that nothing holds, which start from rest.
-    Signals are taken with exp(-growth t), where what runs away stays finite and what goes around the record has died out (Wilcox 1978, Int.
-    J. Elect. Eng. Educ. 15).
-    """
-    found = runs.sets[name]
-    answers = []
-    for group, own in zip(found.groups, efforts, strict=True):
-        rows, rate_Hz = len(group.time_s), found.noise.rate_Hz
-        frequencies, pose = np.fft.rfftfreq(2 * rows, 1.0 / rate_Hz), group.position.mean(axis=0)
-        growth = DIES_OUT * rate_Hz / (2 * rows)
-        grown = np.exp(growth * np.arange(rows) / rate_Hz)[:, None]
-        response = loop_response(group.machine, pose, found.channels, frequencies, tuning.values, growth)
-        standing = _standing(group.machine, pose, found.channels, tuning.values)
-        each = []
-        for joint, effort in own:
-            before = effort[0] if np.any(standing[:, joint]) else 0.0
-            lines = response[:, :, joint] * np.fft.rfft((effort - before) / grown[:, 0], 2 * rows)[:, None]
-            each.append(grown * np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + standing[:, joint] * before)
-        answers.append(each)
-    return np.stack([runs.joined(rows, name) for rows in zip(*answers, strict=True)])
-
-
-def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
-    """(C, joints) where the channels stand under constant efforts; zero for joints that nothing holds."""
-    slow, slower = loop_response(machine, pose, channels, np.array([2.0 * LOWEST_Hz, LOWEST_Hz]), values)
-    held = np.linalg.norm(slower, axis=0) < RUNS_AWAY * np.linalg.norm(slow, axis=0)
-    return np.where(held, slower.real, 0.0)

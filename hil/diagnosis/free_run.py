@@ -180,6 +180,16 @@ class FreeRuns:
         """(M,) of rows (N, C) per group."""
         return self._local.join(name, rows)
 
+    def taken_back(self, whitened: np.ndarray, name: str = TRAIN) -> list[np.ndarray]:
+        """(N, C) per group, the adjoint of `joined`."""
+        found, rows, start = self.sets[name], [], 0
+        for group in found.groups:
+            noise, count = self.noise.of_mean(group.repeats), len(group.time_s)
+            own = np.sqrt(group.repeats) * whitened[start : start + noise.size(count)]
+            start += len(own)
+            rows.append(noise.taken_back(own, count, group.imu))
+        return rows
+
     def rows(self, trial: Trial, name: str = TRAIN, *, settled: bool = False) -> list[np.ndarray] | None:
         """(N, C) per group in the channels' units; settled: begun by controllers that hold this very machine, see `Inputs.settled`."""
         rows = self._local.rows(name, trial, settled=settled)

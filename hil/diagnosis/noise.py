@@ -26,6 +26,7 @@ from hil.diagnosis.spectra import (
     END_s,
     deviations_of,
     fading,
+    filtered_back,
     gains_of,
     grid_of,
     inverse_root,
@@ -121,6 +122,16 @@ class NoiseModel:
         fade, end = fading(count, self.end_s * self.rate_Hz)
         rows = np.fft.irfft(lines, count, axis=0) * (np.sqrt(count) / fade.max())
         return rows[end : count - end].ravel()
+
+    def taken_back(self, whitened: np.ndarray, rows: int, imu: CarriedImu | None = None) -> np.ndarray:
+        """(rows, C), the adjoint of `whiten`: its product with values is that of their whitened numbers with `whitened` (M,)."""
+        count = rows - FILTER_ORDER
+        fade, end = fading(count, self.end_s * self.rate_Hz)
+        whole = np.zeros((count, len(self.std)))
+        whole[end : count - end] = whitened.reshape(-1, len(self.std)) / fade.max()
+        lines = np.conj(np.swapaxes(_roots_of(self, rows), 1, 2)) @ np.fft.rfft(whole, axis=0)[:, :, None]
+        values = filtered_back(self.filters, np.fft.irfft(lines[:, :, 0], count, axis=0) * fade[:, None])
+        return values if imu is None or self.kind == "assumed" else imu.without_taken_back(values)
 
     def size(self, rows: int) -> int:
         """How many numbers `whiten` makes of this many rows."""

@@ -48,6 +48,11 @@ def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.column_stack([np.convolve(row, column)[order : len(values)] for row, column in zip(filters, values.T, strict=True)])
 
 
+def filtered_back(filters: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(N, C), the adjoint of `filter_channels`: of errors (N - order, C)."""
+    return np.column_stack([np.convolve(row[::-1], column) for row, column in zip(filters, errors.T, strict=True)])
+
+
 def prediction_error_filter(rows: Sequence[np.ndarray], std: float) -> np.ndarray:
     """(FILTER_ORDER + 1,) filter that makes these series nearly white: Yule-Walker on their mean autocovariance."""
     total = sum(len(row) for row in rows)

@@ -1,0 +1,100 @@
+"""Efforts on joints sent through the linear closed loop to recordings in units of noise, and back.
+
+Back is the adjoint: products of one whitened record with the responses of any number of efforts are products of the efforts with it taken
+back (Kailath, Sayed, Hassibi 2000, ch. 3), so a matched filter over many laws asks for one pass and not for one each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.disturbance import LOWEST_Hz, loop_response
+from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.retune import Tuning
+from hil.machine import Machine
+
+DIES_OUT = 9.0
+"""Logarithm by which answers fall before they go around twice the record: to 10^-4."""
+
+RUNS_AWAY = 1.5
+"""Of an effort of half the frequency, from which on a joint's answer grows without end: one that nothing holds doubles at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """Of one group, over twice its rows.
+
+    Signals are taken with exp(-growth t), where what runs away stays finite and what goes around the record has died out (Wilcox 1978, Int.
+    J. Elect. Eng. Educ. 15).
+
+    Attributes
+    ----------
+    lines : (L, C, joints) complex array
+    grown : (N,) array
+        exp(growth t).
+    standing : (C, joints) array
+        Where the channels stand under constant efforts; zero for joints that nothing holds.
+    """
+
+    lines: np.ndarray
+    grown: np.ndarray
+    standing: np.ndarray
+
+    def response(self, joint: int, effort: np.ndarray) -> np.ndarray:
+        """(N, C) to an effort (N,) on a joint.
+
+        What acts on the first row has acted before: the machine stands under it, but for joints that nothing holds, which start from rest.
+        """
+        rows, before = len(effort), effort[0] if np.any(self.standing[:, joint]) else 0.0
+        lines = self.lines[:, :, joint] * np.fft.rfft((effort - before) / self.grown, 2 * rows)[:, None]
+        return self.grown[:, None] * np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + self.standing[:, joint] * before
+
+    def back(self, channels: np.ndarray) -> np.ndarray:
+        """(N, joints) whose product with efforts is that of their responses with `channels` (N, C)."""
+        rows = len(channels)
+        lines = np.fft.rfft(self.grown[:, None] * channels, 2 * rows, axis=0)
+        efforts = np.fft.irfft((self.lines.conj() * lines[:, :, None]).sum(axis=1), 2 * rows, axis=0)[:rows] / self.grown[:, None]
+        held = np.any(self.standing, axis=0)
+        efforts[0] += np.where(held, channels.sum(axis=0) @ self.standing - efforts.sum(axis=0), 0.0)
+        return efforts
+
+
+@dataclass(frozen=True, eq=False)
+class ThroughTheLoop:
+    """The closed loop of every group of one set."""
+
+    runs: FreeRuns
+    name: str
+    loops: tuple[_Loop, ...]
+
+    @classmethod
+    def of(cls, runs: FreeRuns, name: str, tuning: Tuning) -> ThroughTheLoop:
+        found, loops = runs.sets[name], []
+        for group in found.groups:
+            rows, rate_Hz = len(group.time_s), found.noise.rate_Hz
+            frequencies, pose = np.fft.rfftfreq(2 * rows, 1.0 / rate_Hz), group.position.mean(axis=0)
+            growth = DIES_OUT * rate_Hz / (2 * rows)
+            grown = np.exp(growth * np.arange(rows) / rate_Hz)
+            lines = loop_response(group.machine, pose, found.channels, frequencies, tuning.values, growth)
+            loops.append(_Loop(lines, grown, _standing(group.machine, pose, found.channels, tuning.values)))
+        return cls(runs, name, tuple(loops))
+
+    def responses(self, efforts: Sequence[Sequence[tuple[int, np.ndarray]]]) -> np.ndarray:
+        """(K, M) whitened, of K joints' numbers and their efforts (N,) per group."""
+        answers = [[loop.response(joint, effort) for joint, effort in own] for loop, own in zip(self.loops, efforts, strict=True)]
+        return np.stack([self.runs.joined(rows, self.name) for rows in zip(*answers, strict=True)])
+
+    def efforts_behind(self, whitened: np.ndarray) -> list[np.ndarray]:
+        """(N, joints) per group, whose product with efforts on the joints is that of their whitened responses with `whitened` (M,)."""
+        rows = self.runs.taken_back(whitened, self.name)
+        return [loop.back(own) for loop, own in zip(self.loops, rows, strict=True)]
+
+
+def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+    """(C, joints)"""
+    slow, slower = loop_response(machine, pose, channels, np.array([2.0 * LOWEST_Hz, LOWEST_Hz]), values)
+    held = np.linalg.norm(slower, axis=0) < RUNS_AWAY * np.linalg.norm(slow, axis=0)
+    return np.where(held, slower.real, 0.0)

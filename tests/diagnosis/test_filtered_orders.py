@@ -1,0 +1,122 @@
+"""Orders of waves by the matched filter, on an arm whose gear errs by less than its encoders count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.align import aligned
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.filtered_orders import with_filtered_orders
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import retune
+from hil.diagnosis.through_the_loop import ThroughTheLoop
+from hil.machine import Machine, load_machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation import simulate
+
+ARM = load_machine(Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines" / "tilted_arm.toml")
+ROTOR = load_machine("laas_anti_cogging")
+ROWS = 2000
+NOISE = {"position_arm": 1e-5, "link_position_arm": 1e-5, "current_arm": 0.01, "gyro_y": 1e-3, "imu_x": 0.01, "imu_z": 0.01}
+COUNT_rad = 2.0 * np.pi / (4096 * 100)
+WAVES = {
+    "transmission_error": np.array([0.25, 0.7 * COUNT_rad, 0.4, 0.15 * COUNT_rad, 1.0]),
+    "cogging": np.array([0.25, 0.02, 0.4, 0.01, 1.0]),
+    "torque_ripple": np.array([0.25, 0.005, 0.4, 0.002, 1.0]),
+}
+
+
+def runs_of(machine: Machine, **inputs: Channel):
+    """Three repeats of a simulation, with noise."""
+    random, time_s = np.random.default_rng(3), np.arange(ROWS) / machine.sample_rate_Hz
+    channels = {"time": Channel("s", time_s), **inputs}
+    answer = simulate(machine, Recording(channels, recording_metadata(machine))).channels
+
+    def repeat() -> Recording:
+        noisy = {
+            name: Channel(own.unit, own.values + NOISE.get(name, 1e-3) * random.standard_normal(ROWS))
+            for name, own in answer.items()
+            if name not in channels and not (name.startswith("command_") and machine.controllers)
+        }
+        return Recording(channels | noisy, recording_metadata(machine))
+
+    return mismatch(machine, aligned(machine, {f"repeat {k}": repeat() for k in range(3)}))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    time_s = np.arange(ROWS) / ARM.sample_rate_Hz
+    way = 0.5 * np.sin(2.0 * np.pi * 0.25 * time_s) * np.minimum(time_s, 1.0) + 0.1 * np.sin(2.0 * np.pi * 0.9 * time_s)
+    found = runs_of(ARM, reference_arm=Channel("rad", way), excitation_arm=Channel("A", np.zeros(ROWS)))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
+@pytest.fixture(scope="module")
+def rotor():
+    """Nothing holds it."""
+    command = 0.05 + 0.3 * np.sin(20.0 * np.arange(ROWS) / ROTOR.sample_rate_Hz)
+    found = runs_of(ROTOR, **{f"command_{ROTOR.axes[0]}": Channel("A", command)})
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
+def smooth(random: np.random.Generator, rows: int) -> np.ndarray:
+    return np.cumsum(random.standard_normal(rows))
+
+
+@pytest.mark.parametrize("machine", ["arm", "rotor"])
+def test_efforts_behind_a_record_have_its_products_with_their_responses(machine, request):
+    runs, tuning = request.getfixturevalue(machine)
+    loop, random = ThroughTheLoop.of(runs, TRAIN, tuning), np.random.default_rng(1)
+    joints = [joint for joint in range(len(runs.machine.plant.tree.joints)) for _ in range(3)]
+    efforts = [[(joint, smooth(random, len(group.time_s))) for joint in joints] for group in runs.sets[TRAIN].groups]
+    responses, record = loop.responses(efforts), random.standard_normal(len(tuning.predicted))
+    behind = loop.efforts_behind(record)
+    products = [sum(own[k][1] @ back[:, own[k][0]] for own, back in zip(efforts, behind, strict=True)) for k in range(len(joints))]
+    assert products == pytest.approx(responses @ record, rel=1e-6, abs=1e-6 * np.linalg.norm(responses, axis=1).max())
+
+
+def offered(arm, name: str, values: np.ndarray, noise: float = 1.0) -> tuple[list[np.ndarray], float]:
+    """Starts where this wave is missing in noise, and the wave's own energy beyond what re-tuning imitates."""
+    runs, tuning = arm
+    wave = Candidate(EffectAt(name, "arm"), (values,))
+    change = runs.run_one(Trial(tuning.values, (wave.setting(values),))) - tuning.predicted
+    residual = change + noise * np.random.default_rng(5).standard_normal(len(change))
+    group = runs.sets[TRAIN].groups[0]
+    motion = Motion(runs.machine, tuning.values, group, runs.sets[TRAIN].channels)
+    (found,) = with_filtered_orders(runs, tuning, [Candidate(wave.effect, ())], [motion], residual)
+    left = Projection.of(tuning).left(change)
+    return list(found.starts), float(left @ left)
+
+
+@pytest.mark.parametrize("name", WAVES)
+def test_a_wave_starts_at_its_order_amplitude_and_phase(arm, name):
+    values = WAVES[name]
+    starts, energy = offered(arm, name, values)
+    assert energy > 60.0  # beyond what chance reaches in any order
+    cycle = 2.0 * np.pi / 1.1 / 100.0  # per travel, at the motor
+    assert abs(starts[0][0] - values[0]) < 0.15 * cycle
+    assert starts[0][1] == pytest.approx(values[1], rel=0.3)
+
+
+def test_an_order_is_found_though_its_second_harmonic_shows_more(arm):
+    values = np.array([0.2, 0.3 * COUNT_rad, 0.4, 0.7 * COUNT_rad, 1.0])
+    alone = [offered(arm, "transmission_error", np.where(np.arange(5) == k, 0.0, values))[1] for k in (3, 1)]
+    assert alone[1] > 3.0 * alone[0]
+    starts, _ = offered(arm, "transmission_error", values)
+    assert starts[0][0] == pytest.approx(values[0], abs=0.01)
+    assert starts[0][3] > starts[0][1]
+
+
+def test_nothing_is_added_to_what_is_no_wave(arm):
+    runs, tuning = arm
+    friction = Candidate(EffectAt("coulomb_friction", "arm"), (np.array([1.0]),))
+    assert with_filtered_orders(runs, tuning, [friction], [], np.zeros(len(tuning.predicted))) == [friction]
