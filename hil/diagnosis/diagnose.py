@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from hil.diagnosis.align import aligned, suspicions
+from hil.diagnosis.both_motions import with_both_motions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
@@ -137,6 +138,8 @@ def diagnose(
             judged = HeldOut(runs, tuning) if runs.has_held_out else None
             selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
+        if judged is not None and selection.chosen is not None:
+            selection = replace(selection, contenders=with_both_motions(runs, tuning, judged, selection.contenders))
         passed, tried = selection.chosen is not None, len(selection.screened)
         weigh = partial(evidence_of, runs, tuning, judged, formless=selection.formless, tried=tried, found=passed)
         evidence = weigh(selection.contenders)
@@ -232,7 +235,7 @@ def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     if judged is None or found is None:
         return 1.0
     energies = erring(found.gained, found.by_numbers[0]), erring(found.gained_held_out, found.by_numbers[1])
-    return chance_of_drift(runs, tuning, judged, found.fitted, energies)
+    return chance_of_drift(runs, tuning, judged, found.fitted, energies, found.moved)
 
 
 def _is_same_set(one: Fitted | None, other: Fitted | None) -> bool:

@@ -23,6 +23,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, sensitivities_to_effects
 from hil.diagnosis.retune import Tuning
+from hil.diagnosis.taken_over import acting, without_those_taken_over
 
 DRIFTED = 1e-3
 """Chance of as much drift under one law from which two motions do not share it. On development cases that are named rightly it is 0.006 at
@@ -38,7 +39,9 @@ KNOWN = 1e6
 """Variance from training, in units of the held-out recordings' own, beyond which a direction has nothing to be compared with."""
 
 
-def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: Fitted, erring: tuple[float, float]) -> float:
+def chance_of_drift(
+    runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: Fitted, erring: tuple[float, float], moved: Fitted | None = None
+) -> float:
     """Probability of values that differ by as much between training and held-out recordings where one law holds.
 
     Parameters
@@ -51,30 +54,36 @@ def chance_of_drift(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, fitted: F
         The probability is 1 where its held-out run cannot be simulated.
     erring : pair of float
         Energies, in training and held out, by which its equations may err.
+    moved : Fitted or None
+        The set where both motions want it: how far the held-out recordings' values are from there is asked of the simulation there.
     """
-    followed = held_out.follow(fitted.offset, fitted.settings)
+    near = fitted if moved is None else moved
+    followed = held_out.follow(near.offset, near.settings)
     if followed is None:
         return 1.0
-    response = sensitivities_to_effects(runs, tuning, replace(fitted, offset=fitted.offset + followed.moved), HELD_OUT)
+    response = sensitivities_to_effects(runs, tuning, replace(near, offset=near.offset + followed.moved), HELD_OUT)
     if response is None:
         return 1.0
-    projection = Projection.of(tuning)
+    settings = runs.machine.plant
+    projection = Projection.of(without_those_taken_over(tuning, fitted.settings, settings))
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
     sizes, unseen = np.linalg.norm(response, axis=0), np.linalg.norm(left, axis=0)
     sizes = np.where(sizes > 0.0, sizes, np.maximum(unseen, 1e-300))  # held-out recordings may not see one at all
     left, response = left / sizes, response / sizes
-    shown, along = np.linalg.eigh(held_out.information(response))
+    shown, along = np.linalg.eigh(held_out.information(response, acting(tuning, fitted.settings, settings)))
     counts = shown > SHOWN * max(shown[-1], 1e-300)
     shown, along = np.sqrt(shown[counts]), along[:, counts]
     # the numbers are nearly where they cost least, so that only the set's own parameters have a gradient
-    deviations = along.T @ response.T @ (held_out.measured - followed.predicted) / shown
+    beyond = along.T @ response.T @ (held_out.measured - followed.predicted) / shown
+    so_far = np.array([near.values[e][k] - fitted.values[e][k] for e, k in fitted.free]) * sizes
+    deviations = beyond + shown * (along.T @ so_far)
     seen, apart = np.linalg.eigh(left.T @ left)
     values = apart / np.sqrt(np.maximum(seen, SEEN * max(seen[-1], 1.0)))  # independent in training, each of variance 1
     directions, variances, weights = np.linalg.svd((along * shown).T @ values, full_matrices=False)
     known = variances**2 < KNOWN
     if not np.any(known):
         return 1.0
-    freed = followed.misfit - float(deviations @ deviations)  # with the values that these recordings want
+    freed = followed.misfit - float(beyond @ beyond)  # with the values that these recordings want
     levels = [max(1.0, fitted.cost / len(tuning.predicted)), max(1.0, freed / len(followed.predicted))]
     scatter, squared = Scatter(runs), 0.0
     for direction, variance, weight in zip(directions.T[known], variances[known] ** 2, weights[known], strict=True):

@@ -162,13 +162,15 @@ class HeldOut:
         """Of a run that could be simulated; else larger than any."""
         return 1e300 if followed is None else followed.misfit
 
-    def information(self, response: np.ndarray) -> np.ndarray:
-        """(F, F) on what changes held-out runs by these columns (M, F), the numbers free to follow as the linear machine has it."""
+    def information(self, response: np.ndarray, acts: np.ndarray) -> np.ndarray:
+        """(F, F) on what changes held-out runs by these columns (M, F), the numbers that do something (P,) free to follow as the linear
+        machine has it.
+        """
         if self._without_effects is None:
             return response.T @ response
-        jacobian = self._without_effects.jacobian
+        jacobian, weights = self._without_effects.jacobian[:, acts], self._weights[np.ix_(acts, acts)]
         shared = jacobian.T @ response
-        return response.T @ response - shared.T @ np.linalg.solve(jacobian.T @ jacobian + self._weights, shared)
+        return response.T @ response - shared.T @ np.linalg.solve(jacobian.T @ jacobian + weights, shared)
 
     def deviations(self, before: Followed | None, after: Followed | None) -> float:
         """How far the residual goes along a predicted change, in standard deviations of noise, or of what is left if larger.

@@ -83,6 +83,7 @@ class Contender:
     left_held_out: float  # the held-out misfit
     gates: tuple[Gate, ...]  # of the step that added each of its effects
     searched: float = 0.0  # what its search costs in log evidence, see `Tried`
+    moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
 
     @property
     def gate(self) -> Gate:

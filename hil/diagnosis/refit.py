@@ -256,7 +256,7 @@ def _fit(
         gained, shrunk = 0.0, 0
         while shrunk < SHRUNK_AT_MOST:
             reach = fitting.reach(at, radius)
-            step = _bounded_step(hessian, gradient, *reach)
+            step = bounded(hessian, gradient, *reach)
             expected = float(2.0 * step @ gradient - step @ hessian @ step)
             to = fitting.moved(at, step)
             (answer,) = yield [fitting.trial(to)]
@@ -323,7 +323,8 @@ def _normal_equations(
     return hessian, np.concatenate([along - offset, added.T @ residual])
 
 
-def _bounded_step(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def bounded(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The step to the least of a quadratic cost within bounds."""
     root = np.linalg.cholesky(hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)).T
     target = np.linalg.solve(root.T, gradient)
     return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls").x

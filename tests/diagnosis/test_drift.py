@@ -23,8 +23,10 @@ COULOMB_N, DURATION_s = 20.0, 2.0
 """Of `with_friction`."""
 
 
-def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0) -> float:
-    """Chance of it where training shows the parameters, and where it does not (`seen` 0)."""
+def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0, nearer=0.0) -> float:
+    """Chance of it where training shows the parameters, and where it does not (`seen` 0); asked from training's values, or from so much
+    nearer to nothing.
+    """
     found = mismatch(MACHINE, train)
     sets = {TRAIN: found, HELD_OUT: mismatch(MACHINE, held_out, channels=found.channels, noise=found.noise)}
     with FreeRuns(sets, found.noise) as runs:
@@ -36,7 +38,8 @@ def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0) -> flo
         known = replace(fitted, jacobian=seen * fitted.jacobian)
         energies = removed, judged.misfit(nothing) - judged.misfit(friction)
         by_numbers = 1.0 if effects[0].effect in NUMBERS else 0.0
-        return chance_of_drift(runs, tuning, judged, known, tuple(erring(energy, by_numbers * energy) for energy in energies))
+        near = replace(fitted, values=tuple((1.0 - nearer) * own for own in fitted.values)) if nearer else None
+        return chance_of_drift(runs, tuning, judged, known, tuple(erring(energy, by_numbers * energy) for energy in energies), near)
 
 
 def test_one_friction_is_the_same_in_another_motion(with_friction):
@@ -57,6 +60,14 @@ def test_what_only_looks_like_a_friction_wants_another_one_there(with_friction, 
     train, _ = with_friction
     other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=share * COULOMB_N, duration_s=DURATION_s)
     assert drift(train, other) < DRIFTED
+
+
+@pytest.mark.parametrize("nearer", [0.2, 0.5])
+def test_from_where_it_is_asked_makes_no_drift_and_hides_none(with_friction, nearer):
+    train, same = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.5 * COULOMB_N, duration_s=DURATION_s)
+    assert drift(train, same, nearer=nearer) > 0.01
+    assert drift(train, other, nearer=nearer) < DRIFTED
 
 
 def test_an_equation_may_err_by_a_part_in_either_motion(with_friction):

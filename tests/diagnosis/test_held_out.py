@@ -91,7 +91,9 @@ def test_the_misfit_of_a_linear_machine_is_that_under_its_prediction_s_covarianc
     other = random.standard_normal((ROWS, 2))
     solved = np.linalg.solve(covariance, np.column_stack([NOISE, other]))
     assert judge.follow(np.zeros(3), ()).misfit == pytest.approx(NOISE @ solved[:, 0], rel=1e-6)
-    assert judge.information(other) == pytest.approx(other.T @ solved[:, 1:], rel=1e-6)
+    assert judge.information(other, np.ones(3, dtype=bool)) == pytest.approx(other.T @ solved[:, 1:], rel=1e-6)
+    fewer = np.linalg.solve(np.eye(ROWS) + seen[:, :2] @ seen[:, :2].T / (known**2 / OPEN + 1.0), other)
+    assert judge.information(other, np.array([True, True, False])) == pytest.approx(other.T @ fewer, rel=1e-6)
 
 
 def test_what_cannot_be_simulated_is_no_better_than_anything():

@@ -18,7 +18,7 @@ from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import PRIOR, Tuning, linearised, retune, tunable, with_covariance
+from hil.diagnosis.retune import Tuning, linearised, retune, tunable, units, with_covariance
 from hil.diagnosis.without_effects import with_its_numbers, without_effects
 from hil.machine import load_machine
 from virtual_bus.plant.compiled import compile_plant
@@ -74,20 +74,21 @@ def test_an_effect_that_is_a_number_within_re_tunings_bounds_is_that_number(effe
             assert runs.run_one(Trial(tuning.at(offset))) == pytest.approx(by_the_effect, abs=1e-6)
 
 
-@pytest.mark.parametrize(("shape", "is_tuning"), [(0.0, True), (0.25, False)])  # of second order it is none of the file's
-def test_an_imus_low_pass_is_a_number_where_it_is_of_first_order(shape, is_tuning):
+@pytest.mark.parametrize(("shape", "factor", "is_tuning"), [(0.0, 1.02, True), (0.25, 1.02, False), (0.0, 1.05, False)])
+def test_an_imus_low_pass_is_a_number_where_it_is_of_first_order_and_as_far_off_as_a_clock(shape, factor, is_tuning):
     carm = load_machine("carm")
     parameters = compile_plant(carm.plant).parameters
     values = np.array([parameter.value for parameter in parameters])
     indices = tunable(parameters)
-    scale = PRIOR * np.abs(values[indices])
-    tuning = Tuning(parameters, indices, scale, np.zeros(len(indices)), values, np.zeros(1), np.zeros((1, 0)), np.eye(0))
+    tuning = Tuning(
+        parameters, indices, units(parameters, indices), np.zeros(len(indices)), values, np.zeros(1), np.zeros((1, 0)), np.eye(0)
+    )
     bandwidths = [index for index in indices if parameters[index].quantity.endswith("_bandwidth")]
-    fit = fitted(EffectAt("imu_bandwidth", "imu"), np.array([1.05 * values[bandwidths[0]], shape]), tuning.offset, np.zeros(1))
+    fit = fitted(EffectAt("imu_bandwidth", "imu"), np.array([factor * values[bandwidths[0]], shape]), tuning.offset, np.zeros(1))
     offset = with_its_numbers(tuning, fit, carm.plant)
     assert (offset is not None) is is_tuning
     if offset is not None:
-        assert tuning.at(offset)[bandwidths] == pytest.approx(1.05 * values[bandwidths[0]])
+        assert tuning.at(offset)[bandwidths] == pytest.approx(factor * values[bandwidths[0]])
 
 
 def test_re_tuning_that_stopped_short_goes_on_from_a_number_that_was_taken_for_an_effect():

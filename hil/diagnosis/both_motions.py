@@ -1,0 +1,120 @@
+"""Sets of effects with the parameters that training and held-out recordings want together.
+
+What training hardly shows of a parameter, another motion may show well: the second order of an IMU's low pass is nothing to slow sweeps,
+and where training's noise has put it, the right law misses a fast motion by more than a wrong one without such a parameter does. The
+evidence of a law on both motions is that of its best parameters for both, less what the second motion narrows them by:
+
+    min over p of cost(p) + held out(p) + log det(1 + A + B) - log det(1 + A),
+
+A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers free. Where that is more
+than what training's own parameters cost, these stay: then they are known from training. Gates ask about training's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.coordinates import Coordinates, Point
+from hil.diagnosis.free_run import HELD_OUT, FreeRuns
+from hil.diagnosis.held_out import Followed, HeldOut
+from hil.diagnosis.judgement import Contender
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.refit import Fitted, bounded, sensitivities_to_effects
+from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
+from hil.diagnosis.taken_over import acting, without_those_taken_over
+from hil.diagnosis.visited import Visited
+
+STEPS = 3
+HALVED_AT_MOST = 3
+
+BENDING = 2.0
+"""What a set may gain by its steps, in units of what the first one is expected to bring, before it is behind the best set for good."""
+
+WORTH_A_STEP = 2.0
+"""Expected decrease, in units of noise, below which parameters are where both motions want them."""
+
+
+def with_both_motions(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, contenders: Sequence[Contender]) -> tuple[Contender, ...]:
+    """Sets as both motions want them, where that is likelier than as training does."""
+    found = {id(one): one for one in contenders}
+    least = np.inf
+    for one in sorted(contenders, key=_misfit):
+        least = min(least, _misfit(one))
+        found[id(one)] = _moved(runs, tuning, held_out, one, least)
+        least = min(least, _misfit(found[id(one)]))
+    return tuple(found[id(one)] for one in contenders)
+
+
+def _misfit(one: Contender) -> float:
+    return (one.fitted if one.moved is None else one.moved).cost + one.left_held_out
+
+
+def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, least: float) -> Contender:
+    """The set with the parameters that both motions want; `least` is the misfit on both of the best set so far."""
+    fitted = one.fitted
+    before = held_out.follow(fitted.offset, fitted.settings)
+    if before is None or not fitted.free:
+        return one
+    fitting = Coordinates(tuning, fitted.effects, fitted.values, Visited.by(runs))
+    settings = runs.machine.plant
+    projection, acts = Projection.of(without_those_taken_over(tuning, fitted.settings, settings)), acting(tuning, fitted.settings, settings)
+    free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - 1e-6
+    at, followed, price = fitted, before, 0.0
+    for number in range(STEPS):
+        point = Point(at.offset, at.values)
+        seen = sensitivities_to_effects(runs, tuning, replace(at, offset=at.offset + followed.moved), HELD_OUT)
+        if seen is None:
+            break
+        slopes = fitting.slopes(point)
+        seen, own = seen / slopes, fitted.jacobian / slopes
+        left = projection.left(own.T).T
+        trained, there = left.T @ left, held_out.information(seen, acts)
+        if number == 0:
+            eye = np.eye(len(trained))
+            price = float(np.linalg.slogdet(eye + trained + there)[1] - np.linalg.slogdet(eye + trained)[1])
+        residual = np.concatenate([runs.measured() - at.predicted, -at.offset[free]])
+        gradient = left.T @ residual + seen.T @ (held_out.measured - followed.predicted)
+        count = len(at.offset)
+        low, high = (bound[count:] for bound in fitting.reach(point, 1.0))
+        step = bounded(trained + there, gradient, low, high)
+        expected = float(2.0 * step @ gradient - step @ (trained + there) @ step)
+        if expected < WORTH_A_STEP or (number == 0 and (expected < price or _misfit(one) - BENDING * expected > least)):
+            break
+        numbers = np.zeros(count)
+        numbers[free] = left[len(own) :] @ step
+        better = _stepped(runs, held_out, fitting, at, followed, np.concatenate([numbers, step]))
+        if better is None:
+            break
+        at, followed = better
+    if at.cost + followed.misfit + price >= fitted.cost + before.misfit:
+        return one
+    return replace(
+        one,
+        gained=one.gained - (at.cost - fitted.cost),
+        gained_held_out=one.gained_held_out + before.misfit - followed.misfit - price,
+        left_held_out=followed.misfit + price,
+        moved=at,
+    )
+
+
+def _stepped(
+    runs: FreeRuns, held_out: HeldOut, fitting: Coordinates, at: Fitted, followed: Followed, step: np.ndarray
+) -> tuple[Fitted, Followed] | None:
+    """After a step that lowers the misfit of both motions; None where none does."""
+    bound = LARGEST_CHANGE / PRIOR
+    for halved in range(HALVED_AT_MOST):
+        to = fitting.moved(Point(at.offset, at.values), 0.5**halved * step)
+        to = replace(to, offset=np.clip(to.offset, -bound, bound))
+        predicted = runs.run_one(fitting.trial(to))
+        if predicted is None:
+            continue
+        residual = runs.measured() - predicted
+        cost = float(residual @ residual + to.offset @ to.offset)
+        found = replace(at, values=to.values, offset=to.offset, predicted=predicted, cost=cost)
+        there = held_out.follow(found.offset, found.settings)
+        if there is not None and cost + there.misfit < at.cost + followed.misfit:
+            return found, there
+    return None
