@@ -270,8 +270,8 @@ class Judgement:
         if before.fitted is not None:
             erring = before.erring(lambda gate: gate.gain, before.errors)
             if before.known:
-                seen = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
-                variance = max(scatter, seen) + form_variance(before.response, response, erring, 0.0)
+                structure = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
+                variance = max(scatter, structure) + form_variance(before.response, response, erring, 0.0)
                 beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
             else:
                 variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
