@@ -137,6 +137,11 @@ class Stand:
     def effects(self) -> tuple[EffectAt, ...]:
         return () if self.fitted is None else self.fitted.effects
 
+    @property
+    def certain_gain(self) -> float:
+        """Of all its steps: what chance gains is taken off every one, as it is off a set that is judged at once."""
+        return sum(gate.certain_gain for gate in {id(gate): gate for gate in self.gates}.values())
+
     def steps(self, *, numbers: bool) -> list[Gate]:
         """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
         return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
@@ -247,7 +252,7 @@ class Judgement:
             found.append(
                 Contender(
                     fitted,
-                    self.nothing.cost - before.cost + gate.certain_gain,
+                    before.certain_gain + gate.certain_gain,
                     self._left(self.nothing) - left,
                     left,
                     (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),

@@ -59,9 +59,11 @@ def with_others_of_its_order(
     """
     best = min(fits, key=lambda fit: fit.cost)
     name = best.effects[-1]
+    if name.effect not in ORDER or best.effects[:-1] != stand.effects:
+        return list(fits)
     settings = runs.machine.plant
     part = part_at(name.at, settings)
-    if name.effect not in ORDER or best.effects[:-1] != stand.effects or part not in runs.machine.axes:
+    if part not in runs.machine.axes:
         return list(fits)
     order = _order(name, best.values[-1], settings)
     cycle = 2.0 * np.pi / _travel(runs, part)

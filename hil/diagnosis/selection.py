@@ -236,10 +236,11 @@ class _Search:
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(tuning, several, singles, first, there)
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-            more = judgement.contenders(stand, polish(runs, tuning, measured, also), tried, placebo, limits, len(fits))
+            also = polish(runs, tuning, measured, also)
+            more = judgement.contenders(stand, also, tried, placebo, limits, len(fits))
             more = [one for one in more if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
             rivals += [one for one in more if one.passed]
-            end = replace(end, formless=(*formless, *without_form(more)))
+            end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *also))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
         return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
 

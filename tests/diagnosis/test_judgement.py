@@ -76,6 +76,15 @@ def test_an_effect_beside_another_is_judged_by_what_it_adds():
     assert found.gained == pytest.approx(964.0)
 
 
+def test_what_chance_gains_is_taken_off_every_step_of_a_set():
+    """As off the same effects judged at once: else a set that was found step by step would gain more than it."""
+    judgement, fitted = bench(30.0, scattered=3.0)
+    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    (both,) = judgement.contenders(judgement.after(first), [fitted(COULOMB, LOAD)], tried(), 0.0, {})
+    assert first.gate.scatter > 1.5 and first.gained < 890.0
+    assert both.gained == pytest.approx(first.gained + both.gate.certain_gain)
+
+
 def test_a_set_without_the_one_that_was_found_is_judged_against_nothing():
     found = judged((COULOMB, VISCOUS), COULOMB, LOAD)
     assert [gate.gain for gate in found.gates] == pytest.approx([964.0, 964.0])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import judgement, selection
+from hil.diagnosis import judgement, selection, ways
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form_error import FormError
 from hil.diagnosis.refit import Fitted
@@ -130,7 +130,7 @@ def test_a_search_goes_on_from_another_first_effect_that_does_something_else(mon
     monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
     monkeypatch.setattr(selection, "exchanged", lambda *_: [])
     assert {MODE, LOAD} not in search(monkeypatch, SWINGS)  # what imitates the friction is the same thing
-    monkeypatch.setattr(selection, "UNLIKE", 1.0)
+    monkeypatch.setattr(ways, "UNLIKE", 1.0)
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
 
 
