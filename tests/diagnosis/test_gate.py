@@ -204,6 +204,29 @@ def test_held_out_recordings_that_show_little_of_an_effect_need_only_show_as_muc
     assert not Gate(**{**vars(one), "trained": 0.3, "followed": max(followed, 0.06)}).passed  # it is there by both chances together
 
 
+def test_what_another_motion_cannot_confirm_must_be_certain_in_training():
+    """One in 10 000, as if both had shown it."""
+    agreeing = Gate(**{**vars(gate(9e-5, 0.3)), "predicted": 2.0, "seen": 1.2})
+    assert agreeing.passed
+    assert not Gate(**{**vars(agreeing), "trained": 1.1e-4}).passed
+
+
+@pytest.mark.parametrize(
+    ("change", "shows"),
+    [
+        ({}, True),
+        ({"trained": 1.1e-6}, False),
+        ({"placebo_gain": 21.0}, False),  # of 30
+        ({"over_simulator": 0.9}, False),
+        ({"share": 0.01}, False),
+    ],
+)
+def test_what_training_shows_beyond_any_chance_is_something_though_no_held_out_recording_follows_it(change, shows):
+    one = Gate(**{**vars(gate(0.9e-6, 1.0)), **change})
+    assert not one.passed
+    assert one.training_shows_something is shows
+
+
 @pytest.mark.parametrize("predicted", [4.6, 6.0, 10.0])
 def test_where_enough_is_predicted_what_agrees_is_followed_as_well(predicted):
     seen = predicted - AS_PREDICTED

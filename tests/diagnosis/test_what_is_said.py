@@ -75,7 +75,8 @@ def fitted(name: str) -> Fitted:
 
 
 def gate(share: float, *, passes: bool) -> Gate:
-    return Gate(1000.0, 20.0, 1.0, 1e-9, 50.0, 8, 9.0, 500.0, 1e-9 if passes else 0.5, 0.0, share, True)
+    trained, followed = (1e-9, 1e-9) if passes else (1e-5, 0.5)
+    return Gate(1000.0, 20.0, 1.0, trained, 50.0, 8, 9.0, 500.0, followed, 0.0, share, True)
 
 
 def contender(name: str, share: float, *, passes: bool = True) -> Contender:
@@ -200,6 +201,15 @@ def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, sa
     nothing_passed = replace(gate(0.01, passes=False), gain=60.0, predicted=2.0, seen=agrees)
     held_out = there * NOISE, there * NOISE, NOISE
     standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, here * NOISE, here * NOISE, NOISE, 8, "", held_out)
+    assert verdict_of(standing)[0] == said
+
+
+@pytest.mark.parametrize(("trained", "said"), [(0.9e-6, "unknown_physics"), (1.1e-6, "retuned")])
+def test_what_chance_never_does_in_training_is_not_called_other_numbers(trained, said):
+    """A spring that varied in time was fitted by one that hardens, which another motion does not follow (sealed 1600, spent)."""
+    refused = replace(gate(0.8, passes=False), gain=1600.0, trained=trained, followed=1.0, held_out_gain=-113.0)
+    held_out = NOISE, NOISE, NOISE
+    standing = Standing((refused,), (Weighed(None, 0.0, 0.0),), 2000.0 * NOISE, 1.07 * NOISE, 1.07 * NOISE, NOISE, 8, "", held_out)
     assert verdict_of(standing)[0] == said
 
 
