@@ -14,6 +14,7 @@ import numpy as np
 from controllers.errors import ControlError
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.noise import NoiseModel
+from hil.diagnosis.own_lines import weighted
 from hil.diagnosis.simulated import simulated_matrix, smooth
 from hil.errors import BenchError
 from hil.machine import Machine
@@ -124,6 +125,7 @@ class FreeRuns:
         self.count = 0
         self._correction: dict[str, list[np.ndarray]] = {}
         self._whitened_correction: dict[str, np.ndarray] = {}
+        self._line_weights: dict[str, list[np.ndarray | None]] = {}
         self._local = _Runner(self.sets, noise)
         self._jobs = jobs
         self._pool: ProcessPoolExecutor | None = None
@@ -149,7 +151,7 @@ class FreeRuns:
 
     def measured(self, name: str = TRAIN) -> np.ndarray:
         """(M,) mean of the repeats."""
-        return self._local.join(name, [group.mean for group in self.sets[name].groups])
+        return self.joined([group.mean for group in self.sets[name].groups], name)
 
     def repeats(self, name: str = TRAIN) -> list[list[np.ndarray]]:
         """Whitened repeats per group, each in units of one repeat's noise."""
@@ -170,15 +172,31 @@ class FreeRuns:
         return lambda: self._corrected(answers, name)
 
     def _corrected(self, answers: Iterable[np.ndarray | None], name: str) -> list[np.ndarray | None]:
-        correction = self._whitened_correction.get(name)
-        return list(answers) if correction is None else [None if answer is None else answer + correction for answer in answers]
+        correction = self._whitened_correction.get(name, 0.0)
+        return [None if answer is None else self._weighted(answer + correction, name) for answer in answers]
 
     def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
         return self.run([trial], name)[0]
 
     def joined(self, rows: Sequence[np.ndarray], name: str = TRAIN) -> np.ndarray:
         """(M,) of rows (N, C) per group."""
-        return self._local.join(name, rows)
+        return self._weighted(self._local.join(name, rows), name)
+
+    def by_group(self, whitened: np.ndarray, name: str = TRAIN) -> list[np.ndarray]:
+        """(N, C) whitened rows of every group, from (M,)."""
+        groups = self.sets[name].groups
+        ends = np.cumsum([self.noise.size(len(group.time_s)) for group in groups])[:-1]
+        return [part.reshape(-1, len(self.noise.std)) for part in np.split(whitened, ends)]
+
+    def weigh_lines(self, name: str, weights: Sequence[np.ndarray | None]) -> None:
+        """From now on count lines of these recordings by these weights (K,), one a group, besides their noise model's (`own_lines.py`)."""
+        self._line_weights[name] = list(weights)
+
+    def _weighted(self, whitened: np.ndarray, name: str) -> np.ndarray:
+        if name not in self._line_weights:
+            return whitened
+        pairs = zip(self.by_group(whitened, name), self._line_weights[name], strict=True)
+        return np.concatenate([(rows if weights is None else weighted(rows, weights)).ravel() for rows, weights in pairs])
 
     def taken_back(self, whitened: np.ndarray, name: str = TRAIN) -> list[np.ndarray]:
         """(N, C) per group, the adjoint of `joined`."""

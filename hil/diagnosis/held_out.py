@@ -9,12 +9,14 @@ mode's answer is no longer linear, and what the linear answer was short of stood
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.free_run import HELD_OUT, FreeRuns, Trial
-from hil.diagnosis.refit import MANY, WORTH_LINEARISING
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.own_lines import own_lines
+from hil.diagnosis.refit import MANY, WORTH_LINEARISING, Fitted
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, quick_sensitivities
 from virtual_bus.settings import EffectSetting
 
@@ -109,6 +111,10 @@ class HeldOut:
     def __init__(self, runs: FreeRuns, tuning: Tuning) -> None:
         self._runs = runs
         self._tuning = tuning
+        self._begin()
+
+    def _begin(self) -> None:
+        runs, tuning = self._runs, self._tuning
         self.measured = runs.measured(HELD_OUT)
         self._weights = tuning.jacobian.T @ tuning.jacobian / OPEN + np.eye(len(tuning.offset))
         self._moved = np.zeros(len(tuning.offset))  # of the machine without effects
@@ -123,6 +129,32 @@ class HeldOut:
                 break
             self._moved, self._without_effects = at.moved, self._sensitivities(tuning.offset, at, ())
             at, _, _ = self._stepped(tuning.offset, at, (), self._without_effects.jacobian)
+
+    def leave_out_own_lines(self, fits: Sequence[Fitted]) -> bool:
+        """Count lines that only these recordings have, and none of the fits explains, by their own power (`own_lines.py`).
+
+        Returns
+        -------
+        bool
+            Whether there are any: all that was followed before is followed anew.
+        """
+        runs, none = self._runs, self.follow(self._tuning.offset, ())
+        if none is None:
+            return False
+        there, here = [runs.measured() - self._tuning.predicted], [self.measured - none.predicted]
+        for fit in fits:
+            followed = self.follow(fit.offset, fit.settings)
+            if followed is not None:
+                there.append(runs.measured() - fit.predicted)
+                here.append(self.measured - followed.predicted)
+        held_out = list(zip(*(runs.by_group(one, HELD_OUT) for one in here), strict=True))
+        training = list(zip(*(runs.by_group(one, TRAIN) for one in there), strict=True))
+        weights = own_lines(held_out, training, runs.machine.sample_rate_Hz, len(runs.machine.plant.drives))
+        if all(one is None for one in weights):
+            return False
+        runs.weigh_lines(HELD_OUT, weights)
+        self._begin()
+        return True
 
     def follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         """These effects at these tuned coordinates; None where they cannot be simulated. A set that was chosen is asked for again."""

@@ -197,6 +197,12 @@ class Judgement:
         self._projection = Projection.of(tuning)
         self.nothing = self._stand(None, ())
 
+    def without_own_lines(self, fits: Sequence[Fitted]) -> Stand:
+        """What first effects are judged against, lines that only the held-out recordings have counting by their own power."""
+        if self._judge is not None and self._judge.leave_out_own_lines(fits):
+            self.nothing = self._stand(None, ())
+        return self.nothing
+
     def after(self, found: Contender) -> Stand:
         """What further effects are judged against."""
         return self._stand(found.fitted, found.gates)

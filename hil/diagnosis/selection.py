@@ -206,6 +206,8 @@ class _Search:
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
+        if size == 0:
+            stand = judgement.without_own_lines(fits)
 
         def may_stand(fit: Fitted) -> bool:
             """As what was found: a set without one of the stand's effects is judged against nothing."""

@@ -98,9 +98,10 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
     if imitated := next((gate.lost_form for gate in standing.gates[:1] if gate.something_is_there), ""):
         return "unknown_physics", f"something is there for certain, but {imitated}"
-    if (closest := next((gate for gate in standing.gates[:1] if gate.training_shows_something), None)) is not None:
-        by_chance = f"chance does so once in {1.0 / max(closest.trained, 1e-99):.0e} searches"
-        return "unknown_physics", f"the closest known effect gains {closest.gain:.4g} in training ({by_chance}), but not held out: it is another"
+    closest = next((gate for gate in standing.gates[:1] if gate.training_shows_something), None)
+    if closest is not None:
+        gains = f"gains {closest.gain:.4g} in training, as chance does with a probability of {closest.trained:.1e}"
+        return "unknown_physics", f"the closest known effect {gains}, but held-out recordings do not follow it: it stands for another"
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
