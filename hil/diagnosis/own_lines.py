@@ -22,8 +22,8 @@ COUNTS = 2.0
 """Mean square from which a line beside the band counts by its own power."""
 
 BAND, SKIRTS, LINES = 0.1, 0.3, 3
-"""Half widths of a band and of what may still belong to it, over its frequency, and the least of a band in lines. Of a resonance that is 8 %
-wide, 76 % lie within the band."""
+"""Half widths of a band and of what may still belong to it, over its frequency, and the least of a band in lines. Of a resonance that is
+8 % wide, 76 % lie within the band."""
 
 SMOOTHED, LINES_SMOOTHED = 0.03, 2
 """Half width of the mean over neighbouring lines, over frequency, and the least."""
