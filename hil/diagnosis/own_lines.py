@@ -21,7 +21,7 @@ has it once in 10^7."""
 COUNTS = 2.0
 """Mean square from which a line beside the band counts by its own power."""
 
-BAND, SKIRTS, LINES = 0.1, 0.3, 3
+BAND, SKIRTS, LINES = 0.1, 0.5, 3
 """Half widths of a band and of what may still belong to it, over its frequency, and the least of a band in lines. Of a resonance that is
 8 % wide, 76 % lie within the band."""
 
@@ -97,4 +97,4 @@ def _weights(frequencies: np.ndarray, power: np.ndarray, training: Sequence[tupl
             near |= apart <= max(SKIRTS * frequencies[k], LINES * frequencies[1])
     if excess[own].sum() <= NARROW * excess.sum():
         return None
-    return np.where(near & (power > COUNTS), 1.0 / np.sqrt(np.maximum(power, 1.0)), 1.0)
+    return np.where(near & (power > COUNTS) & (elsewhere < ALSO_THERE), 1.0 / np.sqrt(np.maximum(power, 1.0)), 1.0)
