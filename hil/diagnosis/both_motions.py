@@ -4,10 +4,11 @@ What training hardly shows of a parameter, another motion may show well: the sec
 and where training's noise has put it, the right law misses a fast motion by more than a wrong one without such a parameter does. The
 evidence of a law on both motions is that of its best parameters for both, less what the second motion narrows them by:
 
-    min over p of cost(p) + held out(p) + log det(1 + A + B) - log det(1 + A),
+    min over p of cost(p) / T + held out(p) / T' + log det(1 + A / T + B / T') - log det(1 + A / T),
 
-A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers free. Where that is more
-than what training's own parameters cost, these stay: then they are known from training. Gates ask about training's.
+A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers free, T and T' what
+equations may err by in both (`naming.tempers_of`): where a law is far from the other motion, that one says little of its parameters. Where
+the least is more than what training's own parameters cost, these stay: then they are known from training. Gates ask about training's.
 """
 
 from __future__ import annotations
@@ -37,24 +38,26 @@ WORTH_A_STEP = 2.0
 """Expected decrease, in units of noise, below which parameters are where both motions want them."""
 
 
-def with_both_motions(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, contenders: Sequence[Contender]) -> tuple[Contender, ...]:
-    """Sets as both motions want them, where that is likelier than as training does."""
+def with_both_motions(
+    runs: FreeRuns, tuning: Tuning, held_out: HeldOut, contenders: Sequence[Contender], tempers: tuple[float, float] = (1.0, 1.0)
+) -> tuple[Contender, ...]:
+    """Sets as both motions want them, where that is likelier than as training does; `tempers` are T and T'."""
     found = {id(one): one for one in contenders}
     least = np.inf
-    for one in sorted(contenders, key=_misfit):
-        least = min(least, _misfit(one))
-        found[id(one)] = _moved(runs, tuning, held_out, one, least)
-        least = min(least, _misfit(found[id(one)]))
+    for one in sorted(contenders, key=lambda each: _misfit(each, tempers)):
+        least = min(least, _misfit(one, tempers))
+        found[id(one)] = _moved(runs, tuning, held_out, one, least, tempers)
+        least = min(least, _misfit(found[id(one)], tempers))
     return tuple(found[id(one)] for one in contenders)
 
 
-def _misfit(one: Contender) -> float:
-    return (one.fitted if one.moved is None else one.moved).cost + one.left_held_out
+def _misfit(one: Contender, tempers: tuple[float, float]) -> float:
+    return (one.fitted if one.moved is None else one.moved).cost / tempers[0] + one.left_held_out / tempers[1]
 
 
-def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, least: float) -> Contender:
+def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, least: float, tempers: tuple[float, float]) -> Contender:
     """The set with the parameters that both motions want; `least` is the misfit on both of the best set so far."""
-    fitted = one.fitted
+    (here, there), fitted = tempers, one.fitted
     before = held_out.follow(fitted.offset, fitted.settings)
     if before is None or not fitted.free:
         return one
@@ -71,37 +74,43 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
         slopes = fitting.slopes(point)
         seen, own = seen / slopes, fitted.jacobian / slopes
         left = projection.left(own.T).T
-        trained, there = left.T @ left, held_out.information(seen, acts)
+        trained, both = left.T @ left / here, left.T @ left / here + held_out.information(seen, acts) / there
         if number == 0:
             eye = np.eye(len(trained))
-            price = float(np.linalg.slogdet(eye + trained + there)[1] - np.linalg.slogdet(eye + trained)[1])
+            price = float(np.linalg.slogdet(eye + both)[1] - np.linalg.slogdet(eye + trained)[1])
         residual = np.concatenate([runs.measured() - at.predicted, -at.offset[free]])
-        gradient = left.T @ residual + seen.T @ (held_out.measured - followed.predicted)
+        gradient = left.T @ residual / here + seen.T @ (held_out.measured - followed.predicted) / there
         count = len(at.offset)
         low, high = (bound[count:] for bound in fitting.reach(point, 1.0))
-        step = bounded(trained + there, gradient, low, high)
-        expected = float(2.0 * step @ gradient - step @ (trained + there) @ step)
-        if expected < WORTH_A_STEP or (number == 0 and (expected < price or _misfit(one) - BENDING * expected > least)):
+        step = bounded(both, gradient, low, high)
+        expected = float(2.0 * step @ gradient - step @ both @ step)
+        if expected < WORTH_A_STEP or (number == 0 and (expected < price or _misfit(one, tempers) - BENDING * expected > least)):
             break
         numbers = np.zeros(count)
         numbers[free] = left[len(own) :] @ step
-        better = _stepped(runs, held_out, fitting, at, followed, np.concatenate([numbers, step]))
+        better = _stepped(runs, held_out, fitting, at, followed, np.concatenate([numbers, step]), tempers)
         if better is None:
             break
         at, followed = better
-    if at.cost + followed.misfit + price >= fitted.cost + before.misfit:
+    if (at.cost - fitted.cost) / here + (followed.misfit - before.misfit) / there + price >= 0.0:
         return one
     return replace(
         one,
         gained=one.gained - (at.cost - fitted.cost),
-        gained_held_out=one.gained_held_out + before.misfit - followed.misfit - price,
-        left_held_out=followed.misfit + price,
+        gained_held_out=one.gained_held_out + before.misfit - followed.misfit - there * price,
+        left_held_out=followed.misfit + there * price,
         moved=at,
     )
 
 
 def _stepped(
-    runs: FreeRuns, held_out: HeldOut, fitting: Coordinates, at: Fitted, followed: Followed, step: np.ndarray
+    runs: FreeRuns,
+    held_out: HeldOut,
+    fitting: Coordinates,
+    at: Fitted,
+    followed: Followed,
+    step: np.ndarray,
+    tempers: tuple[float, float],
 ) -> tuple[Fitted, Followed] | None:
     """After a step that lowers the misfit of both motions; None where none does."""
     bound = LARGEST_CHANGE / PRIOR
@@ -115,6 +124,6 @@ def _stepped(
         cost = float(residual @ residual + to.offset @ to.offset)
         found = replace(at, values=to.values, offset=to.offset, predicted=predicted, cost=cost)
         there = held_out.follow(found.offset, found.settings)
-        if there is not None and cost + there.misfit < at.cost + followed.misfit:
+        if there is not None and (cost - at.cost) / tempers[0] + (there.misfit - followed.misfit) / tempers[1] < 0.0:
             return found, there
     return None

@@ -20,7 +20,18 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import CAP_UNCONFIRMED, LIKELIER, Evidence, Weighed, confidence_of, erring, imitated, not_told_apart, ranking
+from hil.diagnosis.naming import (
+    CAP_UNCONFIRMED,
+    LIKELIER,
+    Evidence,
+    Weighed,
+    confidence_of,
+    erring,
+    imitated,
+    not_told_apart,
+    ranking,
+    tempers_of,
+)
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
@@ -138,11 +149,13 @@ def diagnose(
             judged = HeldOut(runs, tuning) if runs.has_held_out else None
             selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
-        if judged is not None and selection.chosen is not None:
-            selection = replace(selection, contenders=with_both_motions(runs, tuning, judged, selection.contenders))
         passed, tried = selection.chosen is not None, len(selection.screened)
         weigh = partial(evidence_of, runs, tuning, judged, formless=selection.formless, tried=tried, found=passed)
         evidence = weigh(selection.contenders)
+        if judged is not None and passed:
+            tempers = tempers_of(evidence.sets, evidence.base, (evidence.entries_train, evidence.entries_held_out))
+            selection = replace(selection, contenders=with_both_motions(runs, tuning, judged, selection.contenders, tempers))
+            evidence = weigh(selection.contenders)
         hypotheses = ranking(evidence)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None
         values = tuning.values if chosen is None else tuning.at(chosen.offset)
