@@ -21,7 +21,7 @@ FRICTION = EffectAt("coulomb_friction", "carriage")
 COULOMB_N, DURATION_s = 20.0, 2.0
 
 
-def moved(train, held_out, seen=1.0) -> tuple[Contender, Contender]:
+def moved(train, held_out, seen=1.0, tempers=(1.0, 1.0)) -> tuple[Contender, Contender]:
     """A friction fitted to the training recordings, and as both motions want it. Where training does not show it (`seen` 0), chance has put
     it a quarter too low.
     """
@@ -37,7 +37,7 @@ def moved(train, held_out, seen=1.0) -> tuple[Contender, Contender]:
             fitted = blind
         left = judged.misfit(judged.follow(fitted.offset, fitted.settings))
         before = Contender(fitted, 1000.0, 1000.0, left, ())
-        (after,) = with_both_motions(runs, tuning, judged, [before])
+        (after,) = with_both_motions(runs, tuning, judged, [before], tempers)
         return before, after
 
 
@@ -67,3 +67,14 @@ def test_what_training_knows_gives_way_only_as_far_as_it_costs_there(with_fricti
     rise = before.gained - after.gained
     assert rise > 0.0
     assert rise < before.left_held_out - after.left_held_out
+
+
+def test_a_motion_that_the_law_is_far_from_says_little_of_its_parameters(with_friction):
+    """Half as much friction there is as likely the equation's error as another friction."""
+    train, _ = with_friction
+    other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.5 * COULOMB_N, duration_s=DURATION_s)
+    before, near = moved(train, other, tempers=(1.0, 1e4))
+    assert near is before or strength(near) > 0.97 * strength(before)
+    _, alike = moved(train, other, tempers=(1e2, 1e2))
+    _, exact = moved(train, other)
+    assert strength(alike) == pytest.approx(strength(exact), rel=0.02)  # a common factor tells nothing apart

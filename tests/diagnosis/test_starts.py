@@ -129,10 +129,11 @@ def test_a_refinement_that_its_guess_does_not_see_is_none():
     assert found["Fc_minus"].min() == 0.0
 
 
-def test_a_shape_that_starts_at_zero_may_leave_it():
-    imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, 0.0])
+@pytest.mark.parametrize("begun", [0.0, 0.25])
+def test_a_shape_that_starts_at_zero_or_comes_to_it_may_leave_it(begun):
+    imu, start = EffectAt("imu_bandwidth", "imu"), np.array([30.0, begun])
     none = SimpleNamespace(at=lambda offset: offset)
-    fit, at = Coordinates(none, (imu,), (start,), Visited(10.0)), Point(np.zeros(0), (start,))
+    fit, at = Coordinates(none, (imu,), (start,), Visited(10.0)), Point(np.zeros(0), (np.array([30.0, 0.0]),))
     _, highest = fit.reach(at, 1.0)
     assert fit.moved(at, highest).values[0][1] > 0.2
 
