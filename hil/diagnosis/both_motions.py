@@ -6,7 +6,7 @@ evidence of a law on both motions is that of its best parameters for both, less 
 
     min over p of cost(p) / T + held out(p) / T' + log det(1 + A / T + B / T') - log det(1 + A / T),
 
-A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers free, T and T' what
+A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers following, T and T' what
 equations may err by in both (`naming.tempers_of`): where a law is far from the other motion, that one says little of its parameters. Where
 the least is more than what training's own parameters cost, these stay: then they are known from training. Gates ask about training's.
 """
@@ -21,6 +21,7 @@ import numpy as np
 from hil.diagnosis.coordinates import Coordinates, Point
 from hil.diagnosis.free_run import HELD_OUT, FreeRuns
 from hil.diagnosis.held_out import Followed, HeldOut
+from hil.diagnosis.information import Narrowed
 from hil.diagnosis.judgement import Contender
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted, bounded, sensitivities_to_effects
@@ -35,7 +36,7 @@ BENDING = 2.0
 """What a set may gain by its steps, in units of what the first one is expected to bring, before it is behind the best set for good."""
 
 WORTH_A_STEP = 2.0
-"""Expected decrease, in units of noise, below which parameters are where both motions want them."""
+"""Expected decrease, in units of what the equations err by, below which parameters are where both motions want them."""
 
 
 def with_both_motions(
@@ -65,7 +66,7 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
     settings = runs.machine.plant
     projection, acts = Projection.of(without_those_taken_over(tuning, fitted.settings, settings)), acting(tuning, fitted.settings, settings)
     free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - 1e-6
-    at, followed, price = fitted, before, 0.0
+    at, followed, price, narrowed = fitted, before, 0.0, None
     for number in range(STEPS):
         point = Point(at.offset, at.values)
         seen = sensitivities_to_effects(runs, tuning, replace(at, offset=at.offset + followed.moved), HELD_OUT)
@@ -74,10 +75,11 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
         slopes = fitting.slopes(point)
         seen, own = seen / slopes, fitted.jacobian / slopes
         left = projection.left(own.T).T
+        seen = seen + held_out.change_by_numbers(_following(left, len(own), free), acts)
         trained, both = left.T @ left / here, left.T @ left / here + held_out.information(seen, acts) / there
         if number == 0:
-            eye = np.eye(len(trained))
-            price = float(np.linalg.slogdet(eye + both)[1] - np.linalg.slogdet(eye + trained)[1])
+            narrowed = Narrowed.of(here * trained, there * (both - trained), fitting.described(point))
+            price = 2.0 * narrowed.cost(here, there)
         residual = np.concatenate([runs.measured() - at.predicted, -at.offset[free]])
         gradient = left.T @ residual / here + seen.T @ (held_out.measured - followed.predicted) / there
         count = len(at.offset)
@@ -86,8 +88,7 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
         expected = float(2.0 * step @ gradient - step @ both @ step)
         if expected < WORTH_A_STEP or (number == 0 and (expected < price or _misfit(one, tempers) - BENDING * expected > least)):
             break
-        numbers = np.zeros(count)
-        numbers[free] = left[len(own) :] @ step
+        numbers = _following(left, len(own), free) @ step
         better = _stepped(runs, held_out, fitting, at, followed, np.concatenate([numbers, step]), tempers)
         if better is None:
             break
@@ -97,10 +98,18 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
     return replace(
         one,
         gained=one.gained - (at.cost - fitted.cost),
-        gained_held_out=one.gained_held_out + before.misfit - followed.misfit - there * price,
-        left_held_out=followed.misfit + there * price,
+        gained_held_out=one.gained_held_out + before.misfit - followed.misfit,
+        left_held_out=followed.misfit,
         moved=at,
+        narrowed=narrowed,
     )
+
+
+def _following(left: np.ndarray, rows: int, free: np.ndarray) -> np.ndarray:
+    """(P, F) how the machine's numbers go with the parameters, so that training changes least."""
+    numbers = np.zeros((len(free), left.shape[1]))
+    numbers[free] = left[rows:]
+    return numbers
 
 
 def _stepped(

@@ -146,6 +146,7 @@ def diagnose(
         again = without_effects(runs, tuning, selection)
         if again is not tuning:
             tuning = again
+            runs.weigh_lines(HELD_OUT, None)  # what other fits leave there is asked anew
             judged = HeldOut(runs, tuning) if runs.has_held_out else None
             selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
@@ -154,7 +155,8 @@ def diagnose(
         evidence = weigh(selection.contenders)
         if judged is not None and passed:
             tempers = tempers_of(evidence.sets, evidence.base, (evidence.entries_train, evidence.entries_held_out))
-            selection = replace(selection, contenders=with_both_motions(runs, tuning, judged, selection.contenders, tempers))
+            selection = selection.moved(partial(with_both_motions, runs, tuning, judged, tempers=tempers))
+            weigh = partial(weigh, formless=selection.formless)
             evidence = weigh(selection.contenders)
         hypotheses = ranking(evidence)
         chosen = hypotheses[0].fitted if selection.chosen is not None else None

@@ -188,9 +188,13 @@ class FreeRuns:
         ends = np.cumsum([self.noise.size(len(group.time_s)) for group in groups])[:-1]
         return [part.reshape(-1, len(self.noise.std)) for part in np.split(whitened, ends)]
 
-    def weigh_lines(self, name: str, weights: Sequence[np.ndarray | None]) -> None:
-        """From now on count lines of these recordings by these weights (K,), one a group, besides their noise model's (`own_lines.py`)."""
-        self._line_weights[name] = list(weights)
+    def weigh_lines(self, name: str, weights: Sequence[np.ndarray | None] | None) -> None:
+        """From now on count lines of these recordings by these weights (K,), one a group, besides their noise model's (`own_lines.py`);
+        None: by that alone.
+        """
+        self._line_weights.pop(name, None)
+        if weights is not None:
+            self._line_weights[name] = list(weights)
 
     def _weighted(self, whitened: np.ndarray, name: str) -> np.ndarray:
         if name not in self._line_weights:
@@ -200,7 +204,7 @@ class FreeRuns:
 
     def taken_back(self, whitened: np.ndarray, name: str = TRAIN) -> list[np.ndarray]:
         """(N, C) per group, the adjoint of `joined`."""
-        found, rows, start = self.sets[name], [], 0
+        found, rows, start, whitened = self.sets[name], [], 0, self._weighted(whitened, name)
         for group in found.groups:
             noise, count = self.noise.of_mean(group.repeats), len(group.time_s)
             own = np.sqrt(group.repeats) * whitened[start : start + noise.size(count)]

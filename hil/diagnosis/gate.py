@@ -7,7 +7,7 @@
    the gain only what no error of their equations explains (`form_error.py`).
 2. On the held-out recordings, everything frozen: does the misfit fall as predicted, by more than on machines that hide nothing? They are
    independent of training and nothing is searched on them, so that the chances of both count together (Fisher). Of recordings that can
-   show little of it no more is asked than that they agree.
+   show little of it no more is asked than that they agree, if training leaves no doubt.
 3. Is it better than placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause?
 4. Does it, where it is the first, explain a share of what there is to explain?
 5. Is it still its own equation (`form.py`)?
@@ -68,12 +68,13 @@ effect cannot be asked to confirm it: where three deviations are predicted they 
 0.20."""
 
 UNCONFIRMED_LEVEL = LEVEL**2
-"""Chance in training, as one of all that were tried, below which agreeing is enough: as if a second motion had confirmed it. Beside strong
-first effects others took up what their equations err by with chances of 3e-4 and 7e-4 in training (development 102, 103), and a wave stood
-for a pulse with 3e-4 (55); no held-out recording followed them. An inertia that varies with pose had 1e-6 (sealed 1092, spent)."""
+"""Chance in training, as one of all that were tried, below which agreeing is enough: that of two motions which show it at LEVEL each.
+Beside strong first effects others took up what their equations err by with chances of 3e-4 and 7e-4 in training (development 102, 103),
+and a wave stood for a pulse with 3e-4 (55); no held-out recording followed them. An inertia that varies with pose had 1e-6 (sealed 1092,
+spent)."""
 
 TRAINING_ALONE = 1e-6
-"""The same from which something is there whatever held-out recordings say: a law that no known effect has may be one motion's own. Of 35
+"""The same below which something is there whatever held-out recordings say: a law that no known effect has may be one motion's own. Of 35
 spent nulls (every fifth of the sealed ones from 966 to 1391) the least was 0.04, of the six that raised an alarm 0.006."""
 
 PLACEBO_FACTOR = 1.5
@@ -172,7 +173,7 @@ class Gate:
 
     @property
     def training_shows_something(self) -> bool:
-        """Whether something is there in training for certain, be it another law than this one."""
+        """Whether something is there by training alone, be it another law than this one."""
         return self.over_simulator > 1.0 and self.trained < TRAINING_ALONE and self.beats_placebo and self.explains
 
     @property

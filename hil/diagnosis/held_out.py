@@ -204,6 +204,12 @@ class HeldOut:
         shared = jacobian.T @ response
         return response.T @ response - shared.T @ np.linalg.solve(jacobian.T @ jacobian + weights, shared)
 
+    def change_by_numbers(self, numbers: np.ndarray, acts: np.ndarray) -> np.ndarray:
+        """(M, F) change of held-out runs by columns (P, F) of tuned coordinates, those that do something, of the linear machine."""
+        if self._without_effects is None:
+            return np.zeros((len(self.measured), numbers.shape[1]))
+        return self._without_effects.jacobian[:, acts] @ numbers[acts]
+
     def deviations(self, before: Followed | None, after: Followed | None) -> float:
         """How far the residual goes along a predicted change, in standard deviations of noise, or of what is left if larger.
 

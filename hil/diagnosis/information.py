@@ -102,7 +102,42 @@ def _own(hessian: np.ndarray, tuned: int) -> np.ndarray:
     return np.asarray(hessian[tuned:, tuned:] - across.T @ np.linalg.solve(hessian[:tuned, :tuned], across))
 
 
+@dataclass(frozen=True, eq=False)
+class Narrowed:
+    """By what held-out recordings narrow a set's parameters, of which training knows something already.
+
+    Attributes
+    ----------
+    trained, held_out : (F, F) array
+        Information of both on the parameters, in units of how far these may be off beforehand.
+    """
+
+    trained: np.ndarray
+    held_out: np.ndarray
+
+    @classmethod
+    def of(cls, trained: np.ndarray, held_out: np.ndarray, free: Sequence[Free]) -> Narrowed:
+        """From information in the units of `free`."""
+        scales = _scales(trained + held_out, free)
+        within = scales * scales[:, None]
+        return cls(trained * within, held_out * within)
+
+    def cost(self, train: float = 1.0, held_out: float = 1.0) -> float:
+        """In log evidence, where misfits of training and held-out recordings count in units of these levels."""
+        known = np.eye(len(self.trained)) + self.trained / train
+        return 0.5 * float(np.linalg.slogdet(known + self.held_out / held_out)[1] - np.linalg.slogdet(known)[1])
+
+    def in_units(self, train: float, held_out: float) -> Narrowed:
+        return Narrowed(self.trained / train, self.held_out / held_out)
+
+
 def _narrowed(own: np.ndarray, free: Sequence[Free]) -> np.ndarray:
+    scales = _scales(own, free)
+    return np.maximum(np.linalg.eigvalsh(own * scales * scales[:, None]), 0.0)
+
+
+def _scales(own: np.ndarray, free: Sequence[Free]) -> np.ndarray:
+    """(F,) how far parameters may be off beforehand, in their units."""
     scales = np.array([one.beforehand for one in free])
     for effect in {one.effect for one in free}:
         strengths = [n for n, one in enumerate(free) if one.effect == effect and is_in_proportion(one.parameter)]
@@ -111,4 +146,4 @@ def _narrowed(own: np.ndarray, free: Sequence[Free]) -> np.ndarray:
         for n, share in zip(strengths, shares, strict=True):
             alone = np.sqrt(energy / own[n, n]) if own[n, n] > 0.0 else np.inf
             scales[n] = min(max(abs(share), alone), (free[n].parameter.high - free[n].parameter.low) / free[n].size)
-    return np.maximum(np.linalg.eigvalsh(own * scales * scales[:, None]), 0.0)
+    return scales

@@ -14,6 +14,7 @@ from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
+from hil.diagnosis.information import Narrowed
 from hil.diagnosis.naming import NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
@@ -84,6 +85,7 @@ class Contender:
     gates: tuple[Gate, ...]  # of the step that added each of its effects
     searched: float = 0.0  # what its search costs in log evidence, see `Tried`
     moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
+    narrowed: Narrowed | None = None  # what that costs
 
     @property
     def gate(self) -> Gate:

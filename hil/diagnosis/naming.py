@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.diagnosis.gate import certain_excess
+from hil.diagnosis.information import Narrowed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from virtual_bus.effects.places import part_at
@@ -155,6 +156,7 @@ class Weighed:
     by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are NUMBERS, in training and held out
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
+    narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
 
     @property
     def misfit(self) -> float:
@@ -169,7 +171,8 @@ class Weighed:
         """
         each = [(0.0, self.information), *self.simpler]
         costs = [0.5 * (loss / temper + float(np.sum(np.log1p(np.array(seen) / temper)))) for loss, seen in each]
-        return self.searched - float(np.logaddexp.reduce([-cost for cost in costs])) + float(np.log(len(costs)))
+        moved = 0.0 if self.narrowed is None else self.narrowed.cost(temper, temper)
+        return self.searched + moved - float(np.logaddexp.reduce([-cost for cost in costs])) + float(np.log(len(costs)))
 
     def priced_as(self, fitted: Fitted) -> Weighed:
         """With the information of a fit."""
@@ -180,7 +183,9 @@ class Weighed:
         """With misfits and information in units of these levels."""
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
-        return replace(self, train=self.train / train, held_out=self.held_out / held_out, information=information, simpler=simpler)
+        narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
+        in_units = replace(self, train=self.train / train, held_out=self.held_out / held_out)
+        return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,10 @@
 Noise is what repeats differ by. A disturbance in a narrow band at another frequency in every recording (a pump, a fan, a neighbour's
 machine) is in the repeats' spectra where theirs was, not where the held-out recording's is. There it is as much as several times all other
 noise, and what held-out recordings say of sets of effects would count as little as that leaves. What no fitted set explains there, in a
-narrow band and in no training recording, is noise: these lines count by the power they have, as all others do by theirs.
+narrow band in which training does not stand out, is taken for noise: these lines count by the power they have, as all others do by theirs.
 
-Missing physics acts in training as well, or spans more than a band, and is left as it is.
+Missing physics acts in training as well, or spans more than a band, and is left as it is. A mode that only the held-out motion excites, and
+that no candidate explains, cannot be told from a disturbance.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 STANDS_OUT = 3.0
-"""Mean square of whitened lines near each other, of noise 1, from which they are something else: of five lines of three channels chance
-has it once in 10^7."""
+"""Mean square of whitened lines near each other, of noise 1, from which they are something else: of five lines chance has it with a
+probability of 7e-8 with three channels, 7e-6 with two and 9e-4 with one."""
 
 COUNTS = 2.0
 """Mean square from which a line beside the band counts by its own power."""
@@ -27,6 +28,12 @@ BAND, SKIRTS, LINES = 0.1, 0.5, 3
 
 SMOOTHED, LINES_SMOOTHED = 0.03, 2
 """Half width of the mean over neighbouring lines, over frequency, and the least."""
+
+SLOWEST_Hz = 1.0
+"""Of a band: floors, pumps and fans shake faster, and what a slow motion lacks is slower (`shape_limits.SLOWEST_BASE_MOTION_Hz`)."""
+
+LEAST_LINES = 70
+"""Of a record: in a shorter one a band is a tenth of all there is, and no line."""
 
 NARROW = 0.5
 """Share of all that stands out which lies in the bands: less is no line."""
@@ -82,10 +89,14 @@ def _left_by_all(group: Sequence[np.ndarray], rate_Hz: float) -> np.ndarray:
 
 
 def _weights(frequencies: np.ndarray, power: np.ndarray, training: Sequence[tuple[np.ndarray, np.ndarray]], most: int) -> np.ndarray | None:
+    if len(power) < LEAST_LINES:
+        return None
     excess = np.where(power > STANDS_OUT, power - 1.0, 0.0)
     elsewhere = np.max([np.interp(frequencies, places, there) for places, there in training], axis=0)
     free, own, near = power.copy(), np.zeros(len(power), dtype=bool), np.zeros(len(power), dtype=bool)
-    for _ in range(most):
+    free[frequencies < max(SLOWEST_Hz, (LINES + 1) * frequencies[1])] = 0.0
+    found = 0
+    while found < most:
         k = int(np.argmax(free))
         if free[k] <= STANDS_OUT:
             break
@@ -93,6 +104,7 @@ def _weights(frequencies: np.ndarray, power: np.ndarray, training: Sequence[tupl
         band = apart <= max(BAND * frequencies[k], LINES * frequencies[1])
         free[band] = 0.0
         if np.mean(elsewhere[band]) < ALSO_THERE:
+            found += 1
             own |= band
             near |= apart <= max(SKIRTS * frequencies[k], LINES * frequencies[1])
     if excess[own].sum() <= NARROW * excess.sum():

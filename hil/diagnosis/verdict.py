@@ -98,7 +98,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
         return "explained", f"{names} explains {1.0 - left / explainable:.0%} of what re-tuning leaves above noise"
     if imitated := next((gate.lost_form for gate in standing.gates[:1] if gate.something_is_there), ""):
         return "unknown_physics", f"something is there for certain, but {imitated}"
-    closest = next((gate for gate in standing.gates[:1] if gate.training_shows_something), None)
+    closest = next((gate for gate in standing.gates[:1] if gate.training_shows_something and not gate.confirmed), None)
     if closest is not None:
         gains = f"gains {closest.gain:.4g} in training, as chance does with a probability of {closest.trained:.1e}"
         return "unknown_physics", f"the closest known effect {gains}, but held-out recordings do not follow it: it stands for another"

@@ -38,6 +38,7 @@ class Way:
     is_at_its_end: bool = False
     formless: tuple[Contender, ...] = ()  # of all steps
     unsure: tuple[Contender, ...] = ()
+    is_wider: bool = False  # whether candidates behind the best were fitted as well
 
 
 def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:

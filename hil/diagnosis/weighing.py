@@ -44,7 +44,9 @@ def evidence_of(
     found : bool
         Whether a set passed the gate.
     """
-    train = min((c.fitted.cost for c in contenders), default=0.0) + max((c.gained for c in contenders), default=0.0)
+    train = min(((c.fitted if c.moved is None else c.moved).cost for c in contenders), default=0.0) + max(
+        (c.gained for c in contenders), default=0.0
+    )
     held_out = min((c.left_held_out for c in contenders), default=0.0) + max((c.gained_held_out for c in contenders), default=0.0)
 
     def weighing(c: Contender) -> Weighed:
@@ -56,6 +58,7 @@ def evidence_of(
             passed=c.passed,
             by_numbers=c.by_numbers,
             rarity=rarity_of(c.fitted.effects, runs.machine.plant),
+            narrowed=c.narrowed,
         ).priced_as(c.fitted)
 
     return Evidence(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hil.diagnosis.information import Free, information_of, simpler_forms
+from hil.diagnosis.information import Free, Narrowed, information_of, simpler_forms
+from hil.diagnosis.naming import Weighed
 from virtual_bus.effects.registry import effects
 
 ENERGY = 400.0
@@ -141,3 +144,27 @@ def test_what_is_left_of_a_law_does_what_its_absent_term_did_as_far_as_it_can():
     for loss, seen in forms:
         assert loss == pytest.approx(0.0, abs=1e-9)
         assert seen == pytest.approx([4.0 * ENERGY])
+
+
+def narrowed(trained: float, held_out: float, **values: float) -> Narrowed:
+    parameters = {p.name: p for p in effects()["coulomb_friction"].parameters}
+    free = [Free(0, parameters[key], value, 1.0) for key, value in values.items()]
+    return Narrowed.of(np.array([[trained]]), np.array([[held_out]]), free)
+
+
+def test_what_a_second_motion_narrows_costs_the_ratio_of_deviations():
+    """A strength of 2, known to 0.1 from training and to 0.02 from both: the log of five, in a prior of 2 that is far wider."""
+    from_both = 0.02**-2 - 0.1**-2
+    assert narrowed(0.1**-2, from_both, Fc=2.0).cost() == pytest.approx(np.log(5.0), rel=1e-2)
+    assert narrowed(0.0, 1e-12, Fc=2.0).cost() == pytest.approx(0.0, abs=1e-6)  # what neither shows
+
+
+def test_what_narrows_counts_in_the_units_of_the_misfits():
+    one = narrowed(50.0, 700.0, Fc=1.0)
+    assert one.cost(2.0, 30.0) == pytest.approx(one.in_units(2.0, 30.0).cost())
+    assert one.cost(1.0, 1e9) == pytest.approx(0.0, abs=1e-6)  # a motion that says nothing
+    moved = Weighed(None, 10.0, 10.0, (50.0,), narrowed=one)
+    assert moved.price() - replace(moved, narrowed=None).price() == pytest.approx(one.cost())
+    assert moved.in_units(2.0, 30.0).price() - replace(moved, narrowed=None).in_units(2.0, 30.0).price() == pytest.approx(
+        one.cost(2.0, 30.0)
+    )

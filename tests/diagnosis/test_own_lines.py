@@ -71,6 +71,27 @@ def test_what_spans_more_than_bands_is_missing_physics():
     assert weights(noise(2) + pump(6.0, 2.0, width=1.2), most=1) is None
 
 
+def test_what_is_slower_than_floors_shake_is_missing_physics():
+    """A load, or a friction of a slow jog that training has at other frequencies."""
+    slow = np.sign(np.sin(2.0 * np.pi * 0.5 * np.arange(ROWS) / RATE))
+    assert weights(noise(2) + 0.6 * np.outer(slow, np.ones(CHANNELS))) is None
+    assert weights(noise(2) + 0.5) is None
+
+
+def test_a_short_record_has_no_bands():
+    rows = 120
+    (found,) = own_lines([[noise(2)[:rows] + pump(18.0, 3.0)[:rows]]], [[noise(99)]], RATE, 2)
+    assert found is None
+
+
+def test_a_band_that_training_has_too_is_none_of_the_axes_own():
+    shared, own = pump(7.0, 3.0), pump(16.0, 1.0, 5)
+    found = weights(noise(2) + shared + own, training=noise(6) + pump(7.0, 1.0, 7), most=1)
+    assert found is None  # most of what stands out is the shared one
+    strong = weights(noise(2) + 0.3 * shared + 3.0 * own, training=noise(6) + pump(7.0, 1.0, 7), most=1)
+    assert strong[np.argmin(np.abs(np.fft.rfftfreq(ROWS, 1.0 / RATE) - 16.0))] < 0.7
+
+
 def test_weighting_is_linear_and_one_where_nothing_stands_out():
     own = weights(noise(2) + pump(7.0, 2.0))
     a, b = noise(7), noise(8)
@@ -103,6 +124,10 @@ def test_a_pump_at_another_frequency_in_the_held_out_recording_is_noise_there():
         assert after.misfit - len(after.predicted) < 0.4 * (before.misfit - len(before.predicted))
         assert np.max(np.abs(after.moved - before.moved)) < 0.1
         assert not judged.leave_out_own_lines(())
+        runs.weigh_lines(HELD_OUT, None)  # as for another tuning
+        again = HeldOut(runs, tuning)
+        assert again.follow(tuning.offset, ()).misfit == pytest.approx(before.misfit)
+        assert again.leave_out_own_lines(())
 
 
 def test_a_held_out_recording_like_the_repeats_is_taken_as_it_is():

@@ -34,6 +34,7 @@ def answer(friction, with_friction):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(diagnosing, "select", lambda *_: replace(found, contenders=(own,), **beside))
             patch.setattr(diagnosing, "without_effects", lambda runs, tuning, selection: tuning)
+            patch.setattr(diagnosing, "with_both_motions", lambda runs, tuning, judged, sets, tempers: sets)
             return diagnose(MACHINE, *with_friction, look_further=False).diagnosis
 
     return answered
