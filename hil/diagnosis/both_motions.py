@@ -6,7 +6,7 @@ evidence of a law on both motions is that of its best parameters for both, less 
 
     min over p of cost(p) / T + held out(p) / T' + log det(1 + A / T + B / T') - log det(1 + A / T),
 
-A and B the information on the parameters, in units of their size, in training and held out, the machine's numbers following, T and T' what
+A and B the information on the parameters, in units of how far they may be off beforehand, the machine's numbers following, T and T' what
 equations may err by in both (`naming.tempers_of`): where a law is far from the other motion, that one says little of its parameters. Where
 the least is more than what training's own parameters cost, these stay: then they are known from training. Gates ask about training's.
 """

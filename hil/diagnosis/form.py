@@ -109,12 +109,13 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
             if (effect.effect, parameter.name) in DAMPING and _left_after_a_cycle(float(value)) < LEFT_AFTER_A_CYCLE:
                 return f"{effect} has {parameter.name} = {value:.2g} and no longer swings: what fits is no longer that effect"
             if parameter.unit in OF_WAVES and value < least:
-                return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, {_too_slow(value, least)}"
+                return f"{effect} has {parameter.name} = {value:.3g} {parameter.unit}, {_too_slow(effect.effect, least)}"
     return ""
 
 
-def _too_slow(value: float, least: float) -> str:
-    return "slower than floors shake" if least == SLOWEST_BASE_MOTION_Hz else "of which the recordings show less than half a cycle"
+def _too_slow(name: str, least: float) -> str:
+    is_of_a_floor = name == "base_motion" and least == SLOWEST_BASE_MOTION_Hz  # in a record of half a second and more
+    return "slower than floors shake" if is_of_a_floor else "of which the recordings show less than half a cycle"
 
 
 def _sticks_hard(fitted: Fitted, number: int) -> bool:

@@ -1,7 +1,7 @@
 """Re-tuning of the machine file's own numbers: masses, inertias, centres of mass, springs, dampers, drive constants, IMU low passes.
 
-Parameters are counted from their nominal value in units of PRIOR of it. The free-run residual in units of noise is made small together with
-a weak prior (one unit of PRIOR, Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
+Parameters are counted from their nominal value in units of their prior, PRIOR of it or CLOCKED_PRIOR. The free-run residual in units of
+noise is made small together with that weak prior (Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
 LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds and a trust region; Nocedal and Wright
 2006, ch. 4 and 10. Where that ends far from the noise it begins once more, what is left counted as noise until it is near.
 """
@@ -31,7 +31,7 @@ CLOCKED_PRIOR = 0.02
 """Prior of corners that a sensor's clock makes: data sheets say 1 to 3 % of it. What lags by more than that is the effect of that name."""
 
 DIFFERENCE = 1e-4
-"""Of quick sensitivities, in units of PRIOR. Their error is in proportion to it, and along directions in which a machine hardly changes
+"""Of quick sensitivities, in units of a number's prior. Their error is in proportion to it, and along directions in which a machine hardly changes
 large columns take each other away: of a hundredth, 54 columns of the C-arm said that the way to its truth led uphill, and re-tuning stopped
 1800 units of noise short of it. Of a hundredth of this, rounding is as large."""
 
@@ -45,7 +45,7 @@ UNDECIDED = 0.7
 """A parameter whose standard deviation is still above this share of the prior's is not determined by the recordings."""
 
 FIRST_RADIUS = 0.3
-"""Of the first step in every tuned coordinate, in units of PRIOR. Without one, the first step of a machine with lightly damped modes ran
+"""Of the first step in every tuned coordinate, in units of its prior. Without one, the first step of a machine with lightly damped modes ran
 into the bounds, and the search ended at 1.3 times the noise's energy."""
 
 GOOD, FAIR, POOR = 0.7, 0.3, 0.1
@@ -76,7 +76,7 @@ APPROACHED = 1e-3
 """Share of the cost by which a step must lower it for the approach to go on."""
 
 LARGE_STEP = 0.05
-"""In units of PRIOR: a longer way, by one step or by several, asks for new sensitivities."""
+"""In units of a number's prior: a longer way, by one step or by several, asks for new sensitivities."""
 
 TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant", "accelerometer_bandwidth", "gyro_bandwidth")
 
