@@ -1,9 +1,9 @@
 """Re-tuning of the machine file's own numbers: masses, inertias, centres of mass, springs, dampers, drive constants, IMU low passes.
 
 Parameters are counted from their nominal value in units of their prior, PRIOR of it or CLOCKED_PRIOR. The free-run residual in units of
-noise is made small together with that weak prior (Gaussian), so that a number the recordings do not show stays where the machine file has it; beyond
-LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds and a trust region; Nocedal and Wright
-2006, ch. 4 and 10. Where that ends far from the noise it begins once more, what is left counted as noise until it is near.
+noise is made small together with that weak prior (Gaussian), so that a number the recordings do not show stays where the machine file has
+it; beyond LARGEST_CHANGE it is no longer tuning but physics the file does not have. Gauss-Newton within bounds and a trust region; Nocedal
+and Wright 2006, ch. 4 and 10. Where that ends far from the noise it begins once more, what is left counted as noise until it is near.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ CLOCKED_PRIOR = 0.02
 """Prior of corners that a sensor's clock makes: data sheets say 1 to 3 % of it. What lags by more than that is the effect of that name."""
 
 DIFFERENCE = 1e-4
-"""Of quick sensitivities, in units of a number's prior. Their error is in proportion to it, and along directions in which a machine hardly changes
-large columns take each other away: of a hundredth, 54 columns of the C-arm said that the way to its truth led uphill, and re-tuning stopped
-1800 units of noise short of it. Of a hundredth of this, rounding is as large."""
+"""Of quick sensitivities, in units of a number's prior. Their error is in proportion to it, and along directions in which a machine
+hardly changes large columns take each other away: of a hundredth, 54 columns of the C-arm said that the way to its truth led uphill, and
+re-tuning stopped 1800 units of noise short of it. Of a hundredth of this, rounding is as large."""
 
 FINE_DIFFERENCE = 5e-3
 """Of those that intervals are computed from, central ones: their error is in proportion to its square."""
@@ -45,8 +45,8 @@ UNDECIDED = 0.7
 """A parameter whose standard deviation is still above this share of the prior's is not determined by the recordings."""
 
 FIRST_RADIUS = 0.3
-"""Of the first step in every tuned coordinate, in units of its prior. Without one, the first step of a machine with lightly damped modes ran
-into the bounds, and the search ended at 1.3 times the noise's energy."""
+"""Of the first step in every tuned coordinate, in units of its prior. Without one, the first step of a machine with lightly damped modes
+ran into the bounds, and the search ended at 1.3 times the noise's energy."""
 
 GOOD, FAIR, POOR = 0.7, 0.3, 0.1
 """Shares of the expected decrease of the cost above which the radius doubles and stays, and below which the step is not taken."""
