@@ -30,7 +30,8 @@ SMOOTHED, LINES_SMOOTHED = 0.03, 2
 """Half width of the mean over neighbouring lines, over frequency, and the least."""
 
 SLOWEST_Hz = 1.0
-"""Of a band: floors, pumps and fans shake faster, and what a slow motion lacks is slower (`shape_limits.SLOWEST_BASE_MOTION_Hz`)."""
+"""Of a band: vibrations of floors and of what stands beside are faster (ISO 2631-2 and the vibration criteria of instruments begin here),
+and what a slow motion lacks is slower."""
 
 LEAST_LINES = 70
 """Of a record: in a shorter one a band is a tenth of all there is, and no line."""

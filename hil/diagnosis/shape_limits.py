@@ -7,6 +7,7 @@ from math import inf
 import numpy as np
 
 from hil.diagnosis.motion import Motion
+from hil.diagnosis.own_lines import SLOWEST_Hz
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
 from virtual_bus.effects.places import joint_at, undriven_joint_at
 
@@ -24,10 +25,9 @@ friction of every law gives way a little before it slides, and one that sticks a
 fell with speed, differed with direction or grew with acceleration (sealed 984, 1029, 235, spent, bent by 0.4, 1.2 and 0.08 counts).
 Hidden bristles were fitted bending by 14 counts and more (development 13, sealed 763). A shorter bend tells no law of them."""
 
-SLOWEST_BASE_MOTION_Hz = 1.0
-"""Vibrations of floors and of what stands beside are faster: ISO 2631-2 and the vibration criteria of instruments begin at 1 Hz. A slower
-wave over time may be anything that changes with it: a gain that varied over 2.5 to 5.6 s was fitted as one of 0.18 to 0.40 Hz (sealed 1270,
-1877, 1915, spent). The slowest hidden one was fitted at 2.1 Hz (1224)."""
+SLOWEST_BASE_MOTION_Hz = SLOWEST_Hz
+"""A slower wave over time may be anything that changes with it: a gain that varied over 2.5 to 5.6 s was fitted as one of 0.18 to 0.40 Hz
+(sealed 1270, 1877, 1915, spent). The slowest hidden one was fitted at 2.1 Hz (1224)."""
 
 NO_LIMIT = (0.0, inf)
 

@@ -56,7 +56,7 @@ def test_what_training_does_not_show_is_where_held_out_recordings_want_it(with_f
 
 def test_what_both_motions_show_alike_stays(with_friction):
     before, after = moved(*with_friction)
-    assert after is before or strength(after) == pytest.approx(strength(before), rel=0.02)
+    assert strength(after) == pytest.approx(strength(before), rel=0.02)
 
 
 def test_what_training_knows_gives_way_only_as_far_as_it_costs_there(with_friction):
@@ -74,7 +74,8 @@ def test_a_motion_that_the_law_is_far_from_says_little_of_its_parameters(with_fr
     train, _ = with_friction
     other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.5 * COULOMB_N, duration_s=DURATION_s)
     before, near = moved(train, other, tempers=(1.0, 1e4))
-    assert near is before or strength(near) > 0.97 * strength(before)
+    assert strength(near) > 0.97 * strength(before)
     _, alike = moved(train, other, tempers=(1e2, 1e2))
     _, exact = moved(train, other)
+    assert strength(exact) < 0.95 * strength(before)  # 18.6 of 19.8 N: where both count alike it moves
     assert strength(alike) == pytest.approx(strength(exact), rel=0.02)  # a common factor tells nothing apart
