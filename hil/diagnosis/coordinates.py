@@ -58,6 +58,10 @@ OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHT * RANGE_AS_DEVIATION}
 
 PHASE_STEP = 0.02
 
+TURNED_BY = {"A1": "phi1", "A2": "phi2", "e1": "phi1", "e2": "phi2", "a": "phi", "A": "phi"}
+"""Phases of waves' amplitudes. An amplitude that goes through zero is the wave half a cycle on: held at zero, where its phase does nothing,
+a harmonic that began at the wrong one stayed there."""
+
 WEAKER = (0.3, 0.1, 0.03)
 """Shares of a start's strength that are tried where the start is worse than no effect."""
 
@@ -103,6 +107,12 @@ class Coordinates:
         each = zip(self._names, values, self._parameters, strict=True)
         within = [(name, np.clip(np.asarray(own, dtype=float), [p.low for p in ps], [p.high for p in ps])) for name, own, ps in each]
         return Point(offset, tuple(_within(name, own) for name, own in within))
+
+    def _phase_of(self, e: int, k: int) -> int | None:
+        """Which of an effect's parameters is the phase of this amplitude; None of what is none."""
+        names = [parameter.name for parameter in self._parameters[e]]
+        phase = TURNED_BY.get(names[k])
+        return names.index(phase) if phase in names else None
 
     def ranges(self) -> np.ndarray:
         """(F,) how far the bounds of the free parameters are apart."""
@@ -152,7 +162,8 @@ class Coordinates:
                 low.append(max(value / parameter.high - 1.0, -0.8 * min(radius, 1.0)))
                 high.append(up * radius)
             else:
-                low.append(max((parameter.low - value) / size, -down * min(radius, 1.0) if down < 1.0 else -down * radius))
+                lowest = parameter.low if self._phase_of(e, k) is None else -parameter.high
+                low.append(max((lowest - value) / size, -down * min(radius, 1.0) if down < 1.0 else -down * radius))
                 high.append(min((self._highest(e, k, at.values) - value) / size, up * radius))
         return np.array(low), np.array(high)
 
@@ -167,8 +178,13 @@ class Coordinates:
         """The point a step leads to."""
         offset, values = at.offset + step[: len(at.offset)], at.values
         for (e, k), size, change in zip(self.free, self._sizes(at), step[len(at.offset) :], strict=True):
-            parameter, value = self._parameters[e][k], at.values[e][k]
+            parameter, value = self._parameters[e][k], values[e][k]
             to = value / (1.0 + change) if _is_inverse(parameter, value) else value + change * size
+            phase = self._phase_of(e, k)
+            if phase is not None and to < 0.0:
+                to, values = -to, _with(values, e, phase, values[e][phase] + np.pi)
+            if _is_phase(parameter) and parameter.high - parameter.low >= 2.0 * np.pi:
+                to = (to + np.pi) % (2.0 * np.pi) - np.pi
             values = _with(values, e, k, float(np.clip(to, parameter.low, parameter.high)))
         return Point(offset, tuple(_within(name, own) for name, own in zip(self._names, values, strict=True)))
 

@@ -173,6 +173,18 @@ def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozenset[
     return [each[step] for step, own in added.items() if (own <= known) is numbers]
 
 
+@dataclass(frozen=True)
+class _Trained:
+    """What a gate has of the training recordings; see `Gate`."""
+
+    gain: float
+    beyond: float
+    needed: float
+    scatter: float
+    level: float  # of what the fit leaves, in units of the noise model's
+    by_chance: float
+
+
 class Judgement:
     """Asks the gate about sets.
 
@@ -269,7 +281,12 @@ class Judgement:
             )
         return found
 
-    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
+    def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
+        """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer."""
+        before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
+        return self._trained(before, fitted, tried).by_chance
+
+    def _trained(self, before: Stand, fitted: Fitted, tried: Tried) -> _Trained:
         entries = len(self._measured)
         added = [effect for effect in fitted.effects if effect not in before.effects]
         freedom = fitted.freedom - (0 if before.fitted is None else before.fitted.freedom)
@@ -289,6 +306,13 @@ class Judgement:
             else:
                 variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
         trials = tried.sets(added)
+        needed = needed_gain(trials, freedom, fitted.cost, entries)
+        return _Trained(gain, beyond, needed, scatter, level, trials * chance_of_gain(beyond, freedom, variance))
+
+    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
+        entries = len(self._measured)
+        trained = self._trained(before, fitted, tried)
+        gain, scatter, level = trained.gain, trained.scatter, trained.level
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = None
         predicted = seen = None
@@ -301,10 +325,10 @@ class Judgement:
             over_simulator = max(over_simulator, fall / of_simulator)
         return Gate(
             gain=gain,
-            needed=needed_gain(trials, freedom, fitted.cost, entries),
+            needed=trained.needed,
             scatter=scatter,
-            trained=trials * chance_of_gain(beyond, freedom, variance),
-            beyond=beyond,
+            trained=trained.by_chance,
+            beyond=trained.beyond,
             over_simulator=over_simulator,
             asked=asked,
             held_out_deviations=deviations,

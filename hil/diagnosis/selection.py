@@ -201,7 +201,10 @@ class _Search:
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
             return end
-        fits = _finished(runs, tuning, measured, fits, _worth_finishing(fits, stand.cost, len(residual)))
+        unfinished = _worth_finishing(fits, stand.cost, len(residual))
+        fits = _finished(runs, tuning, measured, fits, unfinished)
+        rarer = rarer_by_chance(fits, unfinished, [judgement.by_chance(stand, fit, tried) for fit in fits])
+        fits = [*(fit for fit in fits if fit not in rarer), *polish(runs, tuning, measured, rarer)]
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
@@ -290,6 +293,15 @@ def _finished(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequen
             (fit,) = polish(runs, tuning, measured, [fit], 1)
         done.append(fit)
     return [*done, *fits[len(done) :]]
+
+
+def rarer_by_chance(fits: Sequence[Fitted], finished: int, by_chance: Sequence[float]) -> list[Fitted]:
+    """Unfinished fits that chance gains less often than any finished one, the rarest first: a wave in all its shapes gains by chance what
+    a law of one or two numbers does not.
+    """
+    least = min(by_chance[:finished])
+    rarer = sorted((k for k in range(finished, len(fits)) if by_chance[k] < least), key=lambda k: by_chance[k])
+    return [fits[k] for k in rarer[:POLISHED]]
 
 
 def _pairs_worth_a_fit(

@@ -288,6 +288,27 @@ def test_a_law_is_not_left_at_half_its_order_nor_without_its_second_harmonic(sta
     assert a2 == pytest.approx(0.02, rel=0.3)
 
 
+@pytest.mark.parametrize(("second", "phase"), [(0.02, 2.0 - np.pi), (0.0, -0.8)])
+def test_an_amplitude_goes_through_zero_to_the_wave_half_a_cycle_on(second, phase):
+    recordings = pieces(8, Np=72.0, A1=0.1, phi1=0.4, A2=0.02, phi2=2.0)
+    with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
+        start = (EffectAt("cogging", "rotor"),), (np.array([72.0, 0.1, 0.4, second, phase]),)
+        (fit,) = refit(runs, retune(runs), runs.measured(), [start])
+    _, a1, _, a2, phi2 = fit.values[0]
+    assert (a1, a2) == pytest.approx((0.1, 0.02), rel=0.1)
+    assert np.cos(phi2 - 2.0) > 0.99
+
+
+@pytest.mark.parametrize(("before", "turn", "after"), [(3.1, 0.5, 3.6 - 2.0 * np.pi), (-3.1, -0.5, 2.0 * np.pi - 3.6)])
+def test_a_phase_turns_without_an_end(before, turn, after):
+    own, start = EffectAt("base_motion", "rotor"), np.array([0.1, 2.0, before])
+    fitting = Coordinates(SimpleNamespace(offset=np.zeros(0), at=lambda offset: offset), (own,), (start,), Visited(1.0))
+    at = fitting.moved(fitting.point(np.zeros(0), (start,)), np.array([0.0, 0.0, turn]))
+    assert at.values[0][2] == pytest.approx(after)
+    low, high = fitting.reach(at, 1.0)
+    assert (low[2], high[2]) == pytest.approx((-1.0, 1.0))
+
+
 def test_a_cogging_is_found_at_the_order_of_what_stands_for_it():
     """A friction over position that was found at its order; its own starts were at orders that are none."""
     recordings = pieces(8, Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)

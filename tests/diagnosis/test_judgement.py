@@ -266,3 +266,12 @@ def test_a_machine_that_diverges_on_the_held_out_motion_confirms_nothing():
     (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
     assert found.gate.followed == 1.0
     assert not found.gate.passed
+
+
+@pytest.mark.parametrize("effects", [(LOAD,), (COULOMB, LOAD)])
+def test_what_chance_does_is_known_before_the_held_out_recordings_are_asked(effects):
+    judgement, fitted = bench()
+    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})
+    stand = judgement.after(first)
+    (found,) = judgement.contenders(stand, [fitted(*effects)], tried(), 0.0, {})
+    assert judgement.by_chance(stand, fitted(*effects), tried()) == found.gate.trained

@@ -50,6 +50,7 @@ def selected(
     damps: float = 0.0,
     candidates_of=candidates_beside,
     what_acts=lambda runs, tuning, measured, fits, stand, may_stand: fits,
+    polished=lambda runs, tuning, measured, fits, *_: list(fits),
 ) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
@@ -84,7 +85,7 @@ def selected(
 
     monkeypatch.setattr(selection, "screen", screened)
     monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
-    monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits, *_: list(fits))
+    monkeypatch.setattr(selection, "polish", polished)
     monkeypatch.setattr(selection, "with_what_acts", what_acts)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
@@ -207,3 +208,20 @@ def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(m
     found = selected(monkeypatch, SWINGS, candidates_of=beside_something)
     assert asked == [(FRICTION,)]
     assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]
+
+
+@pytest.mark.parametrize(("shapes", "is_finished"), [(1e9, True), (1.0, False)])
+def test_what_chance_does_less_often_is_finished_though_others_gain_more(monkeypatch, shapes, is_finished):
+    """Searched in so many shapes, a friction and a mode gain 900 by chance more often than a load gains 400 that was not searched for."""
+    finished: list[set[EffectAt]] = []
+
+    def polished(runs, tuning, measured, fits, *_):
+        finished.extend(set(fit.effects) for fit in fits)
+        return list(fits)
+
+    searched = [Candidate(FRICTION, (), shapes), Candidate(MODE, (), shapes), Candidate(LOAD, ())]
+    monkeypatch.setattr(selection, "POLISHED", 1)
+    monkeypatch.setattr(selection, "closer_than", lambda *_: None)
+    selected(monkeypatch, SWINGS, pulls=20.0, candidates_of=lambda chosen: searched if chosen is None else [], polished=polished)
+    assert ({LOAD} in finished) is is_finished
+    assert {FRICTION} in finished
