@@ -1,11 +1,12 @@
 """By what the equations of effects that were found may err: other functions of what they depend on, where they act.
 
 A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
-deflection; a wave over position as its other harmonics, and as one that changes slowly along the way. A few such functions, added to the
-joint's equation and sent through the linear closed loop (`through_the_loop.py`), span what errors do to recordings. In units of
-their standard deviations beforehand the residual has the covariance 1 + B'B for responses B, and further effects are judged by that: what
-lies outside of B counts in full, what lies within only beyond what the law that was found may err by (a Gaussian process as model
-discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
+deflection; a wave over position as its other harmonics, and as one that changes slowly along the way; an inertia between two axes as other
+functions of their positions. A few such functions, added to the joints' equations and sent through the linear closed loop
+(`through_the_loop.py`), span what errors do to recordings. In units of their standard deviations beforehand the residual has the covariance
+1 + B'B for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within only beyond what
+the law that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few
+functions).
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
 from hil.diagnosis.through_the_loop import ThroughTheLoop
-from virtual_bus.effects.effect import ELASTIC, FRICTION, SIGN, TRANSMISSION
-from virtual_bus.effects.places import joint_at, spring_at
+from virtual_bus.effects.effect import COUPLING, ELASTIC, FRICTION, SIGN, TRANSMISSION
+from virtual_bus.effects.places import joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual, joined
 from virtual_bus.settings import PlantSettings
@@ -51,6 +52,9 @@ KNOTS, SLOW_KNOTS = 9, 4
 
 HARMONICS = (1, 2, 3, 4, 5)
 
+TURNS_OF_INERTIA = (1, 2, 3)
+"""Of an inertia per turn of an axis, beside a constant one: that of rigid bodies has no more than two."""
+
 NUMBER_ERRS = 1e-4
 """Share of its effort's mean square by which a number of the machine file may err as another law of what it depends on, 1 % of its size:
 beside a viscous friction, another friction of that size says nothing."""
@@ -60,6 +64,10 @@ RIDGE = 1e-6
 
 SPANNED = 0.2
 """Of an effect's own response, that its functions span at least: else they are not what it depends on."""
+
+
+Function = tuple[tuple[int, np.ndarray], ...]
+"""By what an equation may err: joints' numbers and the efforts (N,) on them, all of one size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +136,14 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
         if whole is None or without is None:
             continue
-        efforts = _joint_efforts(runs, name, tuning, effect, values)
-        responses = ThroughTheLoop.of(runs, name, tuning).responses(efforts)
+        efforts = _joint_efforts(runs, name, tuning, fitted, number)
+        responses = _responses(ThroughTheLoop.of(runs, name, tuning), efforts)
         seen = np.flatnonzero(np.sum(responses**2, axis=1) > 0.0)
         efforts, responses = [[group[k] for k in seen] for group in efforts], responses[seen]
         own = _squared_effort(efforts, responses, whole - without)
         if own > 0.0:
             share = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
-            each = sum(float(np.sum(effort**2)) for group in efforts for _, effort in group)
+            each = sum(float(np.sum(effort**2)) for group in efforts for function in group for _, effort in function)
             rows.append(responses * np.sqrt(share * own / each))
             known.append(effect)
     if not known:
@@ -143,7 +151,13 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
     return FormError(np.concatenate(rows) if rows else NO_ERROR.responses, tuple(known))
 
 
-def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], responses: np.ndarray, own: np.ndarray) -> float:
+def _responses(loop: ThroughTheLoop, efforts: Sequence[Sequence[Function]]) -> np.ndarray:
+    """(K, M) whitened."""
+    firsts = np.cumsum([0, *(len(function) for function in efforts[0])])[:-1]
+    return np.add.reduceat(loop.responses([[own for function in group for own in function] for group in efforts]), firsts)
+
+
+def _squared_effort(efforts: Sequence[Sequence[Function]], responses: np.ndarray, own: np.ndarray) -> float:
     """Of the effort whose response (M,) is an effect's own, as far as these functions' responses (K, M) span it, summed over the rows."""
     energy = float(own @ own)
     if energy == 0.0 or not len(responses):
@@ -154,19 +168,21 @@ def _squared_effort(efforts: Sequence[Sequence[tuple[int, np.ndarray]]], respons
     spanned = float(weights @ (responses @ own)) / energy
     if spanned < SPANNED:
         return 0.0
-    joints = {joint for joint, _ in efforts[0]}
-    total = sum(
-        float(np.sum(sum(weight * effort for weight, (at, effort) in zip(weights, group, strict=True) if at == joint) ** 2))
-        for group in efforts
-        for joint in joints
-    )
+    joints = {joint for function in efforts[0] for joint, _ in function}
+    total = sum(float(np.sum(_mixed(group, weights, joint) ** 2)) for group in efforts for joint in joints)
     return total / spanned
+
+
+def _mixed(functions: Sequence[Function], weights: np.ndarray, joint: int) -> np.ndarray:
+    """(N,) effort on a joint."""
+    each = zip(weights, functions, strict=True)
+    return np.sum([weight * effort for weight, function in each for at, effort in function if at == joint], axis=0)
 
 
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
     name = effect.effect
-    return _is_friction(name) or effects()[name].kind is ELASTIC or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION)
+    return _is_friction(name) or effects()[name].kind in (ELASTIC, COUPLING) or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION)
 
 
 def _acts_where_it_is_seen(effect: EffectAt, plant: PlantSettings) -> bool:
@@ -179,14 +195,17 @@ def _is_friction(name: str) -> bool:
     return effects()[name].kind is FRICTION or name in ALSO_FRICTIONS
 
 
-def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, effect: EffectAt, values: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
-    """Per group, every error function as a joint's number and its effort (N,) there."""
+def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, number: int) -> list[list[Function]]:
+    """Per group, every error function of the effect of this number."""
+    effect, values = fitted.effects[number], fitted.values[number]
     found, machine = runs.sets[name], runs.machine
     motions = [Motion(machine, tuning.values, group, found.channels) for group in found.groups]
     parts = [motion.residual(effect.at) for motion in motions]
     joints = [joint.name for joint in machine.plant.tree.joints]
     driven = joints.index(machine.plant.drives[motions[0].axis_of(effect.at)].joint)
     kind = effects()[effect.effect].kind
+    if kind is COUPLING:
+        return _inertias_between_axes(runs, name, Trial(tuning.values, fitted.settings), effect, motions)
     spring = spring_at(effect.at, machine.plant) if kind in (ELASTIC, TRANSMISSION) else None
     places = [driven] if spring is None else [joints.index(spring)]
     if kind is TRANSMISSION:
@@ -195,7 +214,55 @@ def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, effect: EffectAt, 
         parts = [replace(part, other_position=motion.deflection(own)) for part, motion in zip(parts, motions, strict=True)]
     functions = _functions(effect, values, joined(parts), np.concatenate([since_reversal(part) for part in parts]))
     ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
-    return [[(joint, function[a:b]) for function in functions for joint in places] for a, b in pairwise(ends)]
+    return [[((joint, function[a:b]),) for function in functions for joint in places] for a, b in pairwise(ends)]
+
+
+def _inertias_between_axes(runs: FreeRuns, name: str, trial: Trial, effect: EffectAt, motions: Sequence[Motion]) -> list[list[Function]]:
+    """Per group, inertias that turn with the position of either axis.
+
+    Accelerations are the simulation's: a recording's are smoothed, and axes are coupled most where they shake each other.
+    """
+    settings, simulated = runs.machine.plant, runs.rows(trial, name)
+    joints = [joint.name for joint in settings.tree.joints]
+    axes = effect.at, next_axis(effect.at, settings)
+    pair = [joints.index(joint_at(axis, settings)) for axis in axes]
+    found: list[list[Function]] = []
+    for motion, rows in zip(motions, simulated or (None,) * len(motions), strict=True):
+        part = motion.residual(effect.at, coupled=True)
+        own, other = (_acceleration(motion, rows, axis) for axis in axes)
+        part = replace(part, acceleration=own, other_acceleration=other)
+        found.append([((pair[0], first), (pair[1], second)) for first, second in _between_axes(effect.effect, part)])
+    return found
+
+
+def _acceleration(motion: Motion, simulated: np.ndarray | None, axis: str) -> np.ndarray:
+    """(N,) of an axis in the simulation; the recording's where no encoder is simulated."""
+    names = [name for name in (f"position_{axis}", f"link_position_{axis}") if name in motion.channels]
+    if simulated is None or not names:
+        return motion.acceleration[:, motion.machine.axis_index(axis)]
+    rate_Hz = motion.machine.sample_rate_Hz
+    return np.gradient(np.gradient(simulated[:, motion.channels.index(names[0])])) * rate_Hz**2
+
+
+def _between_axes(name: str, motion: Residual) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Efforts on both axes of inertias J that turn with one of their positions q1 and q2: of the first axis, with the kinetic energy
+    J q1'^2 / 2, or between both, with J q1' q2'.
+    """
+    waves = [(turns, phase) for turns in TURNS_OF_INERTIA for phase in (0.0, 0.5 * np.pi)]
+    constant_or_by_second = [(motion.other_position, motion.other_speed, *wave) for wave in ((0, 0.0), *waves)]
+    by_first = [(motion.position, motion.speed, *wave) for wave in waves]
+    found = []
+    for position, speed, turns, phase in (*constant_or_by_second, *by_first):
+        inertia, slope = np.cos(turns * position - phase), -turns * np.sin(turns * position - phase)
+        first_slope, second_slope = (slope, 0.0) if position is motion.position else (0.0, slope)
+        if name == "pose_dependent_dynamics":
+            first = -inertia * motion.acceleration - slope * speed * motion.speed + 0.5 * first_slope * motion.speed**2
+            second = 0.5 * second_slope * motion.speed**2
+        else:
+            first = -inertia * motion.other_acceleration - second_slope * motion.other_speed**2
+            second = -inertia * motion.acceleration - first_slope * motion.speed**2
+        found.append((first, second))
+    return found
 
 
 def _functions(effect: EffectAt, values: np.ndarray, motion: Residual, since_reversal: np.ndarray) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, weaker
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.information import information_of, simpler_forms
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import PRIOR, Tuning, sensitivities_from, sensitivity_trials
+from hil.diagnosis.retune import PRIOR, Tuning, bounded_step, sensitivities_from, sensitivity_trials
 from hil.diagnosis.tuned_sensitivities import TunedSensitivities
 from hil.diagnosis.visited import Visited
 from virtual_bus.settings import EffectSetting
@@ -55,6 +55,10 @@ fewer, a fit that is never left and takes them at once costs seconds and ends lo
 
 UNFAIR = 2
 """Tries in a row that bring less than their sensitivities said before these are taken anew: one is mended by what it showed itself."""
+
+FOLLOWED_AT_MOST = 4
+"""Steps of the tuned numbers beside a start. Numbers that are nearly degenerate go along a bent valley: the first step leads out of it by
+far more than was to be won, and those after it back to its floor."""
 
 LOST_AFTER = 3
 """Steps after which a fit may be found to be behind for good."""
@@ -227,14 +231,7 @@ def _fit(
     fitting = Coordinates(tuning, names, values, visited)
     base = _cost(measured, tuning.predicted, tuning.offset) if offset is None else np.inf
     at = fitting.point(tuning.offset.copy() if offset is None else offset, values)
-    starts = [at, *(Point(at.offset, weaker(names[-1], at.values, share)) for share in WEAKER)]
-    found: tuple[float, Point, np.ndarray] | None = None
-    for start in starts:
-        (answer,) = yield [fitting.trial(start)]
-        if answer is not None and (found is None or _cost(measured, answer, start.offset) < found[0]):
-            found = _cost(measured, answer, start.offset), start, answer
-        if found is not None and found[0] <= base:
-            break
+    found = yield from _begun(fitting, tuning, tuned, measured, names[-1], at, base)
     if found is None:
         return None
     cost, at, predicted = found
@@ -293,6 +290,34 @@ def _fit(
     information = information_of(hessian, len(at.offset), described)
     simpler = simpler_forms(hessian, len(at.offset), described)
     return Fitted(names, at.values, at.offset, predicted, cost, fitting.free, jacobian * fitting.slopes(at), information, simpler)
+
+
+def _begun(
+    fitting: Coordinates, tuning: Tuning, tuned: TunedSensitivities, measured: np.ndarray, last: EffectAt, at: Point, base: float
+) -> Generator[list[Trial], Answers, tuple[float, Point, np.ndarray] | None]:
+    """Where a fit begins, with its cost and prediction: at its start; if that is worse than no effect, with the tuned numbers where the
+    filter had them beside it, which found this start with the numbers following; else with the last effect weaker. None where nothing can
+    be simulated.
+    """
+    found: tuple[float, Point, np.ndarray] | None = None
+    weaker_ones = iter([Point(at.offset, weaker(last, at.values, share)) for share in WEAKER])
+    start: Point | None = at
+    followed = 0
+    while start is not None and (found is None or found[0] > base):
+        (answer,) = yield [fitting.trial(start)]
+        following = None
+        if answer is not None:
+            cost = _cost(measured, answer, start.offset)
+            if found is None or cost < found[0]:
+                found = cost, start, answer
+            if start.values is at.values and followed < FOLLOWED_AT_MOST:
+                gradient = tuned.across(measured - answer) - start.offset
+                hessian = tuned.square + np.eye(len(tuned.square))
+                step = bounded_step(tuning, hessian, gradient, start.offset)
+                if followed or cost - float(2.0 * step @ gradient - step @ hessian @ step) < base:
+                    following, followed = Point(start.offset + step, at.values), followed + 1
+        start = next(weaker_ones, None) if following is None else following
+    return found
 
 
 def _taken_anew(

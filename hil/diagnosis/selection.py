@@ -27,6 +27,7 @@ from hil.diagnosis.screening import Screened, screen, shortlist
 from hil.diagnosis.ways import (
     Way,
     another_first,
+    closer_parts,
     competes,
     continued,
     from_another,
@@ -237,7 +238,15 @@ class _Search:
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, limits)
-        needed = [one for one in judged if has_no_surplus(one.fitted, stand, way.smaller, tried, len(residual))]
+
+        def is_there_beside(one: Contender, part: Contender) -> bool:
+            return judgement.contenders(judgement.after(part), [one.fitted], tried, placebo, limits)[0].passed
+
+        def without_surplus(sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
+            needed = [one for one in sets if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
+            return [one for one in needed if not one.passed or all(is_there_beside(one, part) for part in closer_parts(one, way))]
+
+        needed = without_surplus(judged, way.smaller)
         smaller = (*way.smaller, *fits)
         passed = [one for one in needed if one.passed]
         if size == 0 and not passed and behind and not way.is_wider and any(one.gate.training_shows_something for one in judged):
@@ -261,7 +270,7 @@ class _Search:
             also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
             also = polish(runs, tuning, measured, also)
             more = judgement.contenders(stand, also, tried, placebo, limits, len(fits))
-            more = [one for one in more if has_no_surplus(one.fitted, stand, (*smaller, *also), tried, len(residual))]
+            more = without_surplus(more, (*smaller, *also))
             rivals += [one for one in more if one.passed]
             end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *also))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))

@@ -91,6 +91,14 @@ def another_first(
     return None
 
 
+def closer_parts(one: Contender, way: Way) -> list[Contender]:
+    """Parts of a set that passed the gate and leave less than the stand that it was added to: beside each of these it must be there for
+    certain as well, or its other effects are an error of that part's equation.
+    """
+    own, stand = set(one.fitted.effects), way.stand
+    return [part for part in way.contenders if set(part.fitted.effects) < own and part.passed and part.fitted.cost < stand.cost]
+
+
 def each_once(contenders: Sequence[Contender]) -> list[Contender]:
     """Of sets that were fitted twice the closer one; without those that are part of another, or gain too little to compete."""
     closest: dict[frozenset[EffectAt], Contender] = {}

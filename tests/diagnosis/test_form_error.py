@@ -87,20 +87,20 @@ def rider():
     yield from driven(machine, Channel("N", 5.0 * np.sin(2.0 * np.pi * 2.0 * time_s) + 5.0 * np.sin(2.0 * np.pi * 4.5 * time_s)), 1e-4)
 
 
-def fitted(runs, tuning, *found: tuple[str, list[float]]) -> Fitted:
-    """These effects at the machine's one joint, as a fit would have left them."""
-    at = runs.machine.axes[0]
+def fitted(runs, tuning, *found: tuple[str, list[float]], axis: int = 0) -> Fitted:
+    """These effects at one axis, as a fit would have left them."""
+    at = runs.machine.axes[axis]
     effects, values = [EffectAt(name, at) for name, _ in found], [np.array(own) for _, own in found]
     settings = tuple(setting_of(effect, own) for effect, own in zip(effects, values, strict=True))
     predicted = runs.run_one(Trial(tuning.values, settings))
     return Fitted(tuple(effects), tuple(values), tuning.offset, predicted, 0.0, (), np.zeros((len(predicted), 0)), np.zeros(0))
 
 
-def within(carriage, found: tuple[str, list[float]], other: tuple[str, list[float]]) -> tuple[FormError, np.ndarray, float]:
+def within(carriage, found: tuple[str, list[float]], other: tuple[str, list[float]], axis: int = 0) -> tuple[FormError, np.ndarray, float]:
     """Errors of an effect, another one's change of the free run, and the share of its energy that the errors span."""
     runs, tuning = carriage
     errors = form_error(runs, TRAIN, tuning, fitted(runs, tuning, found))
-    answer = fitted(runs, tuning, other).predicted - tuning.predicted
+    answer = fitted(runs, tuning, other, axis=axis).predicted - tuning.predicted
     left = answer - np.linalg.lstsq(errors.responses.T, answer, rcond=1e-8)[0] @ errors.responses
     return errors, answer, 1.0 - float(left @ left) / float(answer @ answer)
 
@@ -171,3 +171,49 @@ def test_a_spring_behind_a_joint_deflects_as_a_shaken_oscillator_does(shaken_Hz)
     rider = [joint.name for joint in machine.plant.tree.joints].index("rider_spring")
     later = slice(1400, None)  # it begins at full speed: what that sets ringing falls to a 190th by then
     assert motion.deflection(rider)[later] == pytest.approx(wanted[later], abs=0.01 * np.ptp(wanted))
+
+
+PAN_TILT = load_machine(SPRING_MASS.with_name("pan_tilt.toml"))
+
+
+@pytest.fixture(scope="module")
+def head():
+    """Pan and tilt under their controllers, each on a way of its own."""
+    time_s = np.arange(1200) / PAN_TILT.sample_rate_Hz
+    ways = {"pan": 0.5 * np.sin(2.0 * np.pi * 0.7 * time_s), "tilt": 0.6 * np.sin(2.0 * np.pi * 0.45 * time_s + 1.0)}
+    begin = np.minimum(time_s, 1.0) ** 2
+    inputs = {f"reference_{axis}": Channel("rad", begin * way) for axis, way in ways.items()}
+    inputs |= {f"excitation_{axis}": Channel("A", np.zeros(len(time_s))) for axis in ways}
+    channels = {"time": Channel("s", time_s), **inputs}
+    answer = simulate(PAN_TILT, Recording(channels, recording_metadata(PAN_TILT))).channels
+    random = np.random.default_rng(5)
+
+    def repeat() -> Recording:
+        measured = {name: own for name, own in answer.items() if name not in channels and not name.startswith("command_")}
+        noise = {name: 1e-2 if name.startswith(("imu", "current")) else 1e-3 if name.startswith("gyro") else 1e-5 for name in measured}
+        noisy = {n: Channel(own.unit, own.values + noise[n] * random.standard_normal(len(time_s))) for n, own in measured.items()}
+        return Recording(channels | noisy, recording_metadata(PAN_TILT))
+
+    found = mismatch(PAN_TILT, aligned(PAN_TILT, {f"repeat {k}": repeat() for k in range(3)}))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
+@pytest.mark.parametrize(
+    ("name", "inertia"), [("pose_dependent_dynamics", 0.2), ("axis_coupling", 0.02)], ids=["of the first axis", "between both"]
+)
+def test_an_inertia_between_two_axes_errs_as_another_function_of_their_positions(head, name, inertia):
+    for phase in (0.3, 1.8):
+        assert within(head, (name, [inertia, 0.3]), (name, [inertia, phase]))[2] > 0.95
+
+
+def test_which_axis_s_position_an_inertia_between_both_depends_on_is_an_error_of_it(head):
+    assert within(head, ("axis_coupling", [0.02, 0.3]), ("axis_coupling", [0.02, 0.3]), axis=1)[2] > 0.95
+
+
+@pytest.mark.parametrize("found", [("pose_dependent_dynamics", [0.2, 0.3]), ("axis_coupling", [0.02, 0.3])], ids=lambda found: found[0])
+def test_a_load_or_a_friction_is_no_error_of_an_inertia_between_two_axes(head, found):
+    for other in (("constant_load", [0.1]), ("coulomb_friction", [0.1])):
+        errors, answer, share = within(head, found, other)
+        assert len(errors.responses) and share < 0.1
+        assert errors.gain(answer, answer) > 0.9 * float(answer @ answer)

@@ -127,6 +127,21 @@ def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeyp
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
 
 
+def test_what_is_not_there_beside_a_closer_part_of_its_set_is_not_found(monkeypatch):
+    """The part is made as close as the set."""
+    both = {FRICTION, LOAD}
+
+    def as_close(one, way):
+        part = replace(one.fitted, effects=one.fitted.effects[:1], values=one.fitted.values[:1], free=((0, 0),))
+        return [replace(one, fitted=part, gates=one.gates[:1])] if set(one.fitted.effects) == both else []
+
+    assert set(selected(monkeypatch, SWINGS).chosen.effects) == both
+    monkeypatch.setattr(selection, "closer_parts", as_close)
+    found = selected(monkeypatch, SWINGS)
+    assert set(found.chosen.effects) != both
+    assert both not in [set(one.fitted.effects) for one in found.contenders]
+
+
 def test_a_search_goes_on_from_another_first_effect_that_does_something_else(monkeypatch):
     monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
     monkeypatch.setattr(selection, "exchanged", lambda *_: [])

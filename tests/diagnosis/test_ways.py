@@ -11,7 +11,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.judgement import Tried
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.ways import Way, another_first, competes, continued, each_once, joined
+from hil.diagnosis.ways import Way, another_first, closer_parts, competes, continued, each_once, joined
 from hil.diagnosis.weighing import closer_than
 
 ENTRIES = 100
@@ -55,6 +55,15 @@ def test_a_search_that_found_nothing_further_or_the_rival_itself_is_not_taken_up
     assert another(rival, found=(RUBBING, COGGING)) is None
     pair = (RUBBING, DELAY)  # found together at the first step, and nothing beside
     assert another(rival, found=pair, first=pair) is None
+
+
+def test_what_a_set_must_be_there_beside_is_every_part_of_it_that_passed_and_is_closer_than_what_it_was_added_to():
+    pair = contender(16_500.0, RUBBING, DELAY)
+    closer, farther = contender(16_400.0, DELAY), contender(15_900.0, DELAY)
+    refused, other = contender(16_400.0, DELAY, passed=False), contender(16_400.0, COGGING)
+    stand = contender(16_000.0, RUBBING)
+    way = Way(SimpleNamespace(cost=stand.fitted.cost), contenders=(stand, closer, farther, refused, other, pair))
+    assert closer_parts(pair, way) == [closer]
 
 
 def test_of_two_ways_the_likelier_stands_and_all_sets_compete_once():

@@ -1,0 +1,51 @@
+"""A fit begins where a matched filter found its start: with the machine's numbers following."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from carriage import MACHINE, repeats
+
+from hil.diagnosis.align import aligned
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.refit import refit
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import retune
+
+FRICTION = EffectAt("coulomb_friction", "carriage")
+HIDDEN_N = 2.0  # part of it was taken for damping
+MORE_N = 3.4
+FAR_TOO_MUCH_N = 100.0
+
+
+def tried(strength: float, monkeypatch):
+    """Strengths, dampings and costs of a fit's runs, the first of which has so much, and the damping and cost of no effect."""
+    found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0, coulomb_N=HIDDEN_N)))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning, asked, begin = retune(runs), [], runs.begin
+        measured, damping = runs.measured(), [p.quantity for p in tuning.parameters].index("damping")
+
+        def noted(trials, name=TRAIN):
+            (answer, *others) = begin(trials, name)()
+            asked.append((trials[0].effects[0].parameters["Fc"], trials[0].values[damping], float(np.sum((measured - answer) ** 2))))
+            return lambda: [answer, *others]
+
+        monkeypatch.setattr(runs, "begin", noted)
+        refit(runs, tuning, measured, [((FRICTION,), (np.array([strength]),))])
+    return asked, tuning.values[damping], float(np.sum((measured - tuning.predicted) ** 2))
+
+
+def test_what_was_taken_for_damping_begins_as_strong_as_the_filter_has_it_with_less_damping(monkeypatch):
+    ((first, own, worse), (second, less, cost), *_), damping, base = tried(MORE_N, monkeypatch)
+    assert (first, own) == (MORE_N, damping)
+    assert worse > base
+    assert second == MORE_N
+    assert less < damping
+    assert cost < base
+
+
+def test_what_no_number_makes_up_for_is_tried_weaker(monkeypatch):
+    asked, _, base = tried(FAR_TOO_MUCH_N, monkeypatch)
+    assert [strength for strength, _, _ in asked[:2]] == [FAR_TOO_MUCH_N, pytest.approx(0.3 * FAR_TOO_MUCH_N)]
+    assert asked[0][2] > base
