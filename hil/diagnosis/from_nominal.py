@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.free_run import FreeRuns, Trial
-from hil.diagnosis.refit import MANY, NEAR, NEARLY, POLISHED_GAIN, Fitted, polish
+from hil.diagnosis.refit import NEAR, NEARLY, POLISHED_GAIN, Fitted, are_costly, polish
 from hil.diagnosis.retune import Tuning, descend, linearised
 
 
@@ -25,7 +25,7 @@ def with_numbers_from_nominal(runs: FreeRuns, tuning: Tuning, measured: np.ndarr
     known of the proof's four small machines only.
     """
     best, *others = sorted(fits, key=lambda fit: fit.cost)
-    if len(tuning.offset) <= MANY or best.cost <= NEAR * len(measured):
+    if not are_costly(tuning) or best.cost <= NEAR * len(measured):
         return list(fits)
     nominal = np.zeros_like(tuning.offset)
     predicted = runs.run_one(Trial(tuning.at(nominal), best.settings))

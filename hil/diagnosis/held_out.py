@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.own_lines import own_lines
-from hil.diagnosis.refit import MANY, WORTH_LINEARISING, Fitted
+from hil.diagnosis.refit import WORTH_LINEARISING, Fitted, are_costly
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, quick_sensitivities
 from virtual_bus.settings import EffectSetting
 
@@ -32,17 +32,17 @@ SETTLED = 0.3
 """Expected decrease of the misfit, in units of noise, below which the numbers are where the recordings want them."""
 
 FAIR = 0.3
-"""Share of the expected decrease below which sensitivities are taken anew. On machines of MANY numbers, where less than WORTH_LINEARISING
-is expected, only if they are not the run's own (`_hold`): a set may end so much above its least, and by which of them it ends depends on
-the sets followed before. Asked again with its own, the likeliest set of development case 7 (C-arm) had 3.0 left and came down by 3.0, the
-next (share 0.005) 1.9 and 1.4: 1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
+"""Share of the expected decrease below which sensitivities are taken anew. Where these are costly (`are_costly`) and less than
+WORTH_LINEARISING is expected, only if they are not the run's own (`_hold`): a set may end so much above its least, and by which of them it
+ends depends on the sets followed before. Asked again with its own, the likeliest set of development case 7 (C-arm) had 3.0 left and came
+down by 3.0, the next (share 0.005) 1.9 and 1.4: 1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
 
 LINEARISED_AGAIN = 5
 """Times at most for a set of effects, which begins with sensitivities of another run."""
 
 KEPT = 2
-"""Sensitivities kept of the sets followed last, on machines of MANY numbers, where they are most of what following costs: sets that compete
-are often alike. 67 MB each for a minute of the C-arm."""
+"""Sensitivities kept of the sets followed last, where they are costly, and so most of what following costs: sets that compete are often
+alike. 67 MB each for a minute of the C-arm."""
 
 ALIKE = 0.01
 """Energy, per entry in units of noise, up to which a run that differs from the one whose sensitivities were taken has them too. Numbers
@@ -119,7 +119,7 @@ class HeldOut:
         self._weights = tuning.jacobian.T @ tuning.jacobian / OPEN + np.eye(len(tuning.offset))
         self._moved = np.zeros(len(tuning.offset))  # of the machine without effects
         self._without_effects: _Sensitivities | None = None
-        self._is_large = len(tuning.offset) > MANY
+        self._is_large = are_costly(tuning)
         self._worth = WORTH_LINEARISING if self._is_large else SETTLED
         self._beside_effects: deque[_Sensitivities] = deque(maxlen=KEPT if self._is_large else 0)
         self._followed: dict[tuple[bytes, tuple[object, ...]], Followed | None] = {}

@@ -17,6 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.fft
 
 from hil.diagnosis.carried import CarriedImu
 from hil.diagnosis.result import NoiseKind
@@ -107,30 +108,35 @@ class NoiseModel:
         lines : (K, C) complex array
             Of mean square 1 for one repeat's noise; entry c stands mostly for channel c.
         """
+        return self._whitened_lines(values, imu, len(values) - FILTER_ORDER)
+
+    def _whitened_lines(self, values: np.ndarray, imu: CarriedImu | None, length: int) -> tuple[np.ndarray, np.ndarray]:
         if imu is not None and self.kind != "assumed":
             values = imu.without(values)
-        frequencies, lines = lines_of(self.filters, values, self.rate_Hz, self.end_s)
-        return frequencies, (_roots_of(self, len(values)) @ lines[:, :, None])[:, :, 0]
+        frequencies, lines = lines_of(self.filters, values, self.rate_Hz, self.end_s, length)
+        return frequencies, (_roots_of(self, length) @ lines[:, :, None])[:, :, 0]
 
     def whiten(self, values: np.ndarray, imu: CarriedImu | None = None) -> np.ndarray:
         """(M,) numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`.
 
         They are rows of C, in time, without those in which the record fades.
         """
-        _, lines = self.spectrum(values, imu)
         count = len(values) - FILTER_ORDER
+        length = _quick_length(count)
+        _, lines = self._whitened_lines(values, imu, length)
         fade, end = fading(count, self.end_s * self.rate_Hz)
-        rows = np.fft.irfft(lines, count, axis=0) * (np.sqrt(count) / fade.max())
+        rows = np.fft.irfft(lines, length, axis=0) * (np.sqrt(count) / fade.max())
         return rows[end : count - end].ravel()
 
     def taken_back(self, whitened: np.ndarray, rows: int, imu: CarriedImu | None = None) -> np.ndarray:
         """(rows, C), the adjoint of `whiten`: its product with values is that of their whitened numbers with `whitened` (M,)."""
         count = rows - FILTER_ORDER
         fade, end = fading(count, self.end_s * self.rate_Hz)
-        whole = np.zeros((count, len(self.std)))
+        length = _quick_length(count)
+        whole = np.zeros((length, len(self.std)))
         whole[end : count - end] = whitened.reshape(-1, len(self.std)) / fade.max()
-        lines = np.conj(np.swapaxes(_roots_of(self, rows), 1, 2)) @ np.fft.rfft(whole, axis=0)[:, :, None]
-        values = filtered_back(self.filters, np.fft.irfft(lines[:, :, 0], count, axis=0) * fade[:, None])
+        lines = np.conj(np.swapaxes(_roots_of(self, length), 1, 2)) @ np.fft.rfft(whole, axis=0)[:, :, None]
+        values = filtered_back(self.filters, np.fft.irfft(lines[:, :, 0], length, axis=0)[:count] * fade[:, None])
         return values if imu is None or self.kind == "assumed" else imu.without_taken_back(values)
 
     def size(self, rows: int) -> int:
@@ -152,10 +158,15 @@ def _of_mean(noise: NoiseModel, repeats: int) -> NoiseModel:
     return replace(noise, roots=roots, shared=None)
 
 
+def _quick_length(count: int) -> int:
+    """Of a Fourier transform of so many rows and zeros behind them: without large prime factors, which take several times as long."""
+    return int(scipy.fft.next_fast_len(count, real=True))
+
+
 @lru_cache(maxsize=16)
-def _roots_of(noise: NoiseModel, rows: int) -> np.ndarray:
-    """(K, C, C) S^(-1/2) at the lines of a record of this many rows, linear between the grid's neighbours."""
-    frequencies = np.fft.rfftfreq(rows - FILTER_ORDER, 1.0 / noise.rate_Hz)
+def _roots_of(noise: NoiseModel, length: int) -> np.ndarray:
+    """(K, C, C) S^(-1/2) at the lines of a transform of this length, linear between the grid's neighbours."""
+    frequencies = np.fft.rfftfreq(length, 1.0 / noise.rate_Hz)
     place = np.clip(np.interp(frequencies, noise.grid_Hz, np.arange(len(noise.grid_Hz))), 0.0, len(noise.grid_Hz) - 1.000001)
     low = place.astype(int)
     share = (place - low)[:, None, None]

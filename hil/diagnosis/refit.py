@@ -49,9 +49,10 @@ HOPELESS_AFTER = 4
 WORTH_LINEARISING = 4.0
 """Expected decrease of the cost, in units of noise, from which on that is worth its free runs."""
 
-MANY = 30
-"""Tuned numbers beyond which their sensitivities are most of what fits cost: only there fits wait with them and are left when behind. With
-fewer, a fit that is never left and takes them at once costs seconds and ends lower: a pair on a machine of two axes was lost without."""
+MANY, LONG = 30, 2_000_000
+"""Tuned numbers, and entries of their sensitivities, beyond which these are most of what fits cost: only there fits wait with them and are
+left when behind. With fewer, a fit that is never left and takes them at once costs seconds and ends lower: a pair on a machine of two axes
+was lost without. 27 numbers are LONG from half a minute of ten channels on."""
 
 UNFAIR = 2
 """Tries in a row that bring less than their sensitivities said before these are taken anew: one is mended by what it showed itself."""
@@ -237,7 +238,7 @@ def _fit(
     cost, at, predicted = found
     stale = RELINEARISED if NEAR * len(measured) < cost < base else RELINEARISED_NEAR
     radius, gained, unfair = 1.0, 0.0, 0
-    is_large = len(at.offset) > MANY
+    is_large = are_costly(tuning)
     is_fresh, was_held = race is None or (offset is not None and not is_large), False
     if offset is not None and not is_large:
         tuned = yield from _taken_anew(tuning, at.offset, fitting.settings(at), predicted)
@@ -346,6 +347,11 @@ def _normal_equations(
     across, along = products[:, :-1], products[:, -1]
     hessian = np.block([[tuned.square + np.eye(len(tuned.square)), across], [across.T, added.T @ added]])
     return hessian, np.concatenate([along - offset, added.T @ residual])
+
+
+def are_costly(tuning: Tuning) -> bool:
+    """Whether sensitivities to the tuned numbers are most of what fits cost."""
+    return len(tuning.offset) > MANY or tuning.jacobian.size > LONG
 
 
 def bounded(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -72,12 +72,18 @@ def fading(count: int, longest: float) -> tuple[np.ndarray, int]:
     return weights / np.sqrt(np.mean(weights**2)), end
 
 
-def lines_of(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance."""
+def lines_of(
+    filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s, length: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance.
+
+    With a length, zeros follow the record up to there, and its lines are as much closer: not independent of each other.
+    """
     filtered = filter_channels(filters, values)
     count = len(filtered)
-    lines = np.fft.rfft(filtered * fading(count, end_s * rate_Hz)[0][:, None], axis=0) / np.sqrt(count)
-    return np.fft.rfftfreq(count, 1.0 / rate_Hz), lines
+    length = count if length is None else length
+    lines = np.fft.rfft(filtered * fading(count, end_s * rate_Hz)[0][:, None], length, axis=0) / np.sqrt(count)
+    return np.fft.rfftfreq(length, 1.0 / rate_Hz), lines
 
 
 def lines_of_all(

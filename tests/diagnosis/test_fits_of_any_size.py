@@ -150,7 +150,7 @@ def test_fits_whose_numbers_were_bent_without_their_effects_start_from_nominal_a
     """A sensor without its sign: re-tuning follows what it says. A rival of nearly the same answer was bent alike, one that gains half as
     much is no rival, and another law is not what those numbers wait for.
     """
-    monkeypatch.setattr(from_nominal, "MANY", 0)
+    monkeypatch.setattr(from_nominal, "are_costly", lambda tuning: True)
     hidden = EffectSetting("rectified_sensor", "position_mass", {"share": 1.0, "sign": 1.0})
     repeats, own = noisy_repeats(hidden, noise_m=1e-3), EffectAt("rectified_sensor", "position_mass")
     with FreeRuns({TRAIN: (found := mismatch(SILVERBOX, repeats))}, found.noise) as runs:

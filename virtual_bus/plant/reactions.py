@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from virtual_bus.effects.motion import ReactionState
 from virtual_bus.plant.jit import compiled
 
-ITERATIONS = 12  # of Newton's rule on one effort; two or three mostly do
+ITERATIONS = 40  # of the secant rule on one effort; two or three mostly do
+HALVED_FROM = 4  # the try from which on every second one halves the bracket: stiff bristles about to slip bend the secant to one side
 SETTLED_SPEED = 1e-13  # rad/s or m/s: what a further iteration may still change
 PROBE_SPEED = 1e-7  # least change of speed [rad/s or m/s] that a slope is taken over
 INSTANT_s = 1e-7  # a step so short that nothing moves in it
@@ -33,17 +36,30 @@ def solve_reaction(row, reaction_of, h, model, work):
     number = int(model.reaction_rows[row, 0])
     response = work.speed_response[j, j]
     assumed = work.reaction[row]
-    effort = assumed
-    for _ in range(ITERATIONS):
+    effort, slope, low, high = assumed, 0.0, -math.inf, math.inf
+    asked_before, speed_before = 0.0, 0.0
+    for number_of_try in range(ITERATIONS):
         end_speed = work.speed[j] + response * (effort - assumed)
-        probe = max(PROBE_SPEED, 1e-4 * abs(end_speed))
         asked = reaction_of(number, reaction_state(row, end_speed, h, model, work), model.reaction_rows[row])[0]
-        beside = reaction_of(number, reaction_state(row, end_speed + probe, h, model, work), model.reaction_rows[row])[0]
-        slope = min((beside - asked) / probe, 0.0)
-        change = (asked - effort) / (1.0 - response * slope)
-        effort += change
-        if abs(change * response) < SETTLED_SPEED:
+        if abs((asked - effort) * response) < SETTLED_SPEED:
+            effort = asked
             break
+        if asked > effort:
+            low = effort
+        else:
+            high = effort
+        moved = end_speed - speed_before
+        if number_of_try == 0:
+            moved = max(PROBE_SPEED, 1e-4 * abs(end_speed))
+            beside = reaction_of(number, reaction_state(row, end_speed + moved, h, model, work), model.reaction_rows[row])[0]
+            slope = min((beside - asked) / moved, 0.0)
+        elif abs(moved) > PROBE_SPEED:  # over less, rounding would be most of a difference: the slope hardly changes there
+            slope = min((asked - asked_before) / moved, 0.0)
+        asked_before, speed_before = asked, end_speed
+        effort += (asked - effort) / (1.0 - response * slope)
+        is_slow = number_of_try >= HALVED_FROM and number_of_try % 2 == 1 and high - low < math.inf
+        if is_slow or not low < effort < high:  # the slope was another law's, on the other side of a reversal
+            effort = 0.5 * (low + high)
     change = effort - assumed
     work.reaction[row] = effort
     work.friction_change[j] += change
