@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from hil.diagnosis.candidates import Candidate, places_to_try
 from hil.diagnosis.result import EffectAt
@@ -37,6 +38,19 @@ def test_strengths_that_act_against_each_other_are_found_together():
     assert found.values == pytest.approx(hidden, abs=5e-4)
 
 
+def test_a_friction_of_either_way_is_mixed_of_what_it_may_be():
+    """A guess with a viscous part that nothing wants; the level and the viscous part of one way are nearly one response."""
+    runs = Linear("asymmetric_friction")
+    runs.columns[:, 2] = 0.9 * runs.columns[:, 0] + 0.4 * runs.columns[:, 2]
+    wanted = runs.columns @ np.array([0.03, 0.05, -0.01, 0.0])
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(1), np.zeros(1), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 1)), np.eye(1))
+    guess = Candidate(EffectAt("asymmetric_friction", "carriage"), (np.array([0.01, 0.02, 3.0, 0.01]),))
+    (found,) = screen(runs, tuning, [guess], wanted)
+    values, left = scipy.optimize.nnls(runs.columns, wanted)
+    assert found.values == pytest.approx(values, abs=1e-5)
+    assert found.score == pytest.approx(wanted @ wanted - left**2)
+
+
 def test_a_stop_softer_than_its_start_is_found():
     """A start pushes as hard as all that is missing, over a part of the travel; a soft stop does a tenth or a two-hundredth of that."""
     runs = Linear("end_stop")
@@ -57,6 +71,14 @@ def test_many_alike_leave_a_fit_to_what_is_unlike_them():
     unlike = Screened(EffectAt("cogging", "axis_0"), np.zeros(5), wave, 50.0)
     assert shortlist([*alike, unlike], 3, 0.02) == [*alike[:3], unlike]
     assert shortlist([*alike, unlike], 3, 0.6) == alike[:3]
+
+
+def test_what_is_mixed_of_several_strengths_takes_no_other_ones_place():
+    responses = np.eye(ENTRIES)[:4].astype(np.float32)
+    names = ("asymmetric_friction", "coulomb_friction", "load_dependent_friction", "viscous_friction")
+    screened = [Screened(EffectAt(name, "axis"), np.zeros(1), responses[0], 100.0 - k) for k, name in enumerate(names)]
+    assert shortlist(screened, 2, 0.02) == screened[:3]
+    assert shortlist([*screened[1:], screened[0]], 2, 0.02) == [*screened[1:3], screened[0]]  # the loudest
 
 
 def test_the_loudest_candidate_is_fitted_wherever_its_scatter_puts_it():
