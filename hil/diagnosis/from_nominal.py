@@ -21,8 +21,8 @@ def with_numbers_from_nominal(runs: FreeRuns, tuning: Tuning, measured: np.ndarr
     it closer. Its rivals, which gain NEARLY as much of the cost `base` without them, may have been bent alike: those that the same numbers
     bring closer are fitted on from these, too.
 
-    Of machines with few numbers every fit takes its sensitivities where it is, from nominal as well. That they need no more than that is
-    known of the proof's four small machines only.
+    Where sensitivities are not costly every fit takes its own where it is, from nominal as well. That this is enough is known of the
+    proof's four small machines only.
     """
     best, *others = sorted(fits, key=lambda fit: fit.cost)
     if not are_costly(tuning) or best.cost <= NEAR * len(measured):

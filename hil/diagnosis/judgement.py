@@ -282,9 +282,10 @@ class Judgement:
         return found
 
     def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
-        """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer."""
-        before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
-        return self._trained(before, fitted, tried).by_chance
+        """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer. Without one of
+        the stand's effects a set gains what these do, too, and no chance of it compares with those of others: infinite.
+        """
+        return self._trained(stand, fitted, tried).by_chance if set(stand.effects) <= set(fitted.effects) else math.inf
 
     def _trained(self, before: Stand, fitted: Fitted, tried: Tried) -> _Trained:
         entries = len(self._measured)

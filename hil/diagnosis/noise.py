@@ -92,7 +92,7 @@ class NoiseModel:
         """The noise of a mean of so many repeats, in units of one's: times sqrt(repeats). The same where repeats have nothing in common."""
         return self if self.shared is None else _of_mean(self, repeats)
 
-    def spectrum(self, values: np.ndarray, imu: CarriedImu | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def spectrum(self, values: np.ndarray, imu: CarriedImu | None = None, length: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Whitened lines of a record that fades in and out.
 
         Parameters
@@ -101,6 +101,8 @@ class NoiseModel:
             In the channels' units, complete.
         imu : CarriedImu, optional
             What the encoders say of the IMU along this record's motion.
+        length : int, optional
+            Rows of the transform, zeros behind the record; as many as it has by default.
 
         Returns
         -------
@@ -108,9 +110,7 @@ class NoiseModel:
         lines : (K, C) complex array
             Of mean square 1 for one repeat's noise; entry c stands mostly for channel c.
         """
-        return self._whitened_lines(values, imu, len(values) - FILTER_ORDER)
-
-    def _whitened_lines(self, values: np.ndarray, imu: CarriedImu | None, length: int) -> tuple[np.ndarray, np.ndarray]:
+        length = len(values) - FILTER_ORDER if length is None else length
         if imu is not None and self.kind != "assumed":
             values = imu.without(values)
         frequencies, lines = lines_of(self.filters, values, self.rate_Hz, self.end_s, length)
@@ -123,7 +123,7 @@ class NoiseModel:
         """
         count = len(values) - FILTER_ORDER
         length = _quick_length(count)
-        _, lines = self._whitened_lines(values, imu, length)
+        _, lines = self.spectrum(values, imu, length)
         fade, end = fading(count, self.end_s * self.rate_Hz)
         rows = np.fft.irfft(lines, length, axis=0) * (np.sqrt(count) / fade.max())
         return rows[end : count - end].ravel()

@@ -52,7 +52,7 @@ WORTH_LINEARISING = 4.0
 MANY, LONG = 30, 2_000_000
 """Tuned numbers, and entries of their sensitivities, beyond which these are most of what fits cost: only there fits wait with them and are
 left when behind. With fewer, a fit that is never left and takes them at once costs seconds and ends lower: a pair on a machine of two axes
-was lost without. 27 numbers are LONG from half a minute of ten channels on."""
+was lost without. 27 numbers are LONG from half a minute of ten channels at 256 Hz on."""
 
 UNFAIR = 2
 """Tries in a row that bring less than their sensitivities said before these are taken anew: one is mended by what it showed itself."""

@@ -162,7 +162,7 @@ def shortlist(screened: Sequence[Screened], most: int, worth: float) -> list[Scr
     least = worth * max(candidate.score for candidate in screened)
     mixed = [candidate for candidate in screened if candidate.effect.effect in IN_PROPORTION_TO_EACH]
     first = [candidate for candidate in screened if candidate not in mixed][:most]
-    last = screened.index(first[-1]) if first else len(screened) - 1
+    last = screened.index(first[-1]) if len(first) == most else len(screened) - 1  # all of them where there are no more
     chosen = [candidate for candidate in screened[: last + 1] if candidate.score > least]
     room = most + sum(candidate in mixed for candidate in chosen) + MOST_UNLIKE
     for candidate in screened[last + 1 :]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -239,8 +239,10 @@ class _Search:
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
         judged = judgement.contenders(stand, fits, tried, placebo, limits)
 
+        after = cache(judgement.after)
+
         def is_there_beside(one: Contender, part: Contender) -> bool:
-            return judgement.contenders(judgement.after(part), [one.fitted], tried, placebo, limits)[0].passed
+            return judgement.contenders(after(part), [one.fitted], tried, placebo, limits)[0].passed
 
         def without_surplus(sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
             needed = [one for one in sets if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]

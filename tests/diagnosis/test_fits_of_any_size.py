@@ -17,7 +17,7 @@ from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import polish, refit
+from hil.diagnosis.refit import are_costly, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 from hil.diagnosis.same_order import with_others_of_its_order
@@ -297,6 +297,24 @@ def test_an_amplitude_goes_through_zero_to_the_wave_half_a_cycle_on(second, phas
     _, a1, _, a2, phi2 = fit.values[0]
     assert (a1, a2) == pytest.approx((0.1, 0.02), rel=0.1)
     assert np.cos(phi2 - 2.0) > 0.99
+
+
+def test_a_step_through_zero_keeps_the_wave():
+    own, start = EffectAt("base_motion", "rotor"), np.array([0.02, 2.0, 2.0])
+    fitting = Coordinates(SimpleNamespace(offset=np.zeros(0), at=lambda offset: offset), (own,), (start,), Visited(1.0))
+    at = fitting.point(np.zeros(0), (start,))
+    waves = [fitting.moved(at, np.array([step, 0.0, 0.0])).values[0] for step in (0.1, 0.0, -0.1, -3.0)]
+    sizes = [amplitude * np.cos(phase - 2.0) for amplitude, _, phase in waves]
+    assert np.diff(sizes) == pytest.approx((sizes[1] - sizes[0]) * np.array([1.0, 1.0, 29.0]))  # in proportion to the step
+    assert sizes[0] > sizes[1] == pytest.approx(0.02)
+    assert sizes[3] < 0.0
+    assert all(amplitude > 0.0 for amplitude, _, _ in waves)
+
+
+@pytest.mark.parametrize(("numbers", "entries", "are"), [(27, 25_000, False), (27, 150_000, True), (49, 25_000, True), (3, 300_000, False)])
+def test_sensitivities_are_costly_where_many_numbers_or_long_records_make_them_most_of_the_work(numbers, entries, are):
+    tuning = SimpleNamespace(offset=np.zeros(numbers), jacobian=np.broadcast_to(0.0, (entries, numbers)))
+    assert are_costly(tuning) is are
 
 
 @pytest.mark.parametrize(("before", "turn", "after"), [(3.1, 0.5, 3.6 - 2.0 * np.pi), (-3.1, -0.5, 2.0 * np.pi - 3.6)])

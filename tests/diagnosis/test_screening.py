@@ -79,6 +79,10 @@ def test_what_is_mixed_of_several_strengths_takes_no_other_ones_place():
     screened = [Screened(EffectAt(name, "axis"), np.zeros(1), responses[0], 100.0 - k) for k, name in enumerate(names)]
     assert shortlist(screened, 2, 0.02) == screened[:3]
     assert shortlist([*screened[1:], screened[0]], 2, 0.02) == [*screened[1:3], screened[0]]  # the loudest
+    last = Screened(screened[0].effect, np.zeros(1), responses[0], 90.0)
+    assert shortlist([screened[1], screened[3], last], 8, 0.02) == [screened[1], screened[3], last]  # there is room
+    unlike = [Screened(EffectAt(f"unlike_{k}", "axis"), np.zeros(1), responses[k], 50.0 - k) for k in (1, 2)]
+    assert shortlist([*screened, *unlike], 2, 0.02) == [*screened[:3], *unlike]
 
 
 def test_the_loudest_candidate_is_fitted_wherever_its_scatter_puts_it():

@@ -45,12 +45,13 @@ EFFECT = Effect(
 
 
 MOST_PARTS = 8  # of a step, for the path within it
-PART = 0.05  # of z_max / (A n), the path along which the law bends: one part errs by z_max / n times this cubed, over 12
+PART = 0.05  # of z_max / (A n), the path along which the law bends: at a steady speed one part errs by z_max / n times this cubed, over 12
 
 
 def react(state: ReactionState, k: float, A: float, z_max: float, beta_share: float, n: float) -> tuple[float, float, float]:
     """Mean effort [Nm or N] over a step and the displacement z [rad or m] at its end, by Heun's rule along the path."""
-    parts = min(1 + int(abs(state.start_speed) * state.step_s * A * n / (PART * z_max)), MOST_PARTS)  # by what no iteration changes
+    bends = abs(state.start_speed) * state.step_s * A * n / (PART * z_max)  # by the start alone, which no iteration changes
+    parts = 1 + int(bends) if bends < MOST_PARTS else MOST_PARTS
     path = 0.5 * (state.start_speed + state.end_speed) * state.step_s / parts
     onward = 1.0 if path > 0.0 else -1.0
     z = state.first

@@ -57,8 +57,8 @@ def solve_reaction(row, reaction_of, h, model, work):
             slope = min((asked - asked_before) / moved, 0.0)
         asked_before, speed_before = asked, end_speed
         effort += (asked - effort) / (1.0 - response * slope)
-        is_slow = number_of_try >= HALVED_FROM and number_of_try % 2 == 1 and high - low < math.inf
-        if is_slow or not low < effort < high:  # the slope was another law's, on the other side of a reversal
+        is_slow = number_of_try >= HALVED_FROM and number_of_try % 2 == 1
+        if high - low < math.inf and (is_slow or not low < effort < high):  # the slope was another law's, on the other side of a reversal
             effort = 0.5 * (low + high)
     change = effort - assumed
     work.reaction[row] = effort
