@@ -33,13 +33,15 @@ WORTH_A_ROUND = 0.9
 def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], Sequence[Candidate]]:
     """Candidates with start values from the longest training groups, given the effects found so far."""
     train = runs.sets[TRAIN]
+    is_assumed = train.noise.kind == "assumed"
+    assumed = dict(zip(train.channels, train.noise.std.tolist(), strict=True)) if is_assumed else {}
 
     def found_beside(found: Fitted | None) -> Sequence[Candidate]:
         values = tuning.values if found is None else tuning.at(found.offset)
         rows = runs.rows(Trial(values, () if found is None else found.settings))
         assert rows is not None
         groups = [replace(group, simulated=simulated) for group, simulated in zip(train.groups, rows, strict=True)]
-        motions = [Motion(train.machine, values, group, train.channels) for group in groups]
+        motions = [Motion(train.machine, values, group, train.channels, assumed=assumed) for group in groups]
         longest = max(len(simulated) for simulated in rows)
         first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
         tried = candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)

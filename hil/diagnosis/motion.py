@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +40,8 @@ class Motion:
     channels : tuple of str
     others : tuple of Motion
         Of other groups as long as this one, such as the pieces of one long record: a residual is of all of them.
+    assumed : mapping of str to float
+        Noise rms of every channel in its unit, where no repeats show it and it is bounded from the residual; else nothing.
     """
 
     machine: Machine
@@ -46,6 +49,7 @@ class Motion:
     group: RepeatGroup
     channels: tuple[str, ...]
     others: tuple[Motion, ...] = ()
+    assumed: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def plant(self) -> CompiledPlant:

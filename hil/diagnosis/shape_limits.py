@@ -23,7 +23,8 @@ LEAST_BEND = 2.0
 """Counts of the joint's encoder that a friction's bristles bend before they slide, at least: readings differ by one without any motion. Dry
 friction of every law gives way a little before it slides, and one that sticks at once leaves that over: bristles took it up where friction
 fell with speed, differed with direction or grew with acceleration (sealed 984, 1029, 235, spent, bent by 0.4, 1.2 and 0.08 counts).
-Hidden bristles were fitted bending by 14 counts and more (development 13, sealed 763). A shorter bend tells no law of them."""
+Hidden bristles were fitted bending by 14 counts and more (development 13, sealed 763). A shorter bend tells no law of them. Without repeats
+what is assumed of the encoder's noise takes a count's place if it is more: a micrometre within 8 that are assumed may be anything."""
 
 SLOWEST_BASE_MOTION_Hz = SLOWEST_Hz
 """A slower wave over time may be anything that changes with it: a gain that varied over 2.5 to 5.6 s was fitted as one of 0.18 to 0.40 Hz
@@ -58,9 +59,12 @@ def _stroke(motion: Motion, at: str) -> float:
 
 
 def _count(motion: Motion, at: str) -> float:
-    """Of the encoder [rad or m] of the driven joint that a place belongs to; 0 without one, and of a spring without a drive."""
+    """Of the encoder [rad or m] of the driven joint that a place belongs to, or its assumed noise; 0 without one, and of a spring without a
+    drive.
+    """
     settings = motion.machine.plant
     if undriven_joint_at(at, settings) is not None:
         return 0.0
     names = {f"position_{drive.axis}" for drive in settings.drives if drive.joint == joint_at(at, settings)}
-    return max((encoder.resolution for encoder in settings.encoders if encoder.channel in names), default=0.0)
+    shown = [max(one.resolution, motion.assumed.get(one.channel, 0.0)) for one in settings.encoders if one.channel in names]
+    return max(shown, default=0.0)

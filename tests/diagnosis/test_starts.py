@@ -46,6 +46,7 @@ def moved(at: str, effort: np.ndarray, stiffness: float = 0.0) -> SimpleNamespac
         inertia=np.ones(len(CARM.plant.tree.joints)),
         axis_of=lambda at: 0,
         deflection=lambda joint: spring,
+        assumed={},
     )
 
 
@@ -104,6 +105,14 @@ def test_a_hysteresis_bends_by_more_than_the_encoder_of_its_joint_rounds(name, a
     count = 2.0 * np.pi / 4096 / drive.ratio
     least, _ = shape_limits(name, at, moved(at, 5.0 * np.sign(SPEED), 9e5))
     assert least == pytest.approx(counts * count)
+
+
+def test_a_hysteresis_without_repeats_bends_by_more_than_is_assumed_of_its_encoders_noise():
+    motion = moved("roll", 5.0 * np.sign(SPEED))
+    known, _ = shape_limits("bouc_wen_hysteresis", "roll", motion)
+    for noise, least in ((1e-3, LEAST_BEND * 1e-3), (1e-9, known)):
+        motion.assumed = {"position_roll": noise, "position_propeller": 1.0}
+        assert shape_limits("bouc_wen_hysteresis", "roll", motion)[0] == pytest.approx(least)
 
 
 def test_a_base_motion_is_a_vibration_of_a_floor_however_long_it_was_recorded():
