@@ -122,7 +122,7 @@ class NoiseModel:
         They are rows of C, in time, without those in which the record fades.
         """
         count = len(values) - FILTER_ORDER
-        length = _quick_length(count)
+        length = self._length_of(count)
         _, lines = self.spectrum(values, imu, length)
         fade, end = fading(count, self.end_s * self.rate_Hz)
         rows = np.fft.irfft(lines, length, axis=0) * (np.sqrt(count) / fade.max())
@@ -132,12 +132,16 @@ class NoiseModel:
         """(rows, C), the adjoint of `whiten`: its product with values is that of their whitened numbers with `whitened` (M,)."""
         count = rows - FILTER_ORDER
         fade, end = fading(count, self.end_s * self.rate_Hz)
-        length = _quick_length(count)
+        length = self._length_of(count)
         whole = np.zeros((length, len(self.std)))
         whole[end : count - end] = whitened.reshape(-1, len(self.std)) / fade.max()
         lines = np.conj(np.swapaxes(_roots_of(self, length), 1, 2)) @ np.fft.rfft(whole, axis=0)[:, :, None]
         values = filtered_back(self.filters, np.fft.irfft(lines[:, :, 0], length, axis=0)[:count] * fade[:, None])
         return values if imu is None or self.kind == "assumed" else imu.without_taken_back(values)
+
+    def _length_of(self, count: int) -> int:
+        """Of the transform: zeros may follow a record that has faded, and lengths without large prime factors take a third of the time."""
+        return int(scipy.fft.next_fast_len(count, real=True)) if self.end_s > 0.0 else count
 
     def size(self, rows: int) -> int:
         """How many numbers `whiten` makes of this many rows."""
@@ -156,11 +160,6 @@ def _of_mean(noise: NoiseModel, repeats: int) -> NoiseModel:
     own = inverse @ np.conj(np.swapaxes(inverse, 1, 2))
     roots = np.stack([inverse_root(s) for s in own + repeats * noise.shared])
     return replace(noise, roots=roots, shared=None)
-
-
-def _quick_length(count: int) -> int:
-    """Of a Fourier transform of so many rows and zeros behind them: without large prime factors, which take several times as long."""
-    return int(scipy.fft.next_fast_len(count, real=True))
 
 
 @lru_cache(maxsize=16)

@@ -48,6 +48,16 @@ def test_whitened_noise_of_other_repeats_is_white_at_every_frequency():
         assert 0.7 < power[band].mean() < 1.5, (low, high)
 
 
+def test_of_a_short_record_that_does_not_fade_nothing_goes_lost_at_its_ends():
+    """Of 92 rows the filters reach over the ends of the record: they go around."""
+    model = noise_model([group_of(coloured(1, 0))], CHANNELS, MACHINE)
+    for fresh in coloured(3, 1)[:, :100]:
+        _, lines = model.spectrum(fresh)
+        inner = np.sum(np.abs(lines[1:-1]) ** 2)
+        whole = 2.0 * inner + np.sum(np.abs(lines[[0, -1]]) ** 2)
+        assert np.sum(model.whiten(fresh) ** 2) == pytest.approx(whole)
+
+
 def test_whitened_channels_are_uncorrelated():
     model = noise_model([group_of(coloured(4, 0))], CHANNELS, MACHINE)
     lines = np.concatenate([model.spectrum(fresh)[1][1:-1] for fresh in coloured(6, 2)])
