@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.coordinates import INVERSE
+from hil.diagnosis.coordinates import INVERSE, TURNED_BY
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import bounded
@@ -38,7 +38,7 @@ it is softer than the loop that pushes into it."""
 IN_PLACE_OF_ANOTHER = ("imu_bandwidth",)
 """Effects whose number takes the place of the machine file's: what they do is in proportion to a difference."""
 
-AMPLITUDE_AND_PHASE = (("A1", "phi1"), ("e1", "phi1"), ("a", "phi"), ("A", "phi"), ("mgr", "phi"), ("J12", "phi"))
+AMPLITUDE_AND_PHASE = (*((a, phase) for a, phase in TURNED_BY.items() if phase != "phi2"), ("mgr", "phi"), ("J12", "phi"))
 """Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
 
 SAME_STRENGTH = 1e-6

@@ -202,9 +202,9 @@ class _Search:
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
             return end
-        unfinished = _worth_finishing(fits, stand.cost, len(residual))
-        fits = _finished(runs, tuning, measured, fits, unfinished)
-        rarer = rarer_by_chance(fits, unfinished, [judgement.by_chance(stand, fit, tried) for fit in fits])
+        worth_finishing = _worth_finishing(fits, stand.cost, len(residual))
+        fits = _finished(runs, tuning, measured, fits, worth_finishing)
+        rarer = rarer_by_chance(fits, worth_finishing, [judgement.by_chance(stand, fit, tried) for fit in fits])
         fits = [*(fit for fit in fits if fit not in rarer), *polish(runs, tuning, measured, rarer)]
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order

@@ -10,9 +10,7 @@ import small_plants
 from small_plants import BLOCK_MASS_kg, block, run
 
 from virtual_bus.effects import bouc_wen_hysteresis, presliding_hysteresis
-from virtual_bus.effects.effect import REACTION
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.registry import effects
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.settings import EffectSetting
 
@@ -43,7 +41,6 @@ def test_what_acted_in_a_step_is_what_the_law_asks_for_however_stiff_it_is(
 ) -> None:
     """A light block's bristles stop it within a step from two orders further off."""
     monkeypatch.setattr(small_plants, "BLOCK_MASS_kg", mass_kg)
-    assert effects()[name].kind == REACTION
     parameters = STIFF[name][number]
     states = run(block(stiffness=150.0, damping=2.0, effects=(EffectSetting(name, "rail", parameters),), substeps=1), FORCES[:, None])
     asked = []
