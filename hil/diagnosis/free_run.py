@@ -1,26 +1,29 @@
-"""Many free runs of one machine, whitened: over plant parameters and effects, on one or more processes."""
+"""Many free runs of one machine, whitened: over plant parameters and effects, on one or more processors.
+
+Runs are machine code and NumPy's, neither of which holds the interpreter's lock: threads share the recordings and hand over answers of a
+megabyte as they are.
+"""
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
+from itertools import islice, pairwise
 from types import TracebackType
 
 import numpy as np
 
-from controllers.errors import ControlError
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.noise import NoiseModel
 from hil.diagnosis.own_lines import weighted
 from hil.diagnosis.simulated import simulated_matrix, smooth
-from hil.errors import BenchError
 from hil.machine import Machine
 from hil.simulation import Simulator
-from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.lanes import LANES
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
 
@@ -29,6 +32,10 @@ TRAIN, HELD_OUT = "train", "held_out"
 FINE_STEPS = 4
 """By how much finer the plant's steps are whose difference corrects all runs (see `FreeRuns.correct`): the second-order error of a 20 Hz
 mode stands out of the noise of four repeats at 1.6 kHz still."""
+
+WORTH_A_BATCH = 4
+"""Trials that are begun with before anybody waits, and from which on another thread takes some of them: LANES of them take hardly longer
+than one, but whoever asks works meanwhile."""
 
 RUN_AWAY = 1e12
 """A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""
@@ -62,27 +69,37 @@ class _Runner:
 
     def rows(self, name: str, trial: Trial, *, fine: bool = False, settled: bool = False) -> list[np.ndarray] | None:
         """(N, C) simulated channels per group; None where the machine cannot stand or the simulation diverges."""
+        return self.rows_of_all(name, [trial], fine=fine, settled=settled)[0]
+
+    def rows_of_all(
+        self, name: str, trials: Sequence[Trial], *, fine: bool = False, settled: bool = False
+    ) -> list[list[np.ndarray] | None]:
+        """The same of several trials."""
         found = self._sets[name]
-        effects = (*found.machine.plant.effects, *trial.effects)
-        folded = []
+        folded: list[list[np.ndarray] | None] = [[] for _ in trials]
         for group in found.groups:
+            alive = [k for k, rows in enumerate(folded) if rows is not None]
+            machines = [(trials[k].values, (*found.machine.plant.effects, *trials[k].effects)) for k in alive]
             simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
-            try:
-                outputs = simulator.run(group.inputs.settled if settled else group.inputs, trial.values, effects)
-            except (BenchError, EmulatorError, ControlError):
-                return None
-            rows = group.fold(simulated_matrix(group.machine, outputs, found.channels))
-            if not np.isfinite(rows).all():
-                return None
-            folded.append(rows)
+            answers = simulator.run_all(group.inputs.settled if settled else group.inputs, machines)
+            for k, outputs in zip(alive, answers, strict=True):
+                own = folded[k]
+                assert own is not None
+                rows = None if isinstance(outputs, Exception) else group.fold(simulated_matrix(group.machine, outputs, found.channels))
+                if rows is None or not np.isfinite(_largest(rows)).all():
+                    folded[k] = None
+                else:
+                    own.append(rows)
         return folded
 
-    def whitened(self, name: str, trial: Trial) -> np.ndarray | None:
-        rows = self.rows(name, trial)
-        if rows is None or any(np.any(np.abs(one) > RUN_AWAY * self._noise.std) for one in rows):  # whitening would overflow
+    def whitened(self, name: str, trials: Sequence[Trial]) -> list[np.ndarray | None]:
+        return [self._whitened(name, rows) for rows in self.rows_of_all(name, trials)]
+
+    def _whitened(self, name: str, rows: list[np.ndarray] | None) -> np.ndarray | None:
+        if rows is None or any(np.any(_largest(one) > RUN_AWAY * self._noise.std) for one in rows):  # whitening would overflow
             return None
         joined = self.join(name, rows)
-        return joined if float(np.abs(joined).max()) < RUN_AWAY else None
+        return joined if float(_largest(joined)) < RUN_AWAY else None
 
     def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) rows of all groups in units of the noise of the repeats' mean."""
@@ -92,17 +109,18 @@ class _Runner:
         )
 
 
-_runner: _Runner | None = None  # of a worker process
+def _largest(values: np.ndarray) -> np.ndarray:
+    """Magnitude by column, NaN where one is in it."""
+    return np.maximum(values.max(axis=0), -values.min(axis=0))
 
 
-def _start_worker(runner: _Runner) -> None:
-    global _runner
-    _runner = runner
+@dataclass(eq=False)
+class _Asked:
+    """Trials that answers are wanted of, and where these will be: batches under way, and places in them."""
 
-
-def _run_in_worker(task: tuple[str, Trial]) -> np.ndarray | None:
-    assert _runner is not None
-    return _runner.whitened(*task)
+    name: str
+    trials: Sequence[Trial]
+    answers: list[tuple[Callable[[], list[np.ndarray | None]], int]] | None = None
 
 
 class FreeRuns:
@@ -114,7 +132,7 @@ class FreeRuns:
         `TRAIN` and, where there is one, `HELD_OUT`.
     noise : NoiseModel
     jobs : int
-        Processes. 1: all in this one.
+        Threads besides the caller's. 1: all in that one.
     """
 
     def __init__(self, sets: Mapping[str, Mismatch], noise: NoiseModel, jobs: int = 1) -> None:
@@ -127,12 +145,10 @@ class FreeRuns:
         self._whitened_correction: dict[str, np.ndarray] = {}
         self._line_weights: dict[str, list[np.ndarray | None]] = {}
         self._local = _Runner(self.sets, noise)
+        self._asked: list[_Asked] = []
         self._jobs = jobs
-        self._pool: ProcessPoolExecutor | None = None
-        if jobs > 1:
-            how = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
-            context = multiprocessing.get_context(how)
-            self._pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(self._local,))
+        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
+        self._of_thread = threading.local()
 
     def __enter__(self) -> FreeRuns:
         return self
@@ -163,17 +179,50 @@ class FreeRuns:
         return self.begin(trials, name)()
 
     def begin(self, trials: Sequence[Trial], name: str = TRAIN) -> Callable[[], list[np.ndarray | None]]:
-        """Start these trials on the other processes, where there are any, and return what waits for their answers: see `run`."""
-        self.count += len(trials)
-        if self._pool is None:
-            return lambda: self._corrected((self._local.whitened(name, trial) for trial in trials), name)
-        chunk = max(1, len(trials) // (4 * self._jobs))
-        answers = self._pool.map(_run_in_worker, [(name, trial) for trial in trials], chunksize=chunk)
-        return lambda: self._corrected(answers, name)
+        """Ask for trials, and return what waits for their answers: see `run`.
 
-    def _corrected(self, answers: Iterable[np.ndarray | None], name: str) -> list[np.ndarray | None]:
-        correction = self._whitened_correction.get(name, 0.0)
-        return [None if answer is None else self._weighted(answer + correction, name) for answer in answers]
+        What is asked for before anybody waits is worked together, LANES at a time, on other threads where there are any.
+        """
+        self.count += len(trials)
+        asked = _Asked(name, trials)
+        self._asked.append(asked)
+        if sum(len(each.trials) for each in self._asked) >= WORTH_A_BATCH:
+            self._send()
+        return lambda: self._answers(asked)
+
+    def _send(self) -> None:
+        """Begin with all that was asked for."""
+        for name in dict.fromkeys(each.name for each in self._asked):
+            alike = [each for each in self._asked if each.name == name]
+            trials = [trial for each in alike for trial in each.trials]
+            places = iter([(batch, k) for batch, count in self._batches(name, trials) for k in range(count)])
+            for each in alike:
+                each.answers = list(islice(places, len(each.trials)))
+        self._asked.clear()
+
+    def _batches(self, name: str, trials: Sequence[Trial]) -> Iterator[tuple[Callable[[], list[np.ndarray | None]], int]]:
+        """What waits for each batch, and its size: about equal ones, as many as leave no thread without work."""
+        count = max(-(-len(trials) // LANES), min(self._jobs, len(trials) // WORTH_A_BATCH))
+        ends = [len(trials) * k // count for k in range(count + 1)] if count else []
+        for first, end in pairwise(ends):
+            batch = trials[first:end]
+            if self._pool is None:
+                yield lru_cache(maxsize=1)(partial(self._local.whitened, name, batch)), len(batch)
+            else:
+                yield self._pool.submit(self._run_in_thread, name, batch).result, len(batch)
+
+    def _run_in_thread(self, name: str, batch: Sequence[Trial]) -> list[np.ndarray | None]:
+        if not hasattr(self._of_thread, "runner"):
+            self._of_thread.runner = _Runner(self.sets, self.noise)
+        return self._of_thread.runner.whitened(name, batch)
+
+    def _answers(self, asked: _Asked) -> list[np.ndarray | None]:
+        if asked.answers is None:
+            self._send()
+        assert asked.answers is not None
+        correction = self._whitened_correction.get(asked.name, 0.0)
+        each = [batch()[k] for batch, k in asked.answers]
+        return [None if answer is None else self._weighted(answer + correction, asked.name) for answer in each]
 
     def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
         return self.run([trial], name)[0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,6 +92,11 @@ class _Sensitivities:
     predicted: np.ndarray
     jacobian: np.ndarray
 
+    @cached_property
+    def square(self) -> np.ndarray:
+        """(P, P) of them."""
+        return self.jacobian.T @ self.jacobian
+
     def difference(self, predicted: np.ndarray) -> float:
         """Energy, in units of noise, by which another run differs from theirs."""
         return float(np.sum((predicted - self.predicted) ** 2))
@@ -128,7 +134,7 @@ class HeldOut:
             if at is None:
                 break
             self._moved, self._without_effects = at.moved, self._sensitivities(tuning.offset, at, ())
-            at, _, _ = self._stepped(tuning.offset, at, (), self._without_effects.jacobian)
+            at, _, _ = self._stepped(tuning.offset, at, (), self._without_effects)
 
     def leave_out_own_lines(self, fits: Sequence[Fitted]) -> bool:
         """Count lines that only these recordings have, and none of the fits explains, by their own power (`own_lines.py`).
@@ -166,7 +172,7 @@ class HeldOut:
     def _follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         bound = LARGEST_CHANGE / PRIOR
         starts = np.zeros(len(offset)), np.clip(offset + self._moved, -bound, bound) - offset
-        found = [one for one in (self._at(offset, moved, effects) for moved in starts) if one is not None]
+        found = [one for one in self._at_all(offset, starts, effects) if one is not None]
         if not found:
             return None
         at = min(found, key=lambda one: one.misfit)
@@ -177,7 +183,7 @@ class HeldOut:
             if taken is None:
                 taken = self._sensitivities(offset, at, effects)
                 self._beside_effects.append(taken)
-            better, share, expected = self._stepped(offset, at, effects, taken.jacobian)
+            better, share, expected = self._stepped(offset, at, effects, taken)
             fresh = taken.predicted is at.predicted  # taken anew they would be the same
             at = at if better is None else better
             if better is not None and share >= FAIR:
@@ -227,9 +233,13 @@ class HeldOut:
         return float(change @ change + moved @ self._weights @ moved)
 
     def _at(self, offset: np.ndarray, moved: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
-        predicted = self._runs.run_one(Trial(self._tuning.at(offset + moved), effects), HELD_OUT)
-        if predicted is None:
-            return None
+        return self._at_all(offset, [moved], effects)[0]
+
+    def _at_all(self, offset: np.ndarray, moves: Sequence[np.ndarray], effects: tuple[EffectSetting, ...]) -> list[Followed | None]:
+        answers = self._runs.run([Trial(self._tuning.at(offset + moved), effects) for moved in moves], HELD_OUT)
+        return [None if predicted is None else self._followed_by(predicted, moved) for predicted, moved in zip(answers, moves, strict=True)]
+
+    def _followed_by(self, predicted: np.ndarray, moved: np.ndarray) -> Followed:
         residual = self.measured - predicted
         return Followed(predicted, moved, float(residual @ residual + moved @ self._weights @ moved))
 
@@ -246,15 +256,15 @@ class HeldOut:
         return change < ALIKE * len(at.predicted)
 
     def _stepped(
-        self, offset: np.ndarray, at: Followed, effects: tuple[EffectSetting, ...], jacobian: np.ndarray
+        self, offset: np.ndarray, at: Followed, effects: tuple[EffectSetting, ...], taken: _Sensitivities
     ) -> tuple[Followed | None, float, float]:
         """After a Gauss-Newton step within the tuned numbers' bounds, halved until it helps, the share of the expected decrease that came
         of it, and that decrease; None where the numbers are where the recordings want them, or no step helps.
         """
         if not len(offset):
             return None, 1.0, 0.0
-        hessian = jacobian.T @ jacobian + self._weights
-        gradient = jacobian.T @ (self.measured - at.predicted) - self._weights @ at.moved
+        hessian = taken.square + self._weights
+        gradient = taken.jacobian.T @ (self.measured - at.predicted) - self._weights @ at.moved
         step = bounded_step(self._tuning, hessian, gradient, offset + at.moved)
         expected = float(2.0 * step @ gradient - step @ hessian @ step)
         if expected < SETTLED:

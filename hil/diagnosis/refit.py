@@ -72,8 +72,9 @@ NEARLY = 0.9
 
 RIDGE = 1e-9
 
-SIDE_BY_SIDE = 4
-"""Fits at a time: enough for every process to have work. Each holds the tuned numbers' sensitivities, 67 MB for a minute of the C-arm."""
+SIDE_BY_SIDE, HELD_ENTRIES = 16, 64_000_000
+"""Fits at a time, so that runs of several go side by side, and fewer where they might hold more entries of sensitivities than that: each
+holds the tuned numbers' own, 7.5 million of them for a minute of the C-arm."""
 
 Answers = list[np.ndarray | None]
 
@@ -142,7 +143,7 @@ def refit(
         offsets.append(np.zeros_like(tuning.offset))
     tuned, race = TunedSensitivities.of(tuning.jacobian), _Race(base)
     fits = [_fit(tuning, tuned, measured, names, values, STEPS, visited, offset, race) for names, values in starts for offset in offsets]
-    done = together(runs, fits)
+    done = together(runs, fits, side_by_side(tuning))
     best = []
     for first in range(0, len(done), len(offsets)):
         found = [fit for fit in done[first : first + len(offsets)] if fit is not None]
@@ -153,7 +154,7 @@ def refit(
 def polish(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], rounds: int = POLISHING_ROUNDS) -> list[Fitted]:
     """Fit on, with the tuned numbers' sensitivities taken where the effects are, as long as that helps."""
     visited = Visited.by(runs)
-    done = together(runs, [_polished(tuning, measured, fitted, visited, rounds) for fitted in fits])
+    done = together(runs, [_polished(tuning, measured, fitted, visited, rounds) for fitted in fits], side_by_side(tuning))
     return [before if after is None else after for before, after in zip(fits, done, strict=True)]
 
 
@@ -181,13 +182,18 @@ def sensitivities_to_effects(runs: FreeRuns, tuning: Tuning, fitted: Fitted, nam
     return np.column_stack(columns) * fitting.slopes(at)
 
 
-def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitted | None]]) -> list[Fitted | None]:
+def side_by_side(tuning: Tuning) -> int:
+    """How many fits are made at a time."""
+    return max(2, min(SIDE_BY_SIDE, HELD_ENTRIES // max(tuning.jacobian.size, 1)))
+
+
+def together(runs: FreeRuns, fits: Sequence[Generator[list[Trial], Answers, Fitted | None]], at_a_time: int) -> list[Fitted | None]:
     """Run generators that ask for trials side by side: while one works on its answers, those of the others are under way."""
     done: list[Fitted | None] = [None] * len(fits)
     asked: dict[int, Callable[[], Answers]] = {}
     waiting = iter(range(len(fits)))
     while True:
-        for number in islice(waiting, SIDE_BY_SIDE - len(asked)):
+        for number in islice(waiting, at_a_time - len(asked)):
             asked[number] = runs.begin(next(fits[number]))
         if not asked:
             return done

@@ -240,11 +240,14 @@ def sensitivity_trials(tuning: Tuning, offset: np.ndarray, effects: tuple[Effect
 
 def sensitivities_from(answers: Sequence[np.ndarray | None], differences: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """(M, P) of those trials' answers."""
-    jacobian = np.zeros((len(differences), len(predicted))).T  # its columns are written and multiplied
-    for k, answer in enumerate(answers):
-        if answer is not None:
-            jacobian[:, k] = (answer - predicted) / differences[k]
-    return jacobian
+    columns = np.empty((len(differences), len(predicted)))
+    for column, answer, difference in zip(columns, answers, differences, strict=True):
+        if answer is None:
+            column[:] = 0.0
+        else:
+            np.subtract(answer, predicted, out=column)
+            column /= difference
+    return columns.T  # which are written and multiplied
 
 
 def sensitivities(runs: FreeRuns, tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> np.ndarray:

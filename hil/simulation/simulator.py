@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
 
-from controllers.errors import DesignError
+from controllers.errors import ControlError, DesignError
 from controllers.feedback import Feedback
-from hil.errors import BadAnswer, ExperimentError
+from hil.errors import BadAnswer, BenchError, ExperimentError
 from hil.machine import Machine
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
+from hil.simulation.several import Prepared, SideBySide, Taken, can_be_side_by_side
+from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.lanes import LANES
 from virtual_bus.plant.statics import held_effort, holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import new_readings, sensor_model
@@ -111,6 +115,81 @@ class Simulator:
         BadAnswer
             The simulation diverged; the message names the time.
         """
+        prepared = self._prepared(inputs, values, effects)
+        rows = self._rows(inputs)
+        settings = self.machine.plant
+        failed = self._kernel.run(
+            inputs.command is None,
+            prepared.state,
+            prepared.target,
+            np.array([drive.resolution for drive in settings.drives]),
+            prepared.model,
+            self._work,
+            prepared.sensors,
+            new_memory(settings),
+            new_readings(settings),
+            np.zeros(6 * len(settings.imus)),
+            prepared.loop,
+            rows,
+            self._scratch,
+        )
+        if failed >= 0 or not np.isfinite(prepared.state).all():
+            raise self._diverged(failed)
+        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.speed, rows.imu)
+
+    def run_all(
+        self, inputs: Inputs, trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]]
+    ) -> list[Outputs | BenchError | EmulatorError | ControlError]:
+        """The same for several machines: values and effects of each, and what `run` would return or raise.
+
+        Several of them are worked at a time, side by side in the processor's vectors (see virtual_bus/plant/lanes.py): the answers of one
+        machine differ by rounding from those of `run`.
+        """
+        if len(trials) == 1:
+            return [self._run_or_error(inputs, *trial) for trial in trials]
+        found: list[Any] = []
+        for values, effects in trials:
+            try:
+                found.append(self._prepared(inputs, values, effects))
+            except (BenchError, EmulatorError, ControlError) as error:
+                found.append(error)
+        ready = [k for k, one in enumerate(found) if isinstance(one, Prepared) and can_be_side_by_side(one, len(self.machine.plant.imus))]
+        ready.sort(key=lambda k: int(found[k].model["inner_steps"][0]))
+        for _, alike in groupby(ready, key=lambda k: int(found[k].model["inner_steps"][0])):
+            for together in _batched(alike, LANES):
+                for k, own in zip(together, self._side_by_side.run(inputs, [found[k] for k in together]), strict=True):
+                    found[k] = self._of_lane(own, inputs)
+        for k, one in enumerate(found):
+            if isinstance(one, Prepared):
+                found[k] = self._run_or_error(inputs, *trials[k])
+        return found
+
+    def _run_or_error(
+        self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
+    ) -> Outputs | BenchError | EmulatorError | ControlError:
+        try:
+            return self.run(inputs, values, effects)
+        except (BenchError, EmulatorError, ControlError) as error:
+            return error
+
+    @cached_property
+    def _side_by_side(self) -> SideBySide:
+        sections = 0 if not self.machine.controllers else len(Feedback(self.machine.controllers).arrays[0])
+        return SideBySide(self.plant, sections)
+
+    def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswer:
+        own = Outputs(*taken)
+        for values in (own.command, own.position if inputs.command is not None else own.command):
+            broken = ~np.isfinite(values).all(axis=1)
+            if broken.any():
+                return self._diverged(int(np.argmax(broken)))
+        return own
+
+    def _diverged(self, row: int) -> BadAnswer:
+        at = f"at {row / self.machine.sample_rate_Hz:.4g} s" if row >= 0 else "in its last sample"
+        return BadAnswer(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
+
+    def _prepared(self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None) -> Prepared:
         model = self.plant.model(values, effects)
         state = resting_state(self.plant, model, inputs.standing_pose, held_by_brakes=False)
         holding = held_effort(self.plant, state)
@@ -120,27 +199,7 @@ class Simulator:
             loop, holding = self._started(inputs, holding, values, effects)
         else:
             loop = self._open_loop
-        rows = self._rows(inputs)
-        settings = self.machine.plant
-        failed = self._kernel.run(
-            inputs.command is None,
-            state,
-            holding.copy(),
-            np.array([drive.resolution for drive in settings.drives]),
-            model,
-            self._work,
-            sensor_model(settings, effects),
-            new_memory(settings),
-            new_readings(settings),
-            np.zeros(6 * len(settings.imus)),
-            loop,
-            rows,
-            self._scratch,
-        )
-        if failed >= 0 or not np.isfinite(state).all():
-            at = f"at {failed / self.machine.sample_rate_Hz:.4g} s" if failed >= 0 else "in its last sample"
-            raise BadAnswer(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
-        return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.speed, rows.imu)
+        return Prepared(model, state, holding.copy(), loop, sensor_model(self.machine.plant, effects))
 
     def _rows(self, inputs: Inputs) -> Rows:
         shape = inputs.excitation.shape
@@ -191,3 +250,9 @@ class Simulator:
         except DesignError as error:
             raise ExperimentError(f"{self.machine.name}: {error}") from None
         return Loop(*feedback.arrays)
+
+
+def _batched(numbers: Iterable[int], size: int) -> Iterator[tuple[int, ...]]:
+    rest = iter(numbers)
+    while together := tuple(islice(rest, size)):
+        yield together

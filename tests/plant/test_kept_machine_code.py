@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
+from hil.simulation.lane_kernel import DEPENDENCIES as OF_LANES
 from virtual_bus.effects.dispatch import dispatch_sources
 from virtual_bus.plant.compiled import DEPENDENCIES
 from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.measure import sensor_sources
 
 VIRTUAL_BUS = Path(__file__).parents[2] / "virtual_bus"
-NAMED_BY = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources() + sensor_sources()
+NAMED_BY = "\n".join(inspect.getsource(module) for module in (*DEPENDENCIES, *OF_LANES)) + dispatch_sources() + sensor_sources()
 
 
 def has_compiled_functions(file: Path) -> bool:

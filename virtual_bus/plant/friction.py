@@ -60,10 +60,10 @@ def kinetic_level(j, friction_of, model, work):
 
 
 @compiled
-def rub(friction_of, reaction_of, h, model, work):
-    """Correct a step's end for friction and effects with a memory, in place.
+def settle(friction_of, reaction_of, h, model, work):
+    """Find what friction and effects with a memory were over a step, and correct the speeds at its end.
 
-    work.friction and work.reaction hold what the step assumed and then what it was.
+    work.friction and work.reaction hold what the step assumed and then what it was, work.friction_change the difference of both together.
     """
     n = len(work.position)
     for j in range(n):
@@ -88,6 +88,13 @@ def rub(friction_of, reaction_of, h, model, work):
             largest = max(largest, solve_reaction(row, reaction_of, h, model, work))
         if largest < SETTLED_SPEED:
             break
+
+
+@compiled
+def rub(friction_of, reaction_of, h, model, work):
+    """Correct a step's end for friction and effects with a memory, in place."""
+    settle(friction_of, reaction_of, h, model, work)
+    n = len(work.position)
     for j in range(n):
         change = work.friction_change[j]
         if change != 0.0:

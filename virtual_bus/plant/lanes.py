@@ -1,0 +1,337 @@
+"""Several machines side by side in compiled code: a number that is LANES numbers, one of each machine.
+
+Code written for one machine, `work.speed[i] += h * work.derivative[i]`, is compiled for all at once where it is handed a record of lanes in
+place of a NumPy record: the entries of its fields are the processor's vectors, and so is what is computed from them. Lanes cannot be
+compared: code that branches on a machine's numbers is not for them, and numba says so when it compiles it.
+
+    record = LaneRecord({"speed": (n,), "inverse": (n, n)})
+    memory = record.new()                      # (entries, LANES) float64
+    record.field(memory, "speed")              # (n, LANES) of it, for Python
+    record.view(memory).speed[i]               # in compiled code: one vector
+    record.view(memory).speed[i, lane]         # and the number of one machine
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature
+from numba.extending import intrinsic, models, register_model
+
+from virtual_bus.plant.jit import FAST_MATH
+
+LANES = 8  # doubles in one register of AVX-512, in two of AVX2
+ALIGNMENT = 64  # bytes: a vector that straddles two lines of the cache is read in two
+
+DOUBLE, INDEX = ir.DoubleType(), ir.IntType(64)
+VECTOR, COUNTS = ir.VectorType(DOUBLE, LANES), ir.VectorType(ir.IntType(32), LANES)
+FLAGS = tuple(sorted(FAST_MATH))
+
+QUARTERS_PER_RADIAN = 2.0 / math.pi
+QUARTER = (math.pi / 2.0, 6.123233995736766e-17)
+"""pi / 2 in two parts: a whole number of quarters is taken off by multiplying and subtracting at once, of which the first is exact."""
+SINE = (
+    1.58962301576546568060e-10, -2.50507477628578072866e-8, 2.75573136213857245213e-6,
+    -1.98412698295895385996e-4, 8.33333333332211858878e-3, -1.66666666666666307295e-1,
+)  # fmt: skip
+COSINE = (
+    -1.13585365213876817300e-11, 2.08757008419747316778e-9, -2.75573141792967388112e-7,
+    2.48015872888517045348e-5, -1.38888888888730564116e-3, 4.16666666666665929218e-2,
+)  # fmt: skip
+"""Of (sin x - x) / x^3 and (cos x - 1 + x^2 / 2) / x^4 in x^2 up to pi / 4, highest powers first (Moshier, Cephes 2.8)."""
+
+
+# ---- the number ----------------------------------------------------------------------------------------------------------------------
+
+
+class LanesType(types.Type):
+    """Of LANES numbers at a time."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes({LANES})")
+
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
+        return Conversion.safe if isinstance(other, types.Number) else None
+
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
+        return self if isinstance(other, types.Number) else None
+
+
+lanes = LanesType()
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, VECTOR)
+
+
+def _splat(builder: Any, value: Any) -> Any:
+    """The same number in every lane."""
+    first = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, ir.Constant(VECTOR, ir.Undefined), ir.Constant(COUNTS, [0] * LANES))
+
+
+def _all(value: float) -> ir.Constant:
+    return ir.Constant(VECTOR, [value] * LANES)
+
+
+@lower_cast(types.Number, LanesType)
+def _from_number(context: Any, builder: Any, kind: types.Type, to: types.Type, value: Any) -> Any:
+    return _splat(builder, context.cast(builder, value, kind, types.float64))
+
+
+class _Binary(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        known = all(isinstance(arg, (LanesType, types.Number)) for arg in args)
+        return signature(lanes, lanes, lanes) if known and lanes in args else None
+
+
+class _Unary(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(lanes, lanes) if args == (lanes,) else None
+
+
+def _arithmetic(function: Any, instruction: str) -> None:
+    infer_global(function)(type(f"_{function.__name__}", (_Binary,), {}))
+
+    @lower_builtin(function, LanesType, LanesType)
+    def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return getattr(builder, instruction)(*args, flags=FLAGS)
+
+
+for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+    _arithmetic(_function, _instruction)
+for _function, _instruction in ((operator.iadd, "fadd"), (operator.isub, "fsub"), (operator.imul, "fmul"), (operator.itruediv, "fdiv")):
+    _arithmetic(_function, _instruction)
+
+infer_global(operator.neg)(type("_neg", (_Unary,), {}))
+
+
+@lower_builtin(operator.neg, LanesType)
+def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.fneg(args[0], flags=FLAGS)
+
+
+def _called(builder: Any, name: str, to: Any, *args: Any) -> Any:
+    """An intrinsic of LLVM, elementwise."""
+    kind = ir.FunctionType(to, [arg.type for arg in args])
+    known = builder.module.globals.get(name)
+    return builder.call(known if known is not None else ir.Function(builder.module, kind, name), args)
+
+
+def _elementwise(function: Any, template: type, name: str) -> None:
+    infer_global(function)(type(f"_{function.__name__}", (template,), {}))
+
+    @lower_builtin(function, *[LanesType] * (1 if template is _Unary else 2))
+    def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _called(builder, f"llvm.{name}.v{LANES}f64", VECTOR, *args)
+
+
+_elementwise(math.floor, _Unary, "floor")  # not to integers, as of one number
+_elementwise(min, _Binary, "minimum")  # NaN where one of both is
+_elementwise(max, _Binary, "maximum")
+
+
+def _polynomial(builder: Any, x: Any, coefficients: tuple[float, ...]) -> Any:
+    value = _all(coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = builder.fadd(builder.fmul(value, x, flags=FLAGS), _all(coefficient), flags=FLAGS)
+    return value
+
+
+def _circular(function: Any, quarters_ahead: int) -> None:
+    """sin or cos, in every lane: NaN and infinities become NaN."""
+    infer_global(function)(type(f"_{function.__name__}", (_Unary,), {}))
+
+    @lower_builtin(function, LanesType)
+    def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        (angle,) = args
+        quarters = _called(builder, f"llvm.nearbyint.v{LANES}f64", VECTOR, builder.fmul(angle, _all(QUARTERS_PER_RADIAN)))
+        rest = angle
+        for part in QUARTER:
+            rest = _called(builder, f"llvm.fma.v{LANES}f64", VECTOR, builder.fneg(quarters), _all(part), rest)
+        square = builder.fmul(rest, rest)
+        cube, fourth = builder.fmul(square, rest), builder.fmul(square, square)
+        sine = builder.fadd(rest, builder.fmul(cube, _polynomial(builder, square, SINE)))
+        cosine = builder.fsub(_all(1.0), builder.fmul(_all(0.5), square))
+        cosine = builder.fadd(cosine, builder.fmul(fourth, _polynomial(builder, square, COSINE)))
+        count = _called(builder, f"llvm.fptosi.sat.v{LANES}i32.v{LANES}f64", COUNTS, quarters)
+        count = builder.add(count, ir.Constant(COUNTS, [quarters_ahead] * LANES))
+        odd = builder.trunc(count, ir.VectorType(ir.IntType(1), LANES))
+        back = builder.trunc(builder.lshr(count, ir.Constant(COUNTS, [1] * LANES)), ir.VectorType(ir.IntType(1), LANES))
+        chosen = builder.select(odd, cosine, sine)
+        return builder.select(back, builder.fneg(chosen), chosen)
+
+
+_circular(math.sin, 0)
+_circular(math.cos, 1)
+
+
+# ---- arrays and records of them ------------------------------------------------------------------------------------------------------
+
+
+class LaneArrayType(types.Type):
+    """Of vectors in memory, of a shape that the compiler knows. Indices are not checked, and do not count from the end."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+        super().__init__(name=f"LaneArray({shape})")
+
+
+class LaneRecordType(types.Type):
+    """Of a record's memory."""
+
+    def __init__(self, fields: tuple[tuple[str, tuple[int, ...]], ...]) -> None:
+        self.fields = fields
+        super().__init__(name=f"LaneRecord({fields})")
+
+    def place(self, name: str) -> tuple[int, tuple[int, ...]] | None:
+        """First entry and shape of a field."""
+        first = 0
+        for known, shape in self.fields:
+            if known == name:
+                return first, shape
+            first += math.prod(shape)
+        return None
+
+
+@register_model(LaneArrayType)
+@register_model(LaneRecordType)
+class _PointerModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, ir.PointerType(DOUBLE))
+
+
+def _entry(builder: Any, pointer: Any, entry: Any) -> Any:
+    return builder.gep(pointer, [builder.mul(entry, ir.Constant(INDEX, LANES))], inbounds=True, source_etype=DOUBLE)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = LaneRecordType
+
+    def generic_resolve(self, record: LaneRecordType, name: str) -> Any:  # type: ignore[override]
+        place = record.place(name)
+        return None if place is None else LaneArrayType(place[1])
+
+
+@lower_getattr_generic(LaneRecordType)
+def _field(context: Any, builder: Any, record: LaneRecordType, pointer: Any, name: str) -> Any:
+    place = record.place(name)
+    assert place is not None
+    return _entry(builder, pointer, ir.Constant(INDEX, place[0]))
+
+
+def _indices(index: Any) -> list[types.Type]:
+    return [index[k] for k in range(len(index))] if hasattr(index, "__len__") else [index]
+
+
+def _addressed(context: Any, builder: Any, array: LaneArrayType, index: types.Type, pointer: Any, value: Any) -> Any:
+    kinds = _indices(index)
+    values = [builder.extract_value(value, k) for k in range(len(kinds))] if isinstance(index, types.BaseTuple) else [value]
+    numbers = [context.cast(builder, one, kind, types.int64) for one, kind in zip(values, kinds, strict=True)]
+    entry = ir.Constant(INDEX, 0)
+    for size, number in zip(array.shape, numbers, strict=False):
+        entry = builder.add(builder.mul(entry, ir.Constant(INDEX, size)), number)
+    place = _entry(builder, pointer, entry)
+    if len(numbers) == len(array.shape):
+        return builder.bitcast(place, ir.PointerType(VECTOR))
+    return builder.gep(place, [numbers[-1]], inbounds=True, source_etype=DOUBLE)
+
+
+def _indexed(array: types.Type, index: types.Type) -> types.Type | None:
+    """What stands at an index: a vector, or with the lane as a further index the number of one machine."""
+    if not isinstance(array, LaneArrayType) or not all(isinstance(one, types.Integer) for one in _indices(index)):
+        return None
+    return {0: lanes, 1: types.float64}.get(len(_indices(index)) - len(array.shape))
+
+
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        entry = _indexed(*args)
+        return None if entry is None else signature(entry, *args)
+
+
+@infer_global(operator.setitem)
+class _SetItem(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        array, index, value = args
+        entry = _indexed(array, index)
+        known = isinstance(value, types.Number) or value == entry
+        return signature(types.none, array, index, entry) if known and entry is not None else None
+
+
+@lower_builtin(operator.getitem, LaneArrayType, types.Any)
+def _read(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind = VECTOR if sig.return_type == lanes else DOUBLE
+    return builder.load(_addressed(context, builder, *sig.args, *args), align=8, typ=kind)
+
+
+@lower_builtin(operator.setitem, LaneArrayType, types.Any, LanesType)
+@lower_builtin(operator.setitem, LaneArrayType, types.Any, types.float64)
+def _write(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    builder.store(args[2], _addressed(context, builder, *sig.args[:2], *args[:2]), align=8)
+    return context.get_dummy_value()
+
+
+@infer_global(len)
+class _Length(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.intp, *args) if len(args) == 1 and isinstance(args[0], LaneArrayType) else None
+
+
+@lower_builtin(len, LaneArrayType)
+def _length(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return context.get_constant(types.intp, sig.args[0].shape[0])
+
+
+class LaneRecord:
+    """Names and shapes of a record's fields, the memory it takes, and how compiled code sees that.
+
+    Parameters
+    ----------
+    fields : mapping of str to tuple of int
+    """
+
+    def __init__(self, fields: Mapping[str, tuple[int, ...]]) -> None:
+        self._type = LaneRecordType(tuple(fields.items()))
+        self.view = _viewer(self._type)
+        self.size = sum(math.prod(shape) for shape in fields.values())
+
+    def new(self) -> np.ndarray:
+        """(entries, LANES) zeros."""
+        count = self.size * LANES
+        memory = np.zeros(count + ALIGNMENT // 8)
+        skipped = -memory.ctypes.data % ALIGNMENT // 8
+        return memory[skipped : skipped + count].reshape(self.size, LANES)
+
+    def field(self, memory: np.ndarray, name: str) -> np.ndarray:
+        """(*shape, LANES) of a field, a view of `memory`."""
+        place = self._type.place(name)
+        if place is None:
+            raise KeyError(name)
+        first, shape = place
+        return memory[first : first + math.prod(shape)].reshape(*shape, LANES)
+
+
+def _viewer(record: LaneRecordType) -> Any:
+    @intrinsic
+    def view(typingctx: Any, memory: Any) -> Any:
+        """Compiled: memory (entries, LANES) as a record of lanes."""
+
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+        return record(memory), codegen
+
+    return view
