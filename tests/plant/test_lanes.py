@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba.core.errors import NumbaError
 
@@ -51,6 +51,7 @@ def filled(**fields: np.ndarray) -> np.ndarray:
     return memory
 
 
+@settings(deadline=None)  # the first example compiles
 @given(st.lists(st.floats(-1e8, 1e8), min_size=3 * LANES, max_size=3 * LANES))
 def test_sines_and_cosines_are_those_of_every_lane_to_the_last_digit_but_one(angles: list[float]) -> None:
     memory = filled(angle=np.reshape(angles, (3, LANES)))
@@ -71,6 +72,7 @@ def test_a_lane_that_is_no_number_has_no_sine_and_leaves_the_others_alone() -> N
         assert np.sum(np.abs(found - expected) < 1e-15) == 3 * LANES - 2
 
 
+@settings(deadline=None)  # the first example compiles
 @given(st.integers(0, 2**32 - 1), st.floats(-5.0, 5.0))
 def test_arithmetic_mixes_lanes_with_numbers(seed: int, by: float) -> None:
     random = np.random.default_rng(seed)

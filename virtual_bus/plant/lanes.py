@@ -128,17 +128,24 @@ def _called(builder: Any, name: str, to: Any, *args: Any) -> Any:
     return builder.call(known if known is not None else ir.Function(builder.module, kind, name), args)
 
 
-def _elementwise(function: Any, template: type, name: str) -> None:
-    infer_global(function)(type(f"_{function.__name__}", (template,), {}))
+infer_global(math.floor)(type("_floor", (_Unary,), {}))  # not to integers, as of one number
 
-    @lower_builtin(function, *[LanesType] * (1 if template is _Unary else 2))
+
+@lower_builtin(math.floor, LanesType)
+def _floor(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return _called(builder, f"llvm.floor.v{LANES}f64", VECTOR, *args)
+
+
+def _extreme(function: Any, replaced_where: str) -> None:
+    infer_global(function)(type(f"_{function.__name__}", (_Binary,), {}))
+
+    @lower_builtin(function, LanesType, LanesType)
     def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _called(builder, f"llvm.{name}.v{LANES}f64", VECTOR, *args)
+        return builder.select(builder.fcmp_ordered(replaced_where, *args), args[1], args[0])
 
 
-_elementwise(math.floor, _Unary, "floor")  # not to integers, as of one number
-_elementwise(min, _Binary, "minimum")  # NaN where one of both is
-_elementwise(max, _Binary, "maximum")
+_extreme(min, ">")  # NaN where the first of both is
+_extreme(max, "<")
 
 
 def _polynomial(builder: Any, x: Any, coefficients: tuple[float, ...]) -> Any:
