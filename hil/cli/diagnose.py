@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from hil.machine import Machine
     from hil.recording import Recording
 
-MOST_PROCESSES = 4
-"""By default: as many fits are under way at a time (`refit.SIDE_BY_SIDE`), and each process adds to the memory."""
+MOST_THREADS = 4
+"""By default: more would find little to do, since eight runs go side by side in each and fits wait for their answers."""
 
 
 def register(app: typer.Typer) -> None:
@@ -42,7 +42,9 @@ def diagnose(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes; one per processor unless given, 4 at most. Same answer."),
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=1, help="Threads of simulations; one per processor unless given, 4 at most. Same answer."
+        ),
     ] = None,
     json_to: JsonOption = None,
 ) -> None:
@@ -71,7 +73,7 @@ def diagnose(
 
 def _processors() -> int:
     """That this process may use, as far as it says."""
-    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_PROCESSES)
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
 
 
 def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:

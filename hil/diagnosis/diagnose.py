@@ -116,7 +116,7 @@ def diagnose(
     recordings, held_out : mapping of str to Recording
         By name; held-out ones are fitted to by nothing.
     jobs : int
-        Processes.
+        Threads of simulations.
     report : callable
         Told what is being done, and the share of the whole that is done.
     look_further : bool

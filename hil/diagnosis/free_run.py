@@ -50,7 +50,7 @@ class Trial:
 
 
 class _Runner:
-    """Runs trials in this process."""
+    """Runs trials in one thread."""
 
     def __init__(self, sets: Mapping[str, Mismatch], noise: NoiseModel) -> None:
         self._sets = sets
@@ -81,7 +81,10 @@ class _Runner:
             alive = [k for k, rows in enumerate(folded) if rows is not None]
             machines = [(trials[k].values, (*found.machine.plant.effects, *trials[k].effects)) for k in alive]
             simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
-            answers = simulator.run_all(group.inputs.settled if settled else group.inputs, machines)
+            inputs = group.inputs.settled if settled else group.inputs
+            answers = (
+                [simulator.run_or_error(inputs, *machines[0])] if len(trials) == 1 and machines else simulator.run_all(inputs, machines)
+            )
             for k, outputs in zip(alive, answers, strict=True):
                 own = folded[k]
                 assert own is not None

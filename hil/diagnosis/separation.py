@@ -14,15 +14,14 @@ for all of them: a small effect hardly changes them.
 
 from __future__ import annotations
 
-import multiprocessing
+import threading
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numpy as np
 
-from controllers.errors import ControlError
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.carried import CarriedImu, carried_imu
 from hil.diagnosis.coordinates import ORDER_UNIT
@@ -30,13 +29,13 @@ from hil.diagnosis.noise import NoiseModel
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
 from hil.diagnosis.simulated import simulated_matrix, smooth
-from hil.errors import BadAnswer, BenchError
+from hil.errors import BadAnswer
 from hil.experiments import Plan
 from hil.machine import Machine
 from hil.simulation import Inputs, Simulator
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
-from virtual_bus.errors import EmulatorError
+from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
 
 TUNED_STEP = 0.1
@@ -152,17 +151,17 @@ class _Runner:
         self._simulator = Simulator(smooth(machine))
         self._along: tuple[bytes, CarriedImu | None] = b"", None
 
-    def answer(self, task: _Task) -> np.ndarray | None:
-        """(M,); None where it cannot be simulated."""
-        plan = task.plan
+    def answers(self, tasks: Sequence[_Task]) -> list[np.ndarray | None]:
+        """(M,) of tasks of one plan; None where one cannot be simulated."""
+        plan = tasks[0].plan
         still = np.zeros_like(plan.reference)
         inputs = Inputs(plan.reference, plan.excitation, still if plan.feedforward is None else plan.feedforward, None, plan.start_pose)
-        try:
-            outputs = self._simulator.run(inputs, task.values, (*self._machine.plant.effects, *task.effects))
-        except (BenchError, EmulatorError, ControlError):
-            return None
-        rows = simulated_matrix(self._machine, outputs, self._channels)
-        return self.whitened(plan, rows)
+        machines = [(task.values, (*self._machine.plant.effects, *task.effects)) for task in tasks]
+        outputs = self._simulator.run_all(inputs, machines)
+        return [
+            None if isinstance(one, Exception) else self.whitened(plan, simulated_matrix(self._machine, one, self._channels))
+            for one in outputs
+        ]
 
     def whitened(self, plan: Plan, rows: np.ndarray) -> np.ndarray:
         """(M,) of a plan's channels (N, C)."""
@@ -171,19 +170,6 @@ class _Runner:
         if self._along[0] != key:  # a plan's runs come one after the other
             self._along = key, carried_imu(self._machine, self._channels, reference)
         return self._noise.of_mean(1).whiten(rows[_kept(plan) :], self._along[1])
-
-
-_runner: _Runner | None = None  # of a worker process
-
-
-def _start_worker(machine: Machine, noise: NoiseModel, channels: tuple[str, ...]) -> None:
-    global _runner
-    _runner = _Runner(machine, noise, channels)
-
-
-def _run_in_worker(task: _Task) -> np.ndarray | None:
-    assert _runner is not None
-    return _runner.answer(task)
 
 
 class Separation:
@@ -197,7 +183,7 @@ class Separation:
     noise : NoiseModel
     channels : tuple of str
     jobs : int
-        Processes. 1: all in this one.
+        Threads besides the caller's. 1: all in that one.
 
     Attributes
     ----------
@@ -210,11 +196,10 @@ class Separation:
         self.count = 0
         self._models = models
         self._runner = _Runner(machine, noise, channels)
-        self._pool: ProcessPoolExecutor | None = None
-        if jobs > 1:
-            how = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
-            context = multiprocessing.get_context(how)
-            self._pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(machine, noise, channels))
+        self._channels = channels
+        self._noise = noise
+        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
+        self._of_thread = threading.local()
 
     def __enter__(self) -> Separation:
         return self
@@ -309,9 +294,18 @@ class Separation:
 
     def _run(self, tasks: Sequence[_Task]) -> list[np.ndarray | None]:
         self.count += len(tasks)
-        if self._pool is None:
-            return [self._runner.answer(task) for task in tasks]
-        return list(self._pool.map(_run_in_worker, tasks))
+        batches: list[list[_Task]] = []
+        for task in tasks:
+            if not batches or batches[-1][0].plan is not task.plan or len(batches[-1]) == LANES:
+                batches.append([])
+            batches[-1].append(task)
+        answers = map(self._runner.answers, batches) if self._pool is None else self._pool.map(self._run_in_thread, batches)
+        return [answer for batch in answers for answer in batch]
+
+    def _run_in_thread(self, batch: Sequence[_Task]) -> list[np.ndarray | None]:
+        if not hasattr(self._of_thread, "runner"):
+            self._of_thread.runner = _Runner(self.machine, self._noise, self._channels)
+        return self._of_thread.runner.answers(batch)
 
 
 def _kept(plan: Plan) -> int:

@@ -1,6 +1,6 @@
 """The fused kernel of `kernel.py` for LANES machines of one plant at a time: the same rows in, every machine's own rows out.
 
-Where a lane stops being finite its commands are NaN from then on, and the others go on.
+Where a lane stops being finite it stays so, its commands in closed loop too, and the others go on.
 """
 
 from __future__ import annotations

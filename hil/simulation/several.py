@@ -29,6 +29,7 @@ class Taken(NamedTuple):
     link_position: np.ndarray  # (N, n)
     speed: np.ndarray  # (N, n)
     imu: np.ndarray  # (N, 6 imus)
+    ends_finite: bool
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,6 @@ class SideBySide:
         for lane, one in enumerate(filled):
             models[lane] = one.model[0]
         works = np.zeros(LANES, self._works.dtype)
-        works["friction"] = states[:, 3 * self._plant.joints : 4 * self._plant.joints]
         loop, side = self._loop.new(), self._begun(states)
         self._loop.field(loop, "target")[:] = np.array([one.target for one in filled]).T
         first = filled[0].loop
@@ -88,8 +88,19 @@ class SideBySide:
             inputs.command is None, states, models, works, self._models(models), side, loop, filled[0].sensors, effects, memory,
             new_readings(settings), self._scratch, _acting(models[: len(runs)], affected), self._given(inputs, first), rows,
         )  # fmt: skip
-        ends = [axes * k for k in range(1, 6)]
-        return [Taken(*np.split(own, ends, axis=1)) for own in rows[: len(runs)]]
+        starts = [axes * k for k in range(1, 6)]
+        found = []
+        for own, ends_finite in zip(rows[: len(runs)], self._are_finite(side, states), strict=False):
+            command, effort, position, link_position, speed, imu = np.split(own, starts, axis=1)
+            given = command if inputs.command is None else inputs.command
+            found.append(Taken(given, effort, position, link_position, speed, imu, bool(ends_finite)))
+        return found
+
+    def _are_finite(self, side: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """(LANES,) whether machines are somewhere at the end."""
+        names = ("position", "speed", "acceleration", "filtered", "filtered_slope")
+        parts = [np.isfinite(self._side.field(side, name)).all(axis=0) for name in names]
+        return np.all([*parts, np.isfinite(states).all(axis=1)], axis=0)
 
     def _given(self, inputs: Inputs, loop: Loop) -> Given:
         def filled(rows: np.ndarray | None) -> np.ndarray:

@@ -143,10 +143,8 @@ class Simulator:
         """The same for several machines: values and effects of each, and what `run` would return or raise.
 
         Several of them are worked at a time, side by side in the processor's vectors (see virtual_bus/plant/lanes.py): the answers of one
-        machine differ by rounding from those of `run`.
+        machine differ by rounding from those of `run`, and not with what is asked beside it.
         """
-        if len(trials) == 1:
-            return [self._run_or_error(inputs, *trial) for trial in trials]
         found: list[Any] = []
         for values, effects in trials:
             try:
@@ -161,12 +159,13 @@ class Simulator:
                     found[k] = self._of_lane(own, inputs)
         for k, one in enumerate(found):
             if isinstance(one, Prepared):
-                found[k] = self._run_or_error(inputs, *trials[k])
+                found[k] = self.run_or_error(inputs, *trials[k])
         return found
 
-    def _run_or_error(
+    def run_or_error(
         self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
     ) -> Outputs | BenchError | EmulatorError | ControlError:
+        """What `run` returns or raises."""
         try:
             return self.run(inputs, values, effects)
         except (BenchError, EmulatorError, ControlError) as error:
@@ -178,12 +177,10 @@ class Simulator:
         return SideBySide(self.plant, sections)
 
     def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswer:
-        own = Outputs(*taken)
-        for values in (own.command, own.position if inputs.command is not None else own.command):
-            broken = ~np.isfinite(values).all(axis=1)
-            if broken.any():
-                return self._diverged(int(np.argmax(broken)))
-        return own
+        broken = ~np.isfinite(taken.command).all(axis=1) if inputs.command is None else np.zeros(1, dtype=bool)
+        if broken.any() or not taken.ends_finite:
+            return self._diverged(int(np.argmax(broken)) if broken.any() else -1)
+        return Outputs(taken.command, taken.effort, taken.position, taken.link_position, taken.speed, taken.imu)
 
     def _diverged(self, row: int) -> BadAnswer:
         at = f"at {row / self.machine.sample_rate_Hz:.4g} s" if row >= 0 else "in its last sample"

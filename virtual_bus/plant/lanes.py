@@ -36,6 +36,7 @@ VECTOR, COUNTS = ir.VectorType(DOUBLE, LANES), ir.VectorType(ir.IntType(32), LAN
 FLAGS = tuple(sorted(FAST_MATH))
 
 QUARTERS_PER_RADIAN = 2.0 / math.pi
+MOST_QUARTERS = 2.0e9  # which 32 bits count
 QUARTER = (math.pi / 2.0, 6.123233995736766e-17)
 """pi / 2 in two parts: a whole number of quarters is taken off by multiplying and subtracting at once, of which the first is exact."""
 SINE = (
@@ -156,13 +157,14 @@ def _polynomial(builder: Any, x: Any, coefficients: tuple[float, ...]) -> Any:
 
 
 def _circular(function: Any, quarters_ahead: int) -> None:
-    """sin or cos, in every lane: NaN and infinities become NaN."""
+    """sin or cos, in every lane; NaN of NaN, of infinities and from 3e9 rad on, which no joint that has not run away turns through."""
     infer_global(function)(type(f"_{function.__name__}", (_Unary,), {}))
 
     @lower_builtin(function, LanesType)
     def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         (angle,) = args
         quarters = _called(builder, f"llvm.nearbyint.v{LANES}f64", VECTOR, builder.fmul(angle, _all(QUARTERS_PER_RADIAN)))
+        is_near = builder.fcmp_ordered("<", _called(builder, f"llvm.fabs.v{LANES}f64", VECTOR, quarters), _all(MOST_QUARTERS))
         rest = angle
         for part in QUARTER:
             rest = _called(builder, f"llvm.fma.v{LANES}f64", VECTOR, builder.fneg(quarters), _all(part), rest)
@@ -176,7 +178,7 @@ def _circular(function: Any, quarters_ahead: int) -> None:
         odd = builder.trunc(count, ir.VectorType(ir.IntType(1), LANES))
         back = builder.trunc(builder.lshr(count, ir.Constant(COUNTS, [1] * LANES)), ir.VectorType(ir.IntType(1), LANES))
         chosen = builder.select(odd, cosine, sine)
-        return builder.select(back, builder.fneg(chosen), chosen)
+        return builder.select(is_near, builder.select(back, builder.fneg(chosen), chosen), _all(math.nan))
 
 
 _circular(math.sin, 0)

@@ -11,6 +11,7 @@ import importlib.util
 import os
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from types import ModuleType
 
@@ -19,6 +20,8 @@ import numba
 from virtual_bus.errors import PlantError
 
 CACHE_VARIABLE = "ISOCENTER_CACHE"
+
+_one_at_a_time = threading.RLock()  # another thread would find a module that is half made; modules import each other
 
 
 def cache_folder() -> Path:
@@ -49,6 +52,11 @@ def load_generated(name: str, text: str, depends_on: str = "") -> ModuleType:
     PlantError
         The cache folder cannot be written.
     """
+    with _one_at_a_time:
+        return _loaded(name, text, depends_on)
+
+
+def _loaded(name: str, text: str, depends_on: str) -> ModuleType:
     digest = hashlib.sha256("\0".join((text, depends_on, numba.__version__)).encode()).hexdigest()[:20]
     module_name = f"isocenter_{name}_{digest}"
     if module_name in sys.modules:
