@@ -42,9 +42,7 @@ def diagnose(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=1, help="Threads of simulations; one per processor unless given, 4 at most. Same answer."
-        ),
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Threads; one per processor unless given, 4 at most. Same answer."),
     ] = None,
     json_to: JsonOption = None,
 ) -> None:

@@ -82,9 +82,10 @@ class _Runner:
             machines = [(trials[k].values, (*found.machine.plant.effects, *trials[k].effects)) for k in alive]
             simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
             inputs = group.inputs.settled if settled else group.inputs
-            answers = (
-                [simulator.run_or_error(inputs, *machines[0])] if len(trials) == 1 and machines else simulator.run_all(inputs, machines)
-            )
+            if len(trials) > 1:
+                answers = simulator.run_all(inputs, machines)
+            else:  # as one machine, cheaper: by how many were asked for, not by how many have not diverged yet
+                answers = [simulator.run_or_error(inputs, *each) for each in machines]
             for k, outputs in zip(alive, answers, strict=True):
                 own = folded[k]
                 assert own is not None
