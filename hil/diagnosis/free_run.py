@@ -1,6 +1,6 @@
 """Many free runs of one machine, whitened: over plant parameters and effects, on one or more processors.
 
-Runs are machine code and NumPy's, neither of which holds the interpreter's lock: threads share the recordings and hand over answers of a
+Most of a run is machine code or NumPy's, and neither holds the interpreter's lock: threads share the recordings and hand over answers of a
 megabyte as they are.
 """
 

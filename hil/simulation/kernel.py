@@ -65,12 +65,12 @@ from SENSORS import measure as measure_affected
 from SENSORS import remember, start
 
 from controllers.feedback import feedback_step
-from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.plant.jit import compiled_for_threads
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.sensors.measure import measure
 
 
-@compiled_and_cached
+@compiled_for_threads
 def run(closed, state, target, target_resolution, model, work, sensors, memory, readings, imu_motion, loop, rows, scratch):
     """All rows, in place; returns the first row without a finite position, or -1. `target` (n,): what the drives hold before row 0."""
     axes = target.shape[0]

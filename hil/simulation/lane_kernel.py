@@ -63,7 +63,7 @@ from PLANT import imu as imu_of_one
 from PLANT import mass_and_bias as mass_and_bias_of_one
 from virtual_bus.plant import side_by_side
 from virtual_bus.plant.drives import drive_currents
-from virtual_bus.plant.jit import compiled, compiled_and_cached
+from virtual_bus.plant.jit import compiled, compiled_for_threads
 from virtual_bus.sensors.current import current_reading
 from virtual_bus.sensors.effects import SensorEffects, SensorMemory, remember
 from virtual_bus.sensors.encoder import encoder_reading, quantised, summed_position
@@ -118,7 +118,7 @@ def see(lane, no_noise, no_rise, imu_motion, currents, state, sensors, effects, 
         loop.imu[k, lane] = readings.imu[k]
 
 
-@compiled_and_cached
+@compiled_for_threads
 def run(
     closed, states, models, works, model_memory, side_memory, loop_memory, sensors, effects, memory, readings, scratch, acting, given, rows
 ):

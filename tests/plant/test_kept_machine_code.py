@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
+from hil.machine import load_machine
+from hil.simulation.kernel import closed_loop_kernel
 from hil.simulation.lane_kernel import DEPENDENCIES as OF_LANES
+from hil.simulation.lane_kernel import lane_kernel
 from virtual_bus.effects.dispatch import dispatch_sources
-from virtual_bus.plant.compiled import DEPENDENCIES
+from virtual_bus.plant.compiled import DEPENDENCIES, compile_plant
 from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.measure import sensor_sources
 
@@ -49,3 +52,11 @@ def test_a_plant_counts_no_references_so_that_nothing_in_it_may_ask_for_memory()
 
     with pytest.raises(NumbaError, match="NRT required but not enabled"):
         asks_for_memory(np.zeros(3), np.ones(3))
+
+
+def test_whole_simulations_let_other_threads_go_on_and_what_a_loop_calls_every_sample_does_not() -> None:
+    plant = compile_plant(load_machine("carm").plant)
+    functions = [one for one in vars(plant.module).values() if hasattr(one, "targetoptions")]
+    assert plant.advance in functions and not any(one.targetoptions.get("nogil") for one in functions)
+    for kernel in (closed_loop_kernel(plant), lane_kernel(plant, 4)):
+        assert kernel.run.targetoptions["nogil"]

@@ -18,5 +18,9 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False}
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
 compiled = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED)
 
-# For the functions of a generated module: machine code of their own, kept on disk, that other threads need not wait for.
-compiled_and_cached = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED)
+# For the functions of a generated module: machine code of their own, kept on disk.
+compiled_and_cached = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED)
+
+# For whole simulations: other threads go on meanwhile. Not for what a loop in real time calls every sample: coming back it would have to
+# wait for the interpreter's lock, 5 ms where another thread has work.
+compiled_for_threads = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED)
