@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, partial
 from itertools import islice, pairwise
 from types import TracebackType
 
@@ -211,7 +211,7 @@ class FreeRuns:
         for first, end in pairwise(ends):
             batch = trials[first:end]
             if self._pool is None:
-                yield lru_cache(maxsize=1)(partial(self._local.whitened, name, batch)), len(batch)
+                yield cache(partial(self._local.whitened, name, batch)), len(batch)
             else:
                 yield self._pool.submit(self._run_in_thread, name, batch).result, len(batch)
 

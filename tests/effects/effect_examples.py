@@ -1,8 +1,14 @@
-"""One effect of every name on the C-arm, of a strength that shows."""
+"""One effect of every name on the C-arm, of a strength that shows, and a motion along which it does."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from hil.simulation import Inputs
 from virtual_bus.settings import EffectSetting
+
+POSE = np.radians([10.0, -20.0])
+ROWS = 384
 
 EXAMPLES = {
     setting.name: setting
@@ -49,3 +55,11 @@ EXAMPLES = {
         EffectSetting("viscous_friction", "roll", {"Fv": 60.0}),
     )
 }
+
+
+def jog(sample_rate_Hz: float) -> Inputs:
+    """Of both axes through a reversal, with noise on the commands."""
+    time_s = np.arange(ROWS) / sample_rate_Hz
+    sweep = np.outer(1.0 - np.cos(2.0 * np.pi * 0.9 * time_s), [0.02, -0.03]) + np.outer(np.sin(2.0 * np.pi * 0.7 * time_s), [0.02, 0.02])
+    excitation = 0.3 * np.random.default_rng(4).standard_normal((ROWS, 2))
+    return Inputs(POSE + sweep, excitation, np.zeros((ROWS, 2)), None, POSE)

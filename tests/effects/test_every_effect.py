@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_examples import EXAMPLES
+from effect_examples import EXAMPLES, POSE, ROWS, jog
 
 from controllers.feedback import Feedback
 from hil.machine import load_machine
@@ -16,8 +16,6 @@ from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
 CARM = load_machine("carm")
-POSE = np.radians([10.0, -20.0])
-ROWS = 384
 GROUPS = ("command", "effort", "position", "link_position", "imu")
 
 
@@ -28,11 +26,7 @@ def simulator() -> Simulator:
 
 @pytest.fixture(scope="module")
 def inputs() -> Inputs:
-    """A jog of both axes through a reversal, with noise on the commands."""
-    time_s = np.arange(ROWS) / CARM.sample_rate_Hz
-    sweep = np.outer(1.0 - np.cos(2.0 * np.pi * 0.9 * time_s), [0.02, -0.03]) + np.outer(np.sin(2.0 * np.pi * 0.7 * time_s), [0.02, 0.02])
-    excitation = 0.3 * np.random.default_rng(4).standard_normal((ROWS, 2))
-    return Inputs(POSE + sweep, excitation, np.zeros((ROWS, 2)), None, POSE)
+    return jog(CARM.sample_rate_Hz)
 
 
 @pytest.fixture(scope="module")

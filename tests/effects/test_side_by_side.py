@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effect_examples import EXAMPLES, ROWS, jog
 
 from hil.diagnosis.simulated import smooth
 from hil.errors import BadAnswer, BenchError
@@ -19,8 +20,6 @@ from virtual_bus.settings import EffectSetting
 
 MACHINES = Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines"
 CARM = smooth(load_machine("carm"))
-POSE = np.radians([10.0, -20.0])
-ROWS = 384
 PARTS = ("command", "effort", "position", "link_position", "speed", "imu")
 
 
@@ -31,11 +30,7 @@ def simulator() -> Simulator:
 
 @pytest.fixture(scope="module")
 def inputs() -> Inputs:
-    """A jog of both axes through a reversal, with noise on the commands."""
-    time_s = np.arange(ROWS) / CARM.sample_rate_Hz
-    sweep = np.outer(1.0 - np.cos(2.0 * np.pi * 0.9 * time_s), [0.02, -0.03]) + np.outer(np.sin(2.0 * np.pi * 0.7 * time_s), [0.02, 0.02])
-    excitation = 0.3 * np.random.default_rng(4).standard_normal((ROWS, 2))
-    return Inputs(POSE + sweep, excitation, np.zeros((ROWS, 2)), None, POSE)
+    return jog(CARM.sample_rate_Hz)
 
 
 def difference(one: object, other: Outputs) -> float:
@@ -56,8 +51,8 @@ def drawn(simulator: Simulator, seed: int) -> np.ndarray:
     return nominal * (1.0 + 0.01 * np.random.default_rng(seed).uniform(-1.0, 1.0, len(nominal)))
 
 
-def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(simulator: Simulator, inputs: Inputs, examples) -> None:
-    trials = [(drawn(simulator, seed), (setting,)) for seed, setting in enumerate(examples.values())]
+def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(simulator: Simulator, inputs: Inputs) -> None:
+    trials = [(drawn(simulator, seed), (setting,)) for seed, setting in enumerate(EXAMPLES.values())]
     together = simulator.run_all(inputs, trials)
     for (values, effects), answer in zip(trials, together, strict=True):
         assert difference(answer, simulator.run(inputs, values, effects)) < 1e-7, effects
@@ -65,16 +60,16 @@ def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(sim
     assert min(moved) > 1e-6  # every one of them shows, and at its own place
 
 
-def test_pairs_of_effects_too(simulator: Simulator, inputs: Inputs, examples) -> None:
+def test_pairs_of_effects_too(simulator: Simulator, inputs: Inputs) -> None:
     names = ("coulomb_friction", "presliding_hysteresis", "axis_coupling", "delay", "clock_offset", "structural_mode", "torque_ripple")
-    trials = [(None, (examples[one], examples[other])) for one, other in pairwise(names)]
+    trials = [(None, (EXAMPLES[one], EXAMPLES[other])) for one, other in pairwise(names)]
     for (_, effects), answer in zip(trials, simulator.run_all(inputs, trials), strict=True):
         assert difference(answer, simulator.run(inputs, None, effects)) < 1e-7, effects
 
 
-def test_an_answer_does_not_depend_on_what_is_asked_beside_it(simulator: Simulator, inputs: Inputs, examples) -> None:
-    asked = (drawn(simulator, 1), (examples["coulomb_friction"],))
-    others = [(drawn(simulator, seed), (examples[name],)) for seed, name in enumerate(("delay", "cogging", "end_stop"), 2)]
+def test_an_answer_does_not_depend_on_what_is_asked_beside_it(simulator: Simulator, inputs: Inputs) -> None:
+    asked = (drawn(simulator, 1), (EXAMPLES["coulomb_friction"],))
+    others = [(drawn(simulator, seed), (EXAMPLES[name],)) for seed, name in enumerate(("delay", "cogging", "end_stop"), 2)]
     first, *_ = simulator.run_all(inputs, [asked, others[0]])
     *_, last = simulator.run_all(inputs, [*others, asked])
     assert isinstance(first, Outputs) and isinstance(last, Outputs)
@@ -85,10 +80,8 @@ def test_an_answer_does_not_depend_on_what_is_asked_beside_it(simulator: Simulat
 @pytest.mark.parametrize("count", [1, 2, LANES, LANES + 1])
 def test_as_many_answers_come_as_were_asked_for_in_their_order(simulator: Simulator, inputs: Inputs, count: int) -> None:
     trials = [(drawn(simulator, seed), ()) for seed in range(count)]
-    answers = simulator.run_all(inputs, trials)
-    assert [difference(answer, simulator.run(inputs, *trial)) < 1e-7 for answer, trial in zip(answers, trials, strict=True)] == [
-        True
-    ] * count
+    for answer, trial in zip(simulator.run_all(inputs, trials), trials, strict=True):
+        assert difference(answer, simulator.run(inputs, *trial)) < 1e-7
 
 
 def test_one_that_diverges_says_when_and_leaves_the_others_alone(simulator: Simulator, inputs: Inputs) -> None:
@@ -127,12 +120,18 @@ def test_an_imu_without_low_pass_is_run_alone_and_the_same(inputs: Inputs) -> No
 
 
 def test_lattices_and_targets_are_rounded_as_alone(inputs: Inputs) -> None:
-    simulator = Simulator(load_machine("carm"))
+    machine = load_machine("carm")
+    simulator = Simulator(machine)
+    alone = simulator.run(inputs)
     for answer in simulator.run_all(inputs, [(None, ()), (None, ())]):
-        alone = simulator.run(inputs)
         assert isinstance(answer, Outputs)
-        steps = np.abs(answer.position - alone.position) / simulator.machine.plant.encoders[0].resolution
-        assert np.mean(steps > 0.5) < 0.01  # a rounding error that falls on a step's edge is a step
+        for one, other, sensors in (
+            (answer.position, alone.position, machine.plant.encoders),
+            (answer.effort, alone.effort, machine.plant.currents),
+        ):
+            assert sensors[0].resolution > 0.0
+            is_other = np.abs(one - other) > 1e-6 * sensors[0].resolution  # unrounded, nearly all of them
+            assert np.mean(is_other) < 0.01  # a rounding error that falls on a step's edge is a step
 
 
 @pytest.mark.parametrize("name", ["slider", "spring_mass", "tilted_arm"])
