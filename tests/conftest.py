@@ -1,6 +1,25 @@
-"""What all tests share: small matrices on one thread. Several workers' BLAS threads spinning against each other cost a hundredfold."""
+"""What all tests share: small matrices on one thread, and which files are begun with."""
 
 import os
 
+import pytest
+
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
+    os.environ.setdefault(_variable, "1")  # several workers' threads spinning against each other cost a hundredfold
+
+LONGEST_FIRST = ("vcan", "observers", "diagnosis", "effects", "bench", "calibration", "concealed", "identification")
+"""Folders in the order in which workers begin with them: what takes minutes in one test must not be left to the end, when the other
+workers have nothing to do."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config.option, "loadscopereorder"):  # files in their order, not those of many tests first
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        folder = item.path.parent.name
+        return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
+
+    items.sort(key=place)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate, candidates
-from hil.diagnosis.filtered_orders import with_filtered_orders
+from hil.diagnosis.filtered_orders import with_filtered_starts
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.motion import Motion
@@ -45,7 +45,7 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
         longest = max(len(simulated) for simulated in rows)
         first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
         tried = candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
-        return with_filtered_orders(runs, tuning, tried, motions, runs.measured() - runs.joined(rows))
+        return with_filtered_starts(runs, tuning, tried, motions, runs.measured() - runs.joined(rows))
 
     return found_beside
 

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.ndimage
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.filtered_lines import line_starts
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.harmonics import FIRST_AND_SECOND
 from hil.diagnosis.motion import Motion
@@ -36,6 +37,9 @@ STARTS = 2
 
 APART_STEPS = 3.0
 """Steps by which orders that stand out differ: a wave is two cycles per travel wide."""
+
+LINE = "base_motion"
+"""At a frequency and not at an order."""
 
 RIDGE = 1e-6
 """Share of its energy by which a harmonic's response must differ from the others' to be told from them."""
@@ -82,10 +86,10 @@ class _Wave:
         return total
 
 
-def with_filtered_orders(
+def with_filtered_starts(
     runs: FreeRuns, tuning: Tuning, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
 ) -> list[Candidate]:
-    """Candidates whose waves start, before all else, at the orders that the matched filter finds.
+    """Candidates whose waves start, before all else, at the orders that the matched filter finds, and base motions at its frequencies.
 
     Parameters
     ----------
@@ -98,18 +102,18 @@ def with_filtered_orders(
     residual : (M,) array
         Of the training groups there.
     """
-    waves = [candidate for candidate in found if candidate.effect.effect in FIRST_AND_SECOND]
-    if not waves:
+    if not any(candidate.effect.effect in (*FIRST_AND_SECOND, LINE) for candidate in found):
         return list(found)
     left = Projection.of(tuning).left_of_residual(residual)
     loop = ThroughTheLoop.of(runs, TRAIN, tuning)
     behind = loop.efforts_behind(left[: len(residual)])
-    return [
-        replace(candidate, starts=(*_starts(loop, tuning, _wave(candidate, motions), behind, left), *candidate.starts))
-        if candidate in waves
-        else candidate
-        for candidate in found
-    ]
+
+    def starts(candidate: Candidate) -> list[np.ndarray]:
+        if candidate.effect.effect in FIRST_AND_SECOND:
+            return _starts(loop, tuning, _wave(candidate, motions), behind, left)
+        return line_starts(loop, tuning, candidate, motions, behind, left) if candidate.effect.effect == LINE else []
+
+    return [replace(candidate, starts=(*starts(candidate), *candidate.starts)) for candidate in found]
 
 
 def _wave(candidate: Candidate, motions: Sequence[Motion]) -> _Wave:

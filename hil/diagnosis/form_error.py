@@ -1,12 +1,12 @@
 """By what the equations of effects that were found may err: other functions of what they depend on, where they act.
 
 A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
-deflection; a wave over position as its other harmonics, and as one that changes slowly along the way; an inertia between two axes as other
-functions of their positions. A few such functions, added to the joints' equations and sent through the linear closed loop
-(`through_the_loop.py`), span what errors do to recordings. In units of their standard deviations beforehand the residual has the covariance
-1 + B'B for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within only beyond what
-the law that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few
-functions).
+deflection; a wave over position or in time as its other harmonics, and as one that changes slowly along the way or in time; an inertia
+between two axes as other functions of their positions. A few such functions, added to the joints' equations and sent through the linear
+closed loop (`through_the_loop.py`), span what errors do to recordings. In units of their standard deviations beforehand the residual has
+the covariance 1 + B'B for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within
+only beyond what the law that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B
+63, in few functions).
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ from virtual_bus.settings import PlantSettings
 ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
 """Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
-OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
+OVER_POSITION = ("cable_spring", "constant_load", "end_stop", "gravity_imbalance")
+
+OVER_TIME = ("base_motion",)
+"""At a frequency of their own, whatever the machine does."""
 
 SPEEDS = (0.0, 0.05, 0.2, 0.5, 1.0)
 """Where functions of speed have their knots, in units of the largest: frictions change most where it is low."""
@@ -182,7 +185,9 @@ def _mixed(functions: Sequence[Function], weights: np.ndarray, joint: int) -> np
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
     name = effect.effect
-    return _is_friction(name) or effects()[name].kind in (ELASTIC, COUPLING) or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION)
+    if _is_friction(name) or effects()[name].kind in (ELASTIC, COUPLING):
+        return True
+    return name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION, *OVER_TIME)
 
 
 def _acts_where_it_is_seen(effect: EffectAt, plant: PlantSettings) -> bool:
@@ -276,6 +281,10 @@ def _functions(effect: EffectAt, values: np.ndarray, motion: Residual, since_rev
         waves = [wave(order * phase) for order in HARMONICS for wave in (np.cos, np.sin)]
         functions = [*waves, *(wave * hat for wave in waves[:2] for hat in slow), *slow]
         return [motion.drive_effort * function for function in functions] if name == "torque_ripple" else functions
+    if name in OVER_TIME:
+        phase = 2.0 * np.pi * values[1] * motion.time_s
+        waves = [wave(order * phase) for order in HARMONICS for wave in (np.cos, np.sin)]
+        return [*waves, *(wave * hat for wave in waves[:2] for hat in _hats(motion.time_s, SLOW_KNOTS))]
     return _hats(motion.other_position if effects()[name].kind is ELASTIC else motion.position, KNOTS)
 
 

@@ -101,21 +101,25 @@ NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance",
 """Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
 A sign is one too, where it is whole."""
 
+EXACT = (*NUMBERS, "gear_ratio", "delay", "clock_offset", "imu_scale_bias", "imu_misalignment")
+"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, how late a drive or a reading is, where an IMU's
+axes point and what they count. What they do may be of any size and leaves no room for another law."""
+
 WHOLE = 0.01
 """How near none or all of its sign a channel has lost it: a share between imitates what acts in one direction."""
 
 NUMBERS_ERROR = 1e-5
-"""Share of the energy removed by a number of the machine file by which it may err all the same: 0.3 % of its response. Beside a viscous
+"""Share of the energy removed by an effect of numbers alone by which it may err all the same: 0.3 % of its response. Beside a viscous
 friction a thousand times above noise another friction gained 4e-6 of its energy (development case 102), with nothing else there."""
 
 
 def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
-    """Those of a set's effects that are numbers of the machine file."""
+    """Those of a set's effects of which numbers alone are unknown."""
     if fitted is None:
         return frozenset()
     each = zip(fitted.effects, fitted.values, strict=True)
     return frozenset(
-        effect for effect, values in each if effect.effect in NUMBERS and (effect.effect != "rectified_sensor" or is_a_whole_sign(values))
+        effect for effect, values in each if effect.effect in EXACT and (effect.effect != "rectified_sensor" or is_a_whole_sign(values))
     )
 
 

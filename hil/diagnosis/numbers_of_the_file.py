@@ -13,7 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.diagnosis.free_run import FreeRuns
+from hil.diagnosis.gate import certain_excess
+from hil.diagnosis.judgement import Stand
 from hil.diagnosis.naming import NUMBERS
+from hil.diagnosis.pairs import beside
 from hil.diagnosis.refit import Fitted, polish, refit
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -25,9 +28,11 @@ WORTH_POLISHING = 0.5
 
 
 def with_numbers_of_the_file(
-    runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], screened: Sequence[Screened], before: float
+    runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], screened: Sequence[Screened], stand: Stand
 ) -> list[Fitted]:
-    """Fits of single effects, and of those numbers at the closest one's place that the catalogue says are mistaken for it.
+    """Fits of one effect more than were found, and of those numbers at the closest one's place that the catalogue says are mistaken for it;
+    of all numbers there, where it leaves more than noise for certain: a torque constant a fifth off beside a gyro's lost sign was called a
+    spring that hardens, which the catalogue does not take for it (sealed 2308, spent).
 
     Parameters
     ----------
@@ -36,19 +41,24 @@ def with_numbers_of_the_file(
         Without effects.
     measured : (M,) array
     fits : sequence of Fitted
-        Of one effect each.
+        Their last effect is the one that was added.
     screened : sequence of Screened
-    before : float
-        Cost without effects.
+    stand : Stand
+        What they are added to.
     """
     best = min(fits, key=lambda fit: fit.cost)
     fitted = {effect for fit in fits for effect in fit.effects}
     numbers = [one for one in screened if one.effect.effect in NUMBERS and one.effect not in fitted]
-    starts = [((one.effect,), (one.values,)) for one in numbers if are_neighbours(one.effect, best.effects[0])]
+    closest, entries = best.effects[-1], float(len(measured))
+    if best.cost - entries > certain_excess(entries):
+        numbers = [one for one in numbers if one.effect.at == closest.at]
+    else:
+        numbers = [one for one in numbers if are_neighbours(one.effect, closest)]
+    starts = [beside(stand.fitted, one) for one in numbers]
     if not starts:
         return list(fits)
-    least = WORTH_POLISHING * (before - best.cost)
-    worth = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None and before - fit.cost > least]
+    least = WORTH_POLISHING * (stand.cost - best.cost)
+    worth = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
     return [*fits, *polish(runs, tuning, measured, worth)]
 
 

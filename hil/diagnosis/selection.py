@@ -211,8 +211,7 @@ class _Search:
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
-            if size == 0:
-                fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand.cost)
+            fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
         first, singles = way.screened, way.singles
         if size == 0:
             fits = [*(way.singles if way.is_wider else ()), *fits]

@@ -9,7 +9,7 @@ import pytest
 
 from hil.diagnosis.align import aligned
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.filtered_orders import with_filtered_orders
+from hil.diagnosis.filtered_orders import with_filtered_starts
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.motion import Motion
@@ -94,7 +94,7 @@ def offered(arm, name: str, values: np.ndarray, noise: float = 1.0) -> tuple[lis
     residual = change + noise * np.random.default_rng(5).standard_normal(len(change))
     group = runs.sets[TRAIN].groups[0]
     motion = Motion(runs.machine, tuning.values, group, runs.sets[TRAIN].channels)
-    (found,) = with_filtered_orders(runs, tuning, [Candidate(wave.effect, ())], [motion], residual)
+    (found,) = with_filtered_starts(runs, tuning, [Candidate(wave.effect, ())], [motion], residual)
     left = Projection.of(tuning).left(change)
     return list(found.starts), float(left @ left)
 
@@ -132,4 +132,4 @@ def test_an_order_is_found_though_its_second_harmonic_shows_more(arm):
 def test_nothing_is_added_to_what_is_no_wave(arm):
     runs, tuning = arm
     friction = Candidate(EffectAt("coulomb_friction", "arm"), (np.array([1.0]),))
-    assert with_filtered_orders(runs, tuning, [friction], [], np.zeros(len(tuning.predicted))) == [friction]
+    assert with_filtered_starts(runs, tuning, [friction], [], np.zeros(len(tuning.predicted))) == [friction]

@@ -212,16 +212,16 @@ def test_what_lost_its_form_beside_the_chosen_set_is_not_unsure(monkeypatch):
 
 
 def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(monkeypatch):
-    """At the first step, where single effects are."""
+    """At every step, beside what was found."""
     asked = []
 
     def with_numbers(runs, tuning, measured, fits, *_):
         asked.append(fits[0].effects)
-        return [*fits, replace(fits[0], effects=(NOT_THERE,))]
+        return [*fits, replace(fits[0], effects=(NOT_THERE,))] if len(fits[0].effects) == 1 else fits
 
     monkeypatch.setattr(selection, "with_numbers_of_the_file", with_numbers)
     found = selected(monkeypatch, SWINGS, candidates_of=beside_something)
-    assert asked == [(FRICTION,)]
+    assert asked == [(FRICTION,), (FRICTION, LOAD)]
     assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]
 
 

@@ -37,6 +37,7 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
     environment["ISOCENTER_PREPARED"] = str(tmp_path)
+    environment |= {name: os.environ[name] for name in ("ISOCENTER_CACHE",) if name in os.environ}  # compiled once, outside
     here, kernel = vcan_here(), ""
     if here:
         kernel = kernel_missing()

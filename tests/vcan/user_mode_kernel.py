@@ -21,7 +21,10 @@ INTERFACE = "vcan0"
 KERNEL = "linux.uml"
 PACKAGES = "user-mode-linux can-utils kmod iproute2"
 
-MEMORY = "2G"
+MEMORY = "4G"
+"""An emulator, a loop with its observer and a recorder, each a process with compiled code, and the recordings' file system: of 2 GB a loop
+was killed for want of memory."""
+
 BOOT_ALLOWANCE_S = 60.0
 """Booting takes four to eight seconds on a shared machine; the rest is for a loaded one."""
 

@@ -14,8 +14,8 @@ EFFECT = Effect(
     ),
     equation="y(t - t0 - delta t)",
     convention=(
-        "the reading at SYNC k is the channel's noise-free value t0 + delta t_k earlier, linear between samples; before the "
-        "start it stood still; an age beyond 63 samples stays there"
+        "the reading at SYNC k is the channel's noise-free value t0 + delta t_k earlier, a cubic through four samples between them; before "
+        "the start it stood still; an age beyond 63 samples stays there"
     ),
     neighbours=("delay", "imu_bandwidth"),
     source="IEEE Std 1588, offset and skew",

@@ -152,6 +152,21 @@ def raw_at(channel, sample, memory):
 
 
 @compiled
+def value_before(channel, age, memory):
+    """A channel's value so many samples ago, whole or not: a cubic through the two samples on either side, through the latest four where it
+    is younger than one (Lagrange's weights).
+    """
+    if age >= memory.samples[0]:  # it stood still
+        return raw_at(channel, 0, memory)
+    first = max(int(age) - 1, 0)
+    latest, x = memory.samples[0] - first, age - first
+    value = -(x - 1.0) * (x - 2.0) * (x - 3.0) / 6.0 * raw_at(channel, latest, memory)
+    value += x * (x - 2.0) * (x - 3.0) / 2.0 * raw_at(channel, latest - 1, memory)
+    value -= x * (x - 1.0) * (x - 3.0) / 2.0 * raw_at(channel, latest - 2, memory)
+    return value + x * (x - 1.0) * (x - 2.0) / 6.0 * raw_at(channel, latest - 3, memory)
+
+
+@compiled
 def age_channels(lag_of, sensors, memory):
     """Values of late channels, in place."""
     now = memory.samples[0]
@@ -163,11 +178,7 @@ def age_channels(lag_of, sensors, memory):
         age = lag_of(int(sensors.clock_rows[channel, 0]), time_s, sensors.clock_rows[channel]) / sensors.period_s[0]
         age = min(age, HISTORY - 1.0)
         if age > 0.0:
-            whole = int(age)
-            value = raw_at(channel, now - whole, memory)
-            if age > whole:
-                value += (age - whole) * (raw_at(channel, now - whole - 1, memory) - value)
-            memory.values[channel] = value
+            memory.values[channel] = value_before(channel, age, memory)
 
 
 @compiled

@@ -1,0 +1,101 @@
+"""Frequencies of base motions by the matched filter: what every frequency would do to the recordings, beside what they show.
+
+The strongest lines of what is missing at a joint are those of the noise where that is slow or narrow: of a base motion 31 deviations long
+beside a delay none was its own (sealed 1978, spent). Here every frequency acts on its joint, goes through the linear closed loop and counts
+in units of noise, as the orders of waves do (`filtered_orders.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.ndimage
+import scipy.signal
+
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.shape_limits import SLOWEST_BASE_MOTION_Hz
+from hil.diagnosis.start_frequencies import LINES_AROUND
+from hil.diagnosis.through_the_loop import ThroughTheLoop
+from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.registry import effects
+
+FINER = 4
+"""Frequencies per line of the longest record: between two of them a sine keeps 0.9 of its energy."""
+
+HIGHEST_SHARE = 0.25
+"""Of the sample rate, up to which frequencies are looked at."""
+
+ASKED = 6
+"""Frequencies that stand out most, which are asked with re-tuning taken out."""
+
+STARTS = 2
+"""Of the largest energy, that fits may start from."""
+
+Signals = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Of every group the times [s] of its rows and what acts at them."""
+
+
+def line_starts(
+    loop: ThroughTheLoop, tuning: Tuning, candidate: Candidate, motions: Sequence[Motion], behind: Sequence[np.ndarray], left: np.ndarray
+) -> list[np.ndarray]:
+    """(parameters,) of base motions at the frequencies of the largest energy, the largest first.
+
+    Parameters
+    ----------
+    loop : ThroughTheLoop
+    tuning : Tuning
+        Without effects.
+    candidate : Candidate
+        A base motion.
+    motions : sequence of Motion
+        Of every training group, beside what was found.
+    behind : sequence of (N, joints) arrays
+        The residual taken back through the loop (`ThroughTheLoop.efforts_behind`).
+    left : (M + F,) array
+        The residual with re-tuning taken out.
+    """
+    machine = motions[0].machine
+    rate_Hz, joints = machine.sample_rate_Hz, [joint.name for joint in machine.plant.tree.joints]
+    joint = joints.index(joint_at(candidate.effect.at, machine.plant))
+    times = [motion.start_s + np.arange(len(motion.group.time_s)) / rate_Hz for motion in motions]
+    step_Hz = rate_Hz / max(len(own) for own in times) / FINER
+    frequencies = np.arange(SLOWEST_BASE_MOTION_Hz, max(HIGHEST_SHARE * rate_Hz, SLOWEST_BASE_MOTION_Hz + step_Hz), step_Hz)
+    power = np.abs(_products([(t, own[:, joint]) for t, own in zip(times, behind, strict=True)], frequencies)) ** 2
+    around = scipy.ndimage.median_filter(power, FINER * LINES_AROUND, mode="nearest")
+    asked: list[float] = []
+    for k in np.argsort(-power / np.maximum(around, 1e-300)):
+        if len(asked) < ASKED and all(abs(frequencies[k] - other) > FINER * step_Hz for other in asked):
+            asked.append(float(frequencies[k]))
+    scored = [_filtered(loop, tuning, joint, times, frequency, left) for frequency in asked]
+    return [_values(candidate, *line) for _, *line in sorted(scored, key=lambda one: -one[0])[:STARTS]]
+
+
+def _products(signals: Signals, frequencies: np.ndarray) -> np.ndarray:
+    """(K,) complex, with exp(-2 pi i f t) of every frequency; frequencies in equal steps."""
+    total = np.zeros(len(frequencies), dtype=complex)
+    ends = [float(frequencies[0]), float(frequencies[-1])]
+    for time_s, values in signals:
+        rate_Hz = 1.0 / (time_s[1] - time_s[0])
+        lines = scipy.signal.zoom_fft(values, ends, len(frequencies), fs=rate_Hz, endpoint=True)
+        total += lines * np.exp(-2j * np.pi * frequencies * time_s[0])
+    return total
+
+
+def _filtered(
+    loop: ThroughTheLoop, tuning: Tuning, joint: int, times: Sequence[np.ndarray], frequency_Hz: float, left: np.ndarray
+) -> tuple[float, float, float, float]:
+    """The residual's energy along a sine of this frequency, that frequency, and the amplitude and the phase of A sin(2 pi f t + phi)."""
+    waves = [[(joint, wave(2.0 * np.pi * frequency_Hz * t)) for wave in (np.sin, np.cos)] for t in times]
+    responses = Projection.of(tuning).left(loop.responses(waves))
+    products = responses @ left
+    sine, cosine = np.linalg.lstsq(responses @ responses.T, products, rcond=None)[0]
+    return float(np.dot((sine, cosine), products)), frequency_Hz, float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+
+
+def _values(candidate: Candidate, frequency_Hz: float, amplitude: float, phase: float) -> np.ndarray:
+    named = {"A": amplitude, "f": frequency_Hz, "phi": phase}
+    return np.array([np.clip(named[p.name], p.low, p.high) for p in effects()[candidate.effect.effect].parameters])
