@@ -19,7 +19,7 @@ from hil.diagnosis.projection import Projection
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.shape_limits import SLOWEST_BASE_MOTION_Hz
 from hil.diagnosis.start_frequencies import LINES_AROUND
-from hil.diagnosis.through_the_loop import ThroughTheLoop
+from hil.diagnosis.through_the_loop import ThroughTheLoop, from_rest
 from virtual_bus.effects.places import joint_at
 from virtual_bus.effects.registry import effects
 
@@ -89,7 +89,7 @@ def _filtered(
     loop: ThroughTheLoop, tuning: Tuning, joint: int, times: Sequence[np.ndarray], frequency_Hz: float, left: np.ndarray
 ) -> tuple[float, float, float, float]:
     """The residual's energy along a sine of this frequency, that frequency, and the amplitude and the phase of A sin(2 pi f t + phi)."""
-    waves = [[(joint, wave(2.0 * np.pi * frequency_Hz * t)) for wave in (np.sin, np.cos)] for t in times]
+    waves = [[(joint, from_rest(wave(2.0 * np.pi * frequency_Hz * t))) for wave in (np.sin, np.cos)] for t in times]
     responses = Projection.of(tuning).left(loop.responses(waves))
     products = responses @ left
     sine, cosine = np.linalg.lstsq(responses @ responses.T, products, rcond=None)[0]

@@ -26,7 +26,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
-from hil.diagnosis.through_the_loop import ThroughTheLoop
+from hil.diagnosis.through_the_loop import ThroughTheLoop, from_rest
 from virtual_bus.effects.effect import COUPLING, ELASTIC, FRICTION, SIGN, TRANSMISSION
 from virtual_bus.effects.places import joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effects
@@ -219,7 +219,8 @@ def _joint_efforts(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, nu
         parts = [replace(part, other_position=motion.deflection(own)) for part, motion in zip(parts, motions, strict=True)]
     functions = _functions(effect, values, joined(parts), np.concatenate([since_reversal(part) for part in parts]))
     ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
-    return [[((joint, function[a:b]),) for function in functions for joint in places] for a, b in pairwise(ends)]
+    begins = from_rest if effect.effect in OVER_TIME else np.asarray
+    return [[((joint, begins(function[a:b])),) for function in functions for joint in places] for a, b in pairwise(ends)]
 
 
 def _inertias_between_axes(runs: FreeRuns, name: str, trial: Trial, effect: EffectAt, motions: Sequence[Motion]) -> list[list[Function]]:

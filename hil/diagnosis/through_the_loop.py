@@ -93,6 +93,11 @@ class ThroughTheLoop:
         return [loop.back(own) for loop, own in zip(self.loops, rows, strict=True)]
 
 
+def from_rest(effort: np.ndarray) -> np.ndarray:
+    """An effort (N,) that begins with the record: on its first row it is not there yet, and the machine does not stand under it."""
+    return np.concatenate([[0.0], effort[1:]])
+
+
 def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
     """(C, joints)"""
     slow, slower = loop_response(machine, pose, channels, np.array([2.0 * LOWEST_Hz, LOWEST_Hz]), values)

@@ -1,4 +1,4 @@
-"""Orders of waves by the matched filter, on an arm whose gear errs by less than its encoders count."""
+"""Orders of waves and frequencies of base motions by the matched filter, on an arm whose gear errs by less than its encoders count."""
 
 from __future__ import annotations
 
@@ -86,10 +86,10 @@ def test_efforts_behind_a_record_have_its_products_with_their_responses(machine,
     assert products == pytest.approx(responses @ record, rel=1e-6, abs=1e-6 * np.linalg.norm(responses, axis=1).max())
 
 
-def offered(arm, name: str, values: np.ndarray, noise: float = 1.0) -> tuple[list[np.ndarray], float]:
+def offered(arm, name: str, values: np.ndarray, noise: float = 1.0, at: str = "arm") -> tuple[list[np.ndarray], float]:
     """Starts where this wave is missing in noise, and the wave's own energy beyond what re-tuning imitates."""
     runs, tuning = arm
-    wave = Candidate(EffectAt(name, "arm"), (values,))
+    wave = Candidate(EffectAt(name, at), (values,))
     change = runs.run_one(Trial(tuning.values, (wave.setting(values),))) - tuning.predicted
     residual = change + noise * np.random.default_rng(5).standard_normal(len(change))
     group = runs.sets[TRAIN].groups[0]
@@ -127,6 +127,25 @@ def test_an_order_is_found_though_its_second_harmonic_shows_more(arm):
     starts, _ = offered(arm, "transmission_error", values)
     assert starts[0][0] == pytest.approx(values[0], abs=0.01)
     assert starts[0][3] > starts[0][1]
+
+
+SHAKES = np.array([0.02, 7.37, -2.3])
+LINE_Hz = ARM.sample_rate_Hz / ROWS
+
+
+@pytest.mark.parametrize("deviations", [30.0, 10.0])
+@pytest.mark.parametrize("place", ["arm", "boom"])
+def test_a_base_motion_starts_at_its_frequency_amplitude_and_phase(arm, place, deviations):
+    """At the drive and behind its spring; chance gains 30 in the best of all frequencies."""
+    _, energy = offered(arm, "base_motion", SHAKES, at=place)
+    amplitude = SHAKES[0] * deviations / np.sqrt(energy)
+    starts, left = offered(arm, "base_motion", np.array([amplitude, *SHAKES[1:]]), at=place)
+    assert left == pytest.approx(deviations**2, rel=0.1)
+    assert abs(starts[0][1] - SHAKES[1]) < 0.3 * LINE_Hz
+    assert starts[0][0] == pytest.approx(amplitude, rel=4.0 / deviations)
+    middle_s = 0.5 / LINE_Hz  # where the phase is known best
+    phases = [2.0 * np.pi * f * middle_s + phase for _, f, phase in (starts[0], SHAKES)]
+    assert np.exp(1j * phases[0]) == pytest.approx(np.exp(1j * phases[1]), abs=6.0 / deviations)
 
 
 def test_nothing_is_added_to_what_is_no_wave(arm):

@@ -138,6 +138,26 @@ def test_another_friction_counts_where_it_is_more_than_an_error_of_the_first(car
         assert (errors.gain(answer, answer) < 1.0) is not counts
 
 
+SHAKES = ("base_motion", [2.0, 5.0, 0.4])
+
+
+@pytest.mark.parametrize("other", [("base_motion", [2.0, 10.0, -1.0]), ("base_motion", [2.0, 15.0, 2.0])], ids=["second", "third"])
+def test_a_floor_s_shaking_errs_as_its_harmonics(carriage, other):
+    assert within(carriage, SHAKES, other)[2] > 0.95
+
+
+@pytest.mark.parametrize("other", [FRICTION, ("base_motion", [2.0, 8.3, 0.0])], ids=["friction", "another frequency"])
+def test_what_moves_with_the_machine_or_at_another_frequency_is_no_error_of_a_floor_s_shaking(carriage, other):
+    errors, answer, share = within(carriage, SHAKES, other)
+    assert len(errors.responses) and share < 0.5
+    assert errors.gain(answer, answer) > 0.5 * float(answer @ answer)
+
+
+def test_a_load_errs_as_one_that_changes_along_the_way_and_not_as_a_friction(carriage):
+    assert within(carriage, ("constant_load", [2.0]), SPRING)[2] > 0.95
+    assert within(carriage, ("constant_load", [2.0]), FRICTION)[2] < 0.5
+
+
 def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(carriage):
     runs, tuning = carriage
     assert can_err(EffectAt("cogging", "carriage"))

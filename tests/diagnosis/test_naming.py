@@ -205,6 +205,13 @@ def test_a_channel_that_has_lost_a_part_of_its_sign_is_no_number_of_the_machine_
     assert numbers_of(None) == set()
 
 
+def test_what_turns_scales_or_delays_leaves_no_room_for_another_law():
+    names = ("gear_ratio", "delay", "clock_offset", "imu_scale_bias", "imu_misalignment", "coulomb_friction", "drive_bandwidth")
+    effects, none = tuple(EffectAt(name, "belt") for name in names), np.zeros(0)
+    known = numbers_of(Fitted(effects, (np.ones(1),) * len(names), none, none, 0.0, (), np.zeros((0, 0)), none))
+    assert {effect.effect for effect in known} == set(names[:5])
+
+
 def test_the_unknown_is_one_law_and_seldom_does_what_several_known_effects_do():
     """Eight parameters and the search for two effects cost a little more than the unknown does."""
 
