@@ -98,7 +98,7 @@ class Contender:
 
     @property
     def by_numbers(self) -> tuple[float, float]:
-        """Energies that those of its effects remove which are numbers of the machine file, in training and held out."""
+        """Energies that those of its effects remove of which numbers alone are unknown, in training and held out."""
         steps = _steps(self.fitted.effects, self.gates, numbers_of(self.fitted), numbers=True)
         return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
 
@@ -145,7 +145,7 @@ class Stand:
         return sum(gate.certain_gain for gate in {id(gate): gate for gate in self.gates}.values())
 
     def steps(self, *, numbers: bool) -> list[Gate]:
-        """Gates of the steps that added nothing but numbers of the machine file, or of the others."""
+        """Gates of the steps that added nothing but effects of which numbers alone are unknown, or of the others."""
         return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:

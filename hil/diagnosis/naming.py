@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -101,9 +102,10 @@ NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance",
 """Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
 A sign is one too, where it is whole."""
 
-EXACT = (*NUMBERS, "gear_ratio", "delay", "clock_offset", "imu_scale_bias", "imu_misalignment")
-"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, how late a drive or a reading is, where an IMU's
-axes point and what they count. What they do may be of any size and leaves no room for another law."""
+EXACT = (*NUMBERS, "gear_ratio", "delay", "imu_misalignment")
+"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, how late a drive is, where an IMU's axes point.
+What they do may be of any size and leaves no room for another law. A clock's offset is read by a cubic, an IMU's scale and bias are the
+same for all axes of its gyro: both equations err by more."""
 
 WHOLE = 0.01
 """How near none or all of its sign a channel has lost it: a share between imitates what acts in one direction."""
@@ -127,6 +129,11 @@ def is_a_whole_sign(values: np.ndarray) -> bool:
     """Whether a channel has lost none or all of its sign, by the parameters of `rectified_sensor`."""
     share, sign = values
     return bool(min(abs(share), abs(1.0 - share)) < WHOLE and abs(sign) == 1.0)
+
+
+def are_of_the_file(fitted: Fitted | None) -> bool:
+    """Whether all that `numbers_of` has of a set are numbers of the machine file."""
+    return all(effect.effect in NUMBERS for effect in numbers_of(fitted))
 
 
 def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
@@ -157,7 +164,7 @@ class Weighed:
     searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
     passed: bool = True  # the gate
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
-    by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are NUMBERS, in training and held out
+    by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
@@ -320,7 +327,7 @@ def tempers_of(
     """T of training and of held-out recordings; what is left within what repeats cannot tell from noise needs no name."""
     found = []
     for part, noise in enumerate(entries):
-        sets = [((h.train, h.held_out)[part], h.by_numbers[part]) for h in hypotheses]
+        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], are_of_the_file(h.fitted)) for h in hypotheses]
         found.append(temperature_of(sets, (base.train, base.held_out)[part], noise + certain_excess(noise), weights))
     return found[0], found[1]
 
@@ -383,28 +390,38 @@ def price_of_a_parameter(removed: float, temper: float) -> float:
     return 0.5 * float(np.log1p(max(removed, 0.0) / temper))
 
 
-def temperature_of(sets: Sequence[tuple[float, float]], base: float, noise: float, weights: Weights = WEIGHTS) -> float:
+class Removing(NamedTuple):
+    """What a set removes."""
+
+    misfit: float
+    by_numbers: float = 0.0  # energy that those of its effects remove which are EXACT
+    of_the_file: bool = True  # whether these are all numbers of the machine file
+
+
+def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights: Weights = WEIGHTS) -> float:
     """T of sets that compete.
+
+    In what EXACT effects of the best set remove no equation erred but by NUMBERS_ERROR; numbers of the machine file count in any set that T
+    does not tell from it: a law that holds one of them as a part is a little closer. What else is exact has neighbours that are not.
 
     Parameters
     ----------
-    sets : sequence of (misfit, energy that effects remove which are NUMBERS)
-        In what such effects remove no equation erred but by NUMBERS_ERROR, where they are in the best set or in one that T does not tell
-        from it.
+    sets : sequence of Removing
     base : float
         Misfit without effects.
     noise : float
         Expected misfit of a perfect simulation.
     weights : Weights
     """
-    best = min(misfit for misfit, _ in sets)
+    best = min(one.misfit for one in sets)
     most = temperature(base - best, best - noise, weights)
-    by_numbers = max(energy for misfit, energy in sets if misfit <= best + 2.0 * most)
+    near = best + 2.0 * most
+    by_numbers = max(one.by_numbers for one in sets if one.misfit == best or (one.of_the_file and one.misfit <= near))
     return temperature(base - best - by_numbers, best - noise, weights) + NUMBERS_ERROR * by_numbers
 
 
 def erring(removed: float, by_numbers: float) -> float:
-    """Energy by which a set's equations may err that removes so much, so much of it by NUMBERS."""
+    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects."""
     return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
 
 

@@ -17,7 +17,7 @@ from hil.diagnosis.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
-from hil.diagnosis.naming import numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
+from hil.diagnosis.naming import Removing, are_of_the_file, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
@@ -388,5 +388,5 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
             return base - fit.cost
         return known if set(stand.effects) <= set(fit.effects) else 0.0
 
-    temper = temperature_of([(fit.cost, by_numbers(fit)) for fit in fits], base, noise_energy)
+    temper = temperature_of([Removing(fit.cost, by_numbers(fit), are_of_the_file(fit)) for fit in fits], base, noise_energy)
     return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

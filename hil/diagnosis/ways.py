@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.gate import Gate
 from hil.diagnosis.judgement import Contender, Stand, Tried
-from hil.diagnosis.naming import PLAUSIBLE, Weighed, temperature_of
+from hil.diagnosis.naming import PLAUSIBLE, Removing, Weighed, are_of_the_file, temperature_of
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.screening import UNLIKE, Screened, squared_cosine
@@ -44,7 +44,7 @@ class Way:
 def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
     """The likelier of two ways by training, with the sets of both; `base` is the cost of no effect at all."""
     ends = [next(c for c in way.contenders if c.fitted is way.stand.fitted) for way in (one, other)]
-    temper = temperature_of([(base - end.gained, end.by_numbers[0]) for end in ends], base, noise_energy)
+    temper = temperature_of([_removing(end, base) for end in ends], base, noise_energy)
     evidence = [0.5 * end.gained / temper - price_in_training(end.fitted, temper, end.searched) for end in ends]
     likelier, less = (one, other) if evidence[0] >= evidence[1] else (other, one)
     closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
@@ -130,10 +130,15 @@ def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Co
     """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
     leave more; `base` is the cost of no effect at all.
     """
-    weighed = [(base - one.gained, one.by_numbers[0]) for one in (*earlier, *larger)]
-    much = -2.0 * math.log(PLAUSIBLE) * temperature_of(weighed, base, noise_energy)
+    sets = [_removing(one, base) for one in (*earlier, *larger)]
+    much = -2.0 * math.log(PLAUSIBLE) * temperature_of(sets, base, noise_energy)
     most = max(one.gained for one in larger)
     return [one.fitted for one in earlier if one.passed and one.gained > most - much]
+
+
+def _removing(one: Contender, base: float) -> Removing:
+    """In training."""
+    return Removing(base - one.gained, one.by_numbers[0], are_of_the_file(one.fitted))
 
 
 def price_in_training(fitted: Fitted, temper: float, searched: float) -> float:

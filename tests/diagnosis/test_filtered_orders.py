@@ -86,12 +86,15 @@ def test_efforts_behind_a_record_have_its_products_with_their_responses(machine,
     assert products == pytest.approx(responses @ record, rel=1e-6, abs=1e-6 * np.linalg.norm(responses, axis=1).max())
 
 
-def offered(arm, name: str, values: np.ndarray, noise: float = 1.0, at: str = "arm") -> tuple[list[np.ndarray], float]:
-    """Starts where this wave is missing in noise, and the wave's own energy beyond what re-tuning imitates."""
+def offered(arm, name: str, values: np.ndarray, at: str = "arm", load: float = 0.0) -> tuple[list[np.ndarray], float]:
+    """Starts where this wave is missing in noise, and maybe a load, and the wave's own energy beyond what re-tuning imitates."""
     runs, tuning = arm
-    wave = Candidate(EffectAt(name, at), (values,))
-    change = runs.run_one(Trial(tuning.values, (wave.setting(values),))) - tuning.predicted
-    residual = change + noise * np.random.default_rng(5).standard_normal(len(change))
+    wave, pull = Candidate(EffectAt(name, at), (values,)), Candidate(EffectAt("constant_load", "arm"), ())
+    change, pulled = (
+        runs.run_one(Trial(tuning.values, (one.setting(own),))) - tuning.predicted
+        for one, own in ((wave, values), (pull, np.array([load])))
+    )
+    residual = change + pulled + np.random.default_rng(5).standard_normal(len(change))
     group = runs.sets[TRAIN].groups[0]
     motion = Motion(runs.machine, tuning.values, group, runs.sets[TRAIN].channels)
     (found,) = with_filtered_starts(runs, tuning, [Candidate(wave.effect, ())], [motion], residual)
@@ -146,6 +149,11 @@ def test_a_base_motion_starts_at_its_frequency_amplitude_and_phase(arm, place, d
     middle_s = 0.5 / LINE_Hz  # where the phase is known best
     phases = [2.0 * np.pi * f * middle_s + phase for _, f, phase in (starts[0], SHAKES)]
     assert np.exp(1j * phases[0]) == pytest.approx(np.exp(1j * phases[1]), abs=6.0 / deviations)
+
+
+def test_a_load_that_is_missing_too_does_not_hide_a_base_motion(arm):
+    starts, _ = offered(arm, "base_motion", SHAKES, load=0.3)
+    assert abs(starts[0][1] - SHAKES[1]) < 0.3 * LINE_Hz
 
 
 def test_nothing_is_added_to_what_is_no_wave(arm):

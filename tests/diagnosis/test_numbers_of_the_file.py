@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from hil.diagnosis.numbers_of_the_file import are_neighbours, with_numbers_of_th
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.screening import Screened
+from hil.machine import load_machine
 
 HARDENING, COMPLIANCE, GAP, ELSEWHERE = (
     EffectAt(name, at)
@@ -21,6 +24,7 @@ HARDENING, COMPLIANCE, GAP, ELSEWHERE = (
         ("joint_compliance", "roll"),
     )
 )
+RUNS = SimpleNamespace(machine=load_machine("carm"))
 BEFORE = 1000.0
 ENTRIES = 100
 SIGN = EffectAt("rectified_sensor", "gyro_y")
@@ -49,7 +53,7 @@ def test_a_number_that_scored_nothing_is_fitted_in_place_of_what_is_mistaken_for
     monkeypatch.setattr(numbers_of_the_file, "refit", refit)
     monkeypatch.setattr(numbers_of_the_file, "polish", lambda runs, tuning, measured, fits: list(fits))
     fits = [fitted(100.0, *found_before, HARDENING)]
-    found = with_numbers_of_the_file(None, None, np.zeros(ENTRIES), fits, screened, stand(*found_before))
+    found = with_numbers_of_the_file(RUNS, None, np.zeros(ENTRIES), fits, screened, stand(*found_before))
     wanted = (*found_before, COMPLIANCE)
     assert asked == [wanted]
     assert (wanted in [fit.effects for fit in found]) is kept
@@ -59,7 +63,7 @@ def test_what_was_fitted_is_not_fitted_again():
     """Nor is anything asked of the simulation: there are no free runs here."""
     fits = [fitted(100.0, HARDENING), fitted(90.0, COMPLIANCE)]
     screened = [Screened(COMPLIANCE, np.ones(1), np.zeros(1), 0.0)]
-    assert with_numbers_of_the_file(None, None, np.zeros(ENTRIES), fits, screened, stand()) == fits
+    assert with_numbers_of_the_file(RUNS, None, np.zeros(ENTRIES), fits, screened, stand()) == fits
 
 
 def test_where_much_is_left_any_number_at_that_place_is_fitted(monkeypatch):
@@ -67,9 +71,9 @@ def test_where_much_is_left_any_number_at_that_place_is_fitted(monkeypatch):
     monkeypatch.setattr(numbers_of_the_file, "refit", lambda runs, tuning, measured, starts: asked.extend(e for e, _ in starts) or [])
     monkeypatch.setattr(numbers_of_the_file, "polish", lambda runs, tuning, measured, fits: list(fits))
     gain = EffectAt("torque_constant", "propeller")
-    screened = [Screened(effect, np.ones(1), np.zeros(1), 0.0) for effect in (ELSEWHERE, gain)]
+    screened = [Screened(effect, np.ones(1), np.zeros(1), 0.0) for effect in (ELSEWHERE, gain, EffectAt("rectified_sensor", "gyro_y"))]
     for cost, wanted in ((float(ENTRIES), []), (3.0 * ENTRIES, [(gain,)])):
-        with_numbers_of_the_file(None, None, np.zeros(ENTRIES), [fitted(cost, HARDENING)], screened, stand())
+        with_numbers_of_the_file(RUNS, None, np.zeros(ENTRIES), [fitted(cost, HARDENING)], screened, stand())
         assert asked == wanted
 
 
