@@ -125,6 +125,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
+        "of_the_file": h.of_the_file,
     }
 
 
@@ -144,7 +145,7 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
         simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
-        return replace(known, by_numbers=tuple(by_numbers), simpler=simpler)
+        return replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 

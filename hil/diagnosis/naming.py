@@ -165,6 +165,7 @@ class Weighed:
     passed: bool = True  # the gate
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
     by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
+    of_the_file: bool = True  # whether these are all numbers of the machine file
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
@@ -327,7 +328,7 @@ def tempers_of(
     """T of training and of held-out recordings; what is left within what repeats cannot tell from noise needs no name."""
     found = []
     for part, noise in enumerate(entries):
-        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], are_of_the_file(h.fitted)) for h in hypotheses]
+        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], h.of_the_file) for h in hypotheses]
         found.append(temperature_of(sets, (base.train, base.held_out)[part], noise + certain_excess(noise), weights))
     return found[0], found[1]
 

@@ -11,7 +11,7 @@ from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import needed_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Stand
-from hil.diagnosis.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart, rarity_of
+from hil.diagnosis.naming import CAP_ASSUMED, Evidence, Weighed, are_of_the_file, not_told_apart, rarity_of
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning
 
@@ -57,6 +57,7 @@ def evidence_of(
             searched=c.searched,
             passed=c.passed,
             by_numbers=c.by_numbers,
+            of_the_file=are_of_the_file(c.fitted),
             rarity=rarity_of(c.fitted.effects, runs.machine.plant),
             narrowed=c.narrowed,
         ).priced_as(c.fitted)
