@@ -7,7 +7,7 @@ import pytest
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # several workers' threads spinning against each other cost a hundredfold
 
-LONGEST_FIRST = ("vcan", "observers", "diagnosis", "effects", "bench", "calibration", "concealed", "identification")
+LONGEST_FIRST = ("vcan", "diagnosis", "observers", "effects", "bench", "calibration", "concealed", "identification")
 """Folders in the order in which workers begin with them: what takes minutes in one test must not be left to the end, when the other
 workers have nothing to do."""
 
