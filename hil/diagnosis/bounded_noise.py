@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate, candidates
-from hil.diagnosis.filtered_orders import with_filtered_starts
+from hil.diagnosis.filtered_starts import with_filtered_starts
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.motion import Motion

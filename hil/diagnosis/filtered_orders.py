@@ -10,14 +10,12 @@ amplitudes and phases the filter gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.filtered_lines import line_starts
-from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.harmonics import FIRST_AND_SECOND
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.projection import Projection
@@ -37,9 +35,6 @@ STARTS = 2
 
 APART_STEPS = 3.0
 """Steps by which orders that stand out differ: a wave is two cycles per travel wide."""
-
-LINE = "base_motion"
-"""At a frequency and not at an order."""
 
 RIDGE = 1e-6
 """Share of its energy by which a harmonic's response must differ from the others' to be told from them."""
@@ -86,34 +81,26 @@ class _Wave:
         return total
 
 
-def with_filtered_starts(
-    runs: FreeRuns, tuning: Tuning, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
-) -> list[Candidate]:
-    """Candidates whose waves start, before all else, at the orders that the matched filter finds, and base motions at its frequencies.
+def order_starts(
+    loop: ThroughTheLoop, tuning: Tuning, candidate: Candidate, motions: Sequence[Motion], behind: Sequence[np.ndarray], left: np.ndarray
+) -> list[np.ndarray]:
+    """(parameters,) of waves over position at the orders of the largest energy, the largest first.
 
     Parameters
     ----------
-    runs : FreeRuns
+    loop : ThroughTheLoop
     tuning : Tuning
         Without effects.
-    found : sequence of Candidate
+    candidate : Candidate
+        Of `harmonics.FIRST_AND_SECOND`.
     motions : sequence of Motion
         Of every training group, beside what was found.
-    residual : (M,) array
-        Of the training groups there.
+    behind : sequence of (N, joints) arrays
+        The residual taken back through the loop (`ThroughTheLoop.efforts_behind`).
+    left : (M + F,) array
+        The residual with re-tuning taken out.
     """
-    if not any(candidate.effect.effect in (*FIRST_AND_SECOND, LINE) for candidate in found):
-        return list(found)
-    left = Projection.of(tuning).left_of_residual(residual)
-    loop = ThroughTheLoop.of(runs, TRAIN, tuning)
-    behind = loop.efforts_behind(left[: len(residual)])
-
-    def starts(candidate: Candidate) -> list[np.ndarray]:
-        if candidate.effect.effect in FIRST_AND_SECOND:
-            return _starts(loop, tuning, _wave(candidate, motions), behind, left)
-        return line_starts(loop, tuning, candidate, motions, behind, left) if candidate.effect.effect == LINE else []
-
-    return [replace(candidate, starts=(*starts(candidate), *candidate.starts)) for candidate in found]
+    return _starts(loop, tuning, _wave(candidate, motions), behind, left)
 
 
 def _wave(candidate: Candidate, motions: Sequence[Motion]) -> _Wave:

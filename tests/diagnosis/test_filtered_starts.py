@@ -9,7 +9,7 @@ import pytest
 
 from hil.diagnosis.align import aligned
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.filtered_orders import with_filtered_starts
+from hil.diagnosis.filtered_starts import with_filtered_starts
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.motion import Motion

@@ -1,0 +1,50 @@
+"""Starts by the matched filter: the residual goes back through the linear closed loop once, for waves over position and over time alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.filtered_lines import line_starts
+from hil.diagnosis.filtered_orders import order_starts
+from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.harmonics import FIRST_AND_SECOND
+from hil.diagnosis.motion import Motion
+from hil.diagnosis.projection import Projection
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.through_the_loop import ThroughTheLoop
+
+STARTS = {**dict.fromkeys(FIRST_AND_SECOND, order_starts), "base_motion": line_starts}
+"""Of every effect that is a wave."""
+
+
+def with_filtered_starts(
+    runs: FreeRuns, tuning: Tuning, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
+) -> list[Candidate]:
+    """Candidates whose waves start, before all else, at the orders and frequencies that the matched filter finds.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    tuning : Tuning
+        Without effects.
+    found : sequence of Candidate
+    motions : sequence of Motion
+        Of every training group, beside what was found.
+    residual : (M,) array
+        Of the training groups there.
+    """
+    if not any(candidate.effect.effect in STARTS for candidate in found):
+        return list(found)
+    left = Projection.of(tuning).left_of_residual(residual)
+    loop = ThroughTheLoop.of(runs, TRAIN, tuning)
+    behind = loop.efforts_behind(left[: len(residual)])
+
+    def starts(candidate: Candidate) -> tuple[np.ndarray, ...]:
+        filtered = STARTS.get(candidate.effect.effect)
+        return () if filtered is None else tuple(filtered(loop, tuning, candidate, motions, behind, left))
+
+    return [replace(candidate, starts=(*starts(candidate), *candidate.starts)) for candidate in found]
