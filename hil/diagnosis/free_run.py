@@ -37,6 +37,10 @@ WORTH_A_BATCH = 4
 """Trials that are begun with before anybody waits, and from which on another thread takes some of them: LANES of them take hardly longer
 than one, but whoever asks works meanwhile."""
 
+SIDE_BY_SIDE_FROM = 2000
+"""Rows from which machines run side by side: compiling that for a plant takes half a minute once, which shorter recordings do not bring
+in. By the recording and not by what is compiled already, since answers differ by rounding."""
+
 RUN_AWAY = 1e12
 """A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""
 
@@ -82,7 +86,7 @@ class _Runner:
             machines = [(trials[k].values, (*found.machine.plant.effects, *trials[k].effects)) for k in alive]
             simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
             inputs = group.inputs.settled if settled else group.inputs
-            if len(trials) > 1:
+            if len(trials) > 1 and len(group.time_s) >= SIDE_BY_SIDE_FROM:
                 answers = simulator.run_all(inputs, machines)
             else:  # as one machine, cheaper: by how many were asked for, not by how many have not diverged yet
                 answers = [simulator.run_or_error(inputs, *each) for each in machines]

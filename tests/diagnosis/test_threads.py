@@ -13,8 +13,9 @@ from hil.diagnosis.align import aligned
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
-from hil.errors import RecordingError
+from hil.errors import BadAnswer, RecordingError
 from hil.recording import write_recording
+from hil.simulation import Simulator
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.modules import load_generated
 
@@ -73,3 +74,15 @@ def test_threads_that_ask_for_a_module_at_once_get_the_whole_of_it(tmp_path, mon
     text = "import time\ntime.sleep(0.05)\nready = True\n"
     with ThreadPoolExecutor(4) as pool:
         assert all(pool.map(lambda _: load_generated("slow", text).ready, range(4)))
+
+
+@pytest.mark.parametrize(("duration_s", "side_by_side"), [(1.9, False), (2.1, True)])
+def test_short_recordings_are_simulated_one_machine_at_a_time(monkeypatch, duration_s, side_by_side):
+    """Nothing is compiled for them that they would not make up for."""
+    train = mismatch(MACHINE, aligned(MACHINE, repeats(2, duration_s=duration_s)))
+    asked = []
+    monkeypatch.setattr(Simulator, "run_all", lambda self, inputs, trials: asked.append(len(trials)) or [BadAnswer("none")] * len(trials))
+    with FreeRuns({TRAIN: train}, train.noise) as runs:
+        answers = runs.run([Trial(runs.nominal)] * 5)
+    assert (sum(asked) == 5) is side_by_side
+    assert all((answer is None) is side_by_side for answer in answers)
