@@ -22,8 +22,8 @@ KERNEL = "linux.uml"
 PACKAGES = "user-mode-linux can-utils kmod iproute2"
 
 MEMORY = "4G"
-"""An emulator, a loop with its observer and a recorder, each a process with compiled code, and the recordings' file system: of 2 GB a loop
-was killed for want of memory."""
+"""An emulator, a loop with its observer and a recorder, each a process with compiled code, and the recordings' file system. With 2 GB a
+loop that had to compile its plant in there was killed."""
 
 BOOT_ALLOWANCE_S = 60.0
 """Booting takes four to eight seconds on a shared machine; the rest is for a loaded one."""
