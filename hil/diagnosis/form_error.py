@@ -36,7 +36,7 @@ from virtual_bus.settings import PlantSettings
 ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
 """Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
-OVER_POSITION = ("cable_spring", "constant_load", "end_stop", "gravity_imbalance")
+OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
 
 OVER_TIME = ("base_motion",)
 """At a frequency of their own, whatever the machine does."""

@@ -153,11 +153,6 @@ def test_what_moves_with_the_machine_or_at_another_frequency_is_no_error_of_a_fl
     assert errors.gain(answer, answer) > 0.5 * float(answer @ answer)
 
 
-def test_a_load_errs_as_one_that_changes_along_the_way_and_not_as_a_friction(carriage):
-    assert within(carriage, ("constant_load", [2.0]), SPRING)[2] > 0.95
-    assert within(carriage, ("constant_load", [2.0]), FRICTION)[2] < 0.5
-
-
 def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(carriage):
     runs, tuning = carriage
     assert can_err(EffectAt("cogging", "carriage"))
