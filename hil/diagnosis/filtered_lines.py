@@ -82,8 +82,10 @@ def line_starts(
     around = scipy.ndimage.median_filter(power, FINER * LINES_AROUND, mode="nearest")
     asked: list[float] = []
     for k in np.argsort(-power / np.maximum(around, 1e-300)):
-        if len(asked) < ASKED and all(abs(frequencies[k] - other) > FINER * step_Hz for other in asked):
+        if all(abs(frequencies[k] - other) > FINER * step_Hz for other in asked):
             asked.append(float(frequencies[k]))
+        if len(asked) == ASKED:
+            break
     scored = [_filtered(loop, tuning, joint, records, frequency, left) for frequency in asked]
     return [_values(candidate, *line) for _, *line in sorted(scored, key=lambda one: -one[0])[:STARTS]]
 

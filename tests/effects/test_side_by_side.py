@@ -134,7 +134,7 @@ def test_lattices_and_targets_are_rounded_as_alone(inputs: Inputs) -> None:
             assert np.mean(is_other) < 0.01  # a rounding error that falls on a step's edge is a step
 
 
-@pytest.mark.parametrize("name", ["slider", "tilted_arm"])
+@pytest.mark.parametrize("name", ["slider", "spring_mass", "tilted_arm"])
 def test_machines_that_slide_or_have_no_imu_too(name: str) -> None:
     machine = smooth(load_machine(str(MACHINES / f"{name}.toml")))
     simulator, axes = Simulator(machine), len(machine.axes)
