@@ -17,6 +17,7 @@ import numpy as np
 import scipy.ndimage
 import scipy.signal
 
+from hil.diagnosis.whitening_kernels import take_carried
 from hil.machine import Machine
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
@@ -31,6 +32,8 @@ POSE_EVERY_s = 0.02
 """Gradients are computed this often and taken linearly between: joints hardly turn meanwhile."""
 
 DIFFERENCE = 1e-6  # rad or m, and per s and s^2 of it
+
+ONLY_VALUES = np.ones((1, 1, 1))  # weights of a record too short for a window: neither speeds nor accelerations
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +56,12 @@ class CarriedImu:
 
     def without(self, rows: np.ndarray) -> np.ndarray:
         """Rows (..., N, C) with the IMU channels less what the encoder channels say of them. Linear."""
-        left = np.array(rows, dtype=float)
-        carried = np.zeros((*left.shape[:-1], len(self.imu)))
-        for order, moved in enumerate(_derivatives(left[..., self.encoders], self.rate_Hz)):
-            for axis in range(len(self.encoders)):
-                carried += self.gradients[order, :, :, axis] * moved[..., axis, None]
-        left[..., self.imu] -= carried
+        rows = np.ascontiguousarray(rows, dtype=float)
+        left = rows.copy()
+        window = _window(self.rate_Hz)
+        weights = ONLY_VALUES if rows.shape[-2] < window else _weights_of_all(window, self.rate_Hz)
+        for one, its_left in zip(rows.reshape(-1, *rows.shape[-2:]), left.reshape(-1, *rows.shape[-2:]), strict=True):
+            take_carried(self.gradients, weights, self.imu, self.encoders, one, its_left)
         return left
 
     def without_taken_back(self, rows: np.ndarray) -> np.ndarray:
@@ -98,7 +101,7 @@ def carried_imu(machine: Machine, channels: Sequence[str], positions: np.ndarray
     share = (place - low)[:, None, None]
     gradients = (1.0 - share) * coarse[:, low] + share * coarse[:, np.minimum(low + 1, len(rows) - 1)]
     columns = np.array([channels.index(str(read[axis])) for axis in axes])
-    return CarriedImu(gradients, np.array([channels.index(names[k]) for k in imu]), columns, machine.sample_rate_Hz)
+    return CarriedImu(np.ascontiguousarray(gradients), np.array([channels.index(names[k]) for k in imu]), columns, machine.sample_rate_Hz)
 
 
 def _gradients(plant: CompiledPlant, moved: Sequence[int], actuated: Sequence[int], motion: np.ndarray) -> np.ndarray:
@@ -119,28 +122,28 @@ def _gradients(plant: CompiledPlant, moved: Sequence[int], actuated: Sequence[in
 
 
 def _derivatives(values: np.ndarray, rate_Hz: float) -> list[np.ndarray]:
-    """Values (..., N, k), their speeds and their accelerations; zeros in a record too short for them.
+    """Values (N, k), their speeds and their accelerations; zeros in a record too short for them.
 
     A polynomial of third degree through the window around every row (Savitzky and Golay 1964), and through the first or last window near
     the ends.
     """
-    window = max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
-    if values.shape[-2] < window:
+    window = _window(rate_Hz)
+    if len(values) < window:
         return [values, np.zeros_like(values), np.zeros_like(values)]
     half = window // 2
     found = []
     for order in range(3):
         weights = _weights(window, order, rate_Hz)
-        slopes = scipy.ndimage.correlate1d(values, weights[half], axis=-2, mode="constant")
-        slopes[..., :half, :] = weights[:half] @ values[..., :window, :]
-        slopes[..., -half:, :] = weights[half + 1 :] @ values[..., -window:, :]
+        slopes = scipy.ndimage.correlate1d(values, weights[half], axis=0, mode="constant")
+        slopes[:half] = weights[:half] @ values[:window]
+        slopes[-half:] = weights[half + 1 :] @ values[-window:]
         found.append(slopes)
     return found
 
 
 def _derivatives_back(slopes: np.ndarray, order: int, rate_Hz: float) -> np.ndarray:
     """(N, k), the adjoint of this one of `_derivatives`."""
-    window = max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
+    window = _window(rate_Hz)
     if len(slopes) < window:
         return slopes if order == 0 else np.zeros_like(slopes)
     half, weights = window // 2, _weights(window, order, rate_Hz)
@@ -150,6 +153,17 @@ def _derivatives_back(slopes: np.ndarray, order: int, rate_Hz: float) -> np.ndar
     back[:window] += weights[:half].T @ slopes[:half]
     back[-window:] += weights[half + 1 :].T @ slopes[-half:]
     return back
+
+
+def _window(rate_Hz: float) -> int:
+    """Rows of the local polynomial."""
+    return max(2 * int(0.5 * WINDOW_s * rate_Hz) + 1, LEAST_WINDOW)
+
+
+@lru_cache(maxsize=16)
+def _weights_of_all(window: int, rate_Hz: float) -> np.ndarray:
+    """(3, window, window): of values, speeds and accelerations."""
+    return np.stack([_weights(window, order, rate_Hz) for order in range(3)])
 
 
 @lru_cache(maxsize=16)

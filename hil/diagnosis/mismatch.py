@@ -103,8 +103,8 @@ class RepeatGroup:
         return residual + self.simulated
 
     def fold(self, rows: np.ndarray) -> np.ndarray:
-        """Simulated rows of the whole recording (M, C) as those of the repeats (N, C)."""
-        return np.mean([rows[window] for window in self.windows], axis=0)
+        """Simulated rows of the whole recording (M, C) as those of the repeats (N, C); of one window a part of them, not a copy."""
+        return rows[self.windows[0]] if len(self.windows) == 1 else np.mean([rows[window] for window in self.windows], axis=0)
 
 
 @dataclass(frozen=True, eq=False)

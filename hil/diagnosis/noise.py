@@ -31,7 +31,7 @@ from hil.diagnosis.spectra import (
     gains_of,
     grid_of,
     inverse_root,
-    lines_of,
+    lines_by_channel,
     lines_of_all,
     power_of,
     power_of_left_out,
@@ -41,6 +41,7 @@ from hil.diagnosis.spectra import (
     spectra_of_common,
     whitening,
 )
+from hil.diagnosis.whitening_kernels import mix_channels
 from hil.errors import RecordingError
 from hil.machine import Machine
 
@@ -111,10 +112,16 @@ class NoiseModel:
             Of mean square 1 for one repeat's noise; entry c stands mostly for channel c.
         """
         length = len(values) - FILTER_ORDER if length is None else length
+        return np.fft.rfftfreq(length, 1.0 / self.rate_Hz), self._lines(values, imu, length)
+
+    def _lines(self, values: np.ndarray, imu: CarriedImu | None, length: int) -> np.ndarray:
+        """(K, C) of `spectrum`."""
         if imu is not None and self.kind != "assumed":
             values = imu.without(values)
-        frequencies, lines = lines_of(self.filters, values, self.rate_Hz, self.end_s, length)
-        return frequencies, (_roots_of(self, length) @ lines[:, :, None])[:, :, 0]
+        lines = lines_by_channel(self.filters, values, self.rate_Hz, self.end_s, length)
+        mixed = np.empty(lines.shape[::-1], dtype=complex)
+        mix_channels(_roots_of(self, length), np.ascontiguousarray(lines.T), mixed)
+        return mixed
 
     def whiten(self, values: np.ndarray, imu: CarriedImu | None = None) -> np.ndarray:
         """(M,) numbers of unit variance for one repeat's noise, from (N, C) in the channels' units. Linear in `values`.
@@ -123,10 +130,10 @@ class NoiseModel:
         """
         count = len(values) - FILTER_ORDER
         length = self._length_of(count)
-        _, lines = self.spectrum(values, imu, length)
+        lines = self._lines(values, imu, length)
         fade, end = fading(count, self.end_s * self.rate_Hz)
-        rows = np.fft.irfft(lines, length, axis=0) * (np.sqrt(count) / fade.max())
-        return rows[end : count - end].ravel()
+        rows = np.asarray(scipy.fft.irfft(lines, length, axis=0))[end : count - end]
+        return rows.ravel() * (np.sqrt(count) / fade.max())
 
     def taken_back(self, whitened: np.ndarray, rows: int, imu: CarriedImu | None = None) -> np.ndarray:
         """(rows, C), the adjoint of `whiten`: its product with values is that of their whitened numbers with `whitened` (M,)."""
@@ -225,7 +232,7 @@ def noise_model(
         power = np.maximum(power_of(roots, grid, lines, frequencies), 1.0)
     _, with_carried = lines_of_all(filters, [row for group in recorded for row in group], rate_Hz)
     whole, _ = smoothed(with_carried, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
-    own = np.diagonal(whole, axis1=1, axis2=2).real + floors
+    own = np.maximum(np.diagonal(whole, axis1=1, axis2=2).real, floors)
     roots = roots / np.sqrt(power)[:, :, None]
     between = None
     if shared:

@@ -40,20 +40,26 @@ def smooth(machine: Machine, finer: int = 1, rounded: str | None = None) -> Mach
 
 
 def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]:
-    """Simulated channels by name, each (N,)."""
-    channels: dict[str, np.ndarray] = {}
-    for i, units in enumerate(machine.units):
-        channels[f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"] = outputs.effort[:, i]
-        channels[f"command_{units.axis}"] = outputs.command[:, i]
-        channels[f"position_{units.axis}"] = outputs.position[:, i]
-        channels[f"link_position_{units.axis}"] = outputs.link_position[:, i]
-        channels[f"speed_{units.axis}"] = outputs.speed[:, i]
-    if machine.plant.imus:
-        channels.update(zip(IMU_CHANNELS, outputs.imu[:, :6].T, strict=True))
+    """Simulated channels by name, each (N,); those alone that the machine has."""
+    channels = {name: getattr(outputs, kind)[:, column] for name, (kind, column) in _columns(machine).items()}
     return {name: values for name, values in channels.items() if not np.isnan(values).all()}
+
+
+def _columns(machine: Machine) -> dict[str, tuple[str, int]]:
+    """Where the outputs have every channel: which of them, and its column."""
+    columns: dict[str, tuple[str, int]] = {}
+    for i, units in enumerate(machine.units):
+        columns[f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"] = "effort", i
+        columns[f"command_{units.axis}"] = "command", i
+        columns[f"position_{units.axis}"] = "position", i
+        columns[f"link_position_{units.axis}"] = "link_position", i
+        columns[f"speed_{units.axis}"] = "speed", i
+    if machine.plant.imus:
+        columns.update((name, ("imu", column)) for column, name in enumerate(IMU_CHANNELS))
+    return columns
 
 
 def simulated_matrix(machine: Machine, outputs: Outputs, channels: Sequence[str]) -> np.ndarray:
     """(N, C) simulated channels in this order."""
-    found = channel_outputs(machine, outputs)
-    return np.column_stack([found[name] for name in channels])
+    columns = _columns(machine)
+    return np.column_stack([getattr(outputs, kind)[:, column] for kind, column in (columns[name] for name in channels)])

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+import scipy.fft
 import scipy.linalg
+
+from hil.diagnosis.whitening_kernels import filter_and_weigh
 
 FILTER_ORDER = 8
 """Of the autoregressive filter per channel: two resonances and two real poles."""
@@ -44,8 +47,15 @@ GRID_LINES = 400
 
 def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Prediction errors (N - order, C) of every channel."""
-    order = filters.shape[1] - 1
-    return np.column_stack([np.convolve(row, column)[order : len(values)] for row, column in zip(filters, values.T, strict=True)])
+    count = len(values) - (filters.shape[1] - 1)
+    return np.ascontiguousarray(_filtered(filters, values, np.ones(count), count).T)
+
+
+def _filtered(filters: np.ndarray, values: np.ndarray, weights: np.ndarray, length: int) -> np.ndarray:
+    """(C, length) prediction errors (C, N - order) times weights (N - order,), zeros behind."""
+    filtered = np.zeros((len(filters), max(length, len(weights))))
+    filter_and_weigh(filters, np.ascontiguousarray(values.T, dtype=float), weights, filtered)
+    return filtered[:, :length]
 
 
 def filtered_back(filters: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -72,18 +82,17 @@ def fading(count: int, longest: float) -> tuple[np.ndarray, int]:
     return weights / np.sqrt(np.mean(weights**2)), end
 
 
-def lines_of(
-    filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s, length: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance.
+def lines_of(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance."""
+    length = len(values) - (filters.shape[1] - 1)
+    return np.fft.rfftfreq(length, 1.0 / rate_Hz), lines_by_channel(filters, values, rate_Hz, end_s, length).T
 
-    With a length, zeros follow the record up to there, and its lines are as much closer: not independent of each other.
-    """
-    filtered = filter_channels(filters, values)
-    count = len(filtered)
-    length = count if length is None else length
-    lines = np.fft.rfft(filtered * fading(count, end_s * rate_Hz)[0][:, None], length, axis=0) / np.sqrt(count)
-    return np.fft.rfftfreq(length, 1.0 / rate_Hz), lines
+
+def lines_by_channel(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float, length: int) -> np.ndarray:
+    """(C, K) lines of `lines_of`, of as many rows: zeros follow the record, and its lines are as much closer, not independent."""
+    count = len(values) - (filters.shape[1] - 1)
+    faded = fading(count, end_s * rate_Hz)[0] / np.sqrt(count)
+    return np.asarray(scipy.fft.rfft(_filtered(filters, values, faded, length)))
 
 
 def lines_of_all(

@@ -21,7 +21,7 @@ from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.plant.statics import held_effort, holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
-from virtual_bus.sensors.measure import new_readings, sensor_model
+from virtual_bus.sensors.measure import SensorModel, new_readings, sensor_model, with_effects
 from virtual_bus.settings import EffectSetting
 
 
@@ -173,7 +173,7 @@ class Simulator:
 
     @cached_property
     def _side_by_side(self) -> SideBySide:
-        sections = 0 if not self.machine.controllers else len(Feedback(self.machine.controllers).arrays[0])
+        sections = 0 if not self.machine.controllers else len(self._feedback.arrays[0])
         return SideBySide(self.plant, sections)
 
     def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswer:
@@ -196,7 +196,13 @@ class Simulator:
             loop, holding = self._started(inputs, holding, values, effects)
         else:
             loop = self._open_loop
-        return Prepared(model, state, holding.copy(), loop, sensor_model(self.machine.plant, effects))
+        settings = self.machine.plant
+        sensors = with_effects(self._own_sensors, settings, settings.effects if effects is None else effects)
+        return Prepared(model, state, holding.copy(), loop, sensors)
+
+    @cached_property
+    def _own_sensors(self) -> SensorModel:
+        return sensor_model(self.machine.plant, ())
 
     def _rows(self, inputs: Inputs) -> Rows:
         shape = inputs.excitation.shape
@@ -238,7 +244,7 @@ class Simulator:
         return self._closed_loop(inputs, own), own
 
     def _closed_loop(self, inputs: Inputs, holding: np.ndarray) -> Loop:
-        feedback = Feedback(self.machine.controllers)
+        feedback = self._feedback
         try:
             if inputs.controller_states is None:
                 feedback.preload(holding, inputs.standing_pose, inputs.feedforward[0])
@@ -246,7 +252,13 @@ class Simulator:
                 feedback.load_states(inputs.controller_states)
         except DesignError as error:
             raise ExperimentError(f"{self.machine.name}: {error}") from None
-        return Loop(*feedback.arrays)
+        sections, state, rows, limit, held = feedback.arrays
+        return Loop(sections, state.copy(), rows, limit, held.copy())
+
+    @cached_property
+    def _feedback(self) -> Feedback:
+        """One for all runs, loaded anew for each; what a run advances it has copies of."""
+        return Feedback(self.machine.controllers)
 
 
 def _batched(numbers: Iterable[int], size: int) -> Iterator[tuple[int, ...]]:

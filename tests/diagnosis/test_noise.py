@@ -11,6 +11,7 @@ from carriage import MACHINE, RATE_Hz
 
 from hil.diagnosis.mismatch import RepeatGroup
 from hil.diagnosis.noise import noise_model
+from hil.diagnosis.whitened import in_noise_units
 from hil.simulation import Inputs
 
 CHANNELS = ("command_carriage", "position_carriage")
@@ -46,6 +47,22 @@ def test_whitened_noise_of_other_repeats_is_white_at_every_frequency():
     for low, high in ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 100.0), (100.0, 500.0)):
         band = (frequencies >= low) & (frequencies < high)
         assert 0.7 < power[band].mean() < 1.5, (low, high)
+
+
+def test_what_rounding_adds_to_a_channel_counts_once():
+    """Repeats differ by it already, and the machine's lattice is no second noise beside theirs."""
+    (encoder,) = MACHINE.plant.encoders
+    random = np.random.default_rng(4)
+    place = 0.02 * np.linspace(0.0, 1.0, ROWS)
+
+    def read(count):
+        noisy = place + 0.2 * encoder.resolution * random.standard_normal((count, ROWS))
+        rounded = encoder.resolution * np.round(noisy / encoder.resolution) - place
+        return np.stack([random.standard_normal((count, ROWS)), rounded], axis=-1)
+
+    model = noise_model([group_of(read(4))], CHANNELS, MACHINE)
+    power = np.mean([in_noise_units(model, fresh).power.mean(axis=0) for fresh in read(12)], axis=0)
+    assert power == pytest.approx([1.0, 1.0], abs=0.1)
 
 
 def test_of_a_short_record_that_does_not_fade_nothing_goes_lost_at_its_ends():

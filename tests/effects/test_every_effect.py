@@ -13,6 +13,7 @@ from virtual_bus.effects import catalogue
 from virtual_bus.effects.registry import effects
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.sensors.effects import act_on_sensors, sensor_effects
 from virtual_bus.settings import EffectSetting
 
 CARM = load_machine("carm")
@@ -110,3 +111,10 @@ def test_the_catalogue_is_complete_for_a_reader() -> None:
         assert set(entry["neighbours"]) <= set(entries)
         for parameter in entry["parameters"]:
             assert parameter["low"] < parameter["high"] and parameter["key"].startswith(parameter["name"])
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_sensors_are_told_of_the_effects_they_have_something_of_and_of_no_others(name):
+    own, under = (sensor_effects(CARM.plant, chosen) for chosen in ((), (EXAMPLES[name],)))
+    differs = any(not np.array_equal(one, other) for one, other in zip(own, under, strict=True))
+    assert act_on_sensors([EXAMPLES[name]]) is differs

@@ -27,7 +27,7 @@ import difflib
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import ModuleType
 from typing import Any
 
@@ -38,7 +38,7 @@ from virtual_bus.effects.dispatch import dispatch_sources
 from virtual_bus.errors import EffectError, PlantError
 from virtual_bus.plant import drives, friction, integrator, jit, linear, reactions, readings, records, terms
 from virtual_bus.plant.checks import check_plant
-from virtual_bus.plant.generate import plant_text
+from virtual_bus.plant.generate import PlantText, plant_text
 from virtual_bus.plant.low_pass import fill_low_pass
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
@@ -150,7 +150,9 @@ class CompiledPlant:
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint-space inertia (..., n, n), armature included, and effort (..., n) asked for at zero acceleration by gravity, velocities,
         effects, at these positions and speeds (..., n)."""
-        positions, speeds = (np.ascontiguousarray(each, dtype=float).reshape(-1, self.joints) for each in np.broadcast_arrays(q, v))
+        if np.shape(q) != np.shape(v):  # broadcasting takes as long as ten poses
+            q, v = np.broadcast_arrays(q, v)
+        positions, speeds = (np.ascontiguousarray(each, dtype=float).reshape(-1, self.joints) for each in (q, v))
         inertias, biases = np.empty((*positions.shape, self.joints)), np.empty_like(positions)
         self._query["query_time_s"] = STANDSTILL_TIME_s
         self._at_poses.evaluate(model, self._query, positions, speeds, inertias, biases)
@@ -192,6 +194,25 @@ class CompiledPlant:
         """Number of the joint each axis drives, in axis order."""
         return {drive.axis: self.settings.tree.joint_index(drive.joint) for drive in self.settings.drives}
 
+    @cached_property
+    def driven_joints(self) -> np.ndarray:
+        """(axes,) numbers of the joints that axes drive, in axis order."""
+        return np.array(list(self.joint_of_axis().values()), dtype=np.int64)
+
+    @cached_property
+    def free_joints(self) -> np.ndarray:
+        """Numbers of the others."""
+        return np.setdiff1d(np.arange(self.joints), self.driven_joints)
+
+    @cached_property
+    def _quantities(self) -> list[tuple[str, str]]:
+        """Owner and quantity of every parameter."""
+        return [(parameter.owner, parameter.quantity) for parameter in self.parameters]
+
+    @cached_property
+    def _model_dtype(self) -> np.dtype:
+        return records.model_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), self.constant_count)
+
     def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> np.ndarray:
         """The arrays of this plant with these numbers.
 
@@ -209,27 +230,23 @@ class CompiledPlant:
         """
         values = self.nominal if values is None else np.asarray(values, dtype=float)
         effects = self.settings.effects if effects is None else effects
-        by_quantity = {(p.owner, p.quantity): float(value) for p, value in zip(self.parameters, values, strict=True)}
+        by_quantity = dict(zip(self._quantities, values.tolist(), strict=True))
         by_quantity |= {(imu.name, "low_pass_shape"): 0.0 for imu in self.settings.imus}
         table.changed_values(by_quantity, effects, self.settings)
         settings, tree = self.settings, self.settings.tree
-        model = np.zeros(1, records.model_dtype(self.joints, len(settings.drives), len(settings.imus), self.constant_count))
+        model = np.zeros(1, self._model_dtype)
         record = model[0]
-        self.module.derive([by_quantity[p.owner, p.quantity] for p in self.parameters], record["constants"])
+        self.module.derive([by_quantity[quantity] for quantity in self._quantities], record["constants"])
         record["step_s"] = settings.sample_period_s / settings.substeps
         record["steps"] = settings.substeps
         for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
             record[quantity] = [by_quantity[joint.name, quantity] for joint in tree.joints]
         for k, drive in enumerate(settings.drives):
             record["effort_gain"][k] = by_quantity[drive.axis, "constant"] * by_quantity[drive.axis, "ratio"]
-        low_passes = [
-            (by_quantity[imu.name, sensor], by_quantity[imu.name, "low_pass_shape"])
-            for imu in settings.imus
-            for sensor in ("accelerometer_bandwidth", "gyro_bandwidth")
-            for _ in AXES
-        ]
-        for k, low_pass in enumerate(low_passes):
-            fill_low_pass(record, k, *low_pass)
+        sensors = [(imu.name, sensor) for imu in settings.imus for sensor in ("accelerometer_bandwidth", "gyro_bandwidth")]
+        for k, (imu, sensor) in enumerate(sensors):
+            channels = slice(len(AXES) * k, len(AXES) * (k + 1))
+            fill_low_pass(record, channels, by_quantity[imu, sensor], by_quantity[imu, "low_pass_shape"])
         ratio_of_axis = {drive.axis: by_quantity[drive.axis, "ratio"] for drive in settings.drives}
         table.fill_friction(record, effects, settings)
         table.fill_terms(record, effects, ratio_of_axis, settings)
@@ -301,6 +318,25 @@ def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(products).max(initial=0.0))
 
 
+class _Same:
+    """Settings that are equal to themselves alone: arrays have no hash."""
+
+    def __init__(self, settings: PlantSettings) -> None:
+        self.settings = settings
+
+    def __hash__(self) -> int:
+        return id(self.settings)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.settings is self.settings
+
+
+@lru_cache(maxsize=16)
+def _text_of(same: _Same) -> PlantText:
+    """Writing the equations takes 20 ms, and the steps of a diagnosis ask for the plant of one machine sixty times."""
+    return plant_text(same.settings)
+
+
 def compile_plant(settings: PlantSettings) -> CompiledPlant:
     """Generate and compile the plant of these settings, or load it from an earlier time.
 
@@ -310,6 +346,6 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
         The settings are no plant: see `check_plant`.
     """
     check_plant(settings)
-    generated = plant_text(settings)
+    generated = _text_of(_Same(settings))
     sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources()
     return CompiledPlant(settings, plant_parameters(settings), load_generated("plant", generated.text, sources), generated.constant_count)

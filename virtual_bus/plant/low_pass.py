@@ -12,19 +12,19 @@ LEAST_SHAPE = 1e-6
 """Below it the second order is nowhere to be seen: its pole is a million times the corner."""
 
 
-def fill_low_pass(record: Any, channel: int, corner_Hz: float, shape: float) -> None:
+def fill_low_pass(record: Any, channels: slice, corner_Hz: float, shape: float) -> None:
     """Put D y'' + T y' + y = u, T = 1 / (2 pi corner), D = shape T^2, into a plant's record. A corner of 0 is no low pass."""
     step_s = float(record["step_s"])
-    record["filter_weights"][channel] = first_order(corner_Hz, step_s)
-    record["is_filtered"][channel] = corner_Hz > 0.0
+    record["filter_weights"][channels] = first_order(corner_Hz, step_s)
+    record["is_filtered"][channels] = corner_Hz > 0.0
     if corner_Hz <= 0.0:
         return
     lag_s = 1.0 / (2.0 * np.pi * corner_Hz)
-    record["filter_lag"][channel] = lag_s, 0.0
+    record["filter_lag"][channels] = lag_s, 0.0
     if shape > LEAST_SHAPE:
-        record["is_filtered"][channel] = 2
-        record["filter_lag"][channel] = lag_s, shape * lag_s**2
-        record["second_weights"][channel] = second_order(corner_Hz, shape, step_s)
+        record["is_filtered"][channels] = 2
+        record["filter_lag"][channels] = lag_s, shape * lag_s**2
+        record["second_weights"][channels] = second_order(corner_Hz, shape, step_s)
 
 
 def first_order(corner_Hz: float, step_s: float) -> tuple[float, float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from virtual_bus.errors import PlantError
@@ -21,15 +23,27 @@ where one of them is next to nothing Newton's step is twice too long: it would l
 
 def static_effort(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
     """Effort (..., n) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (..., n)."""
-    _, bias = plant.inertia_and_bias(model, joint_positions, np.zeros(plant.joints))
+    _, bias = plant.inertia_and_bias(model, joint_positions, np.zeros(np.shape(joint_positions)))
     return bias + model["stiffness"][0] * (joint_positions - model["rest_position"][0])
 
 
 def static_stiffness(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
     """Gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
-    shifts = DIFFERENCE * np.eye(plant.joints)
-    ahead, behind = static_effort(plant, model, joint_positions + np.stack([shifts, -shifts]))
-    return (ahead - behind).T / (2.0 * DIFFERENCE)
+    return _linearised(plant, model, joint_positions)[1]
+
+
+def _linearised(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`static_effort` (n,) and its gradient (n, n) with the joint positions."""
+    n = plant.joints
+    efforts = static_effort(plant, model, joint_positions + _shifts(n))
+    return efforts[2 * n], (efforts[:n] - efforts[n : 2 * n]).T / (2.0 * DIFFERENCE)
+
+
+@lru_cache(maxsize=16)
+def _shifts(joints: int) -> np.ndarray:
+    """(2 joints + 1, joints): every joint ahead, every joint behind, none."""
+    ahead = DIFFERENCE * np.eye(joints)
+    return np.vstack([ahead, -ahead, np.zeros(joints)])
 
 
 def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
@@ -40,19 +54,21 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
     PlantError
         A joint that is neither actuated nor sprung has nothing to rest against.
     """
-    held = list(plant.joint_of_axis().values())
-    free = [j for j in range(plant.joints) if j not in held]
-    q = np.where(model["stiffness"][0] > 0.0, model["rest_position"][0], 0.0)
-    q[held] = axis_positions
+    free = plant.free_joints
+    is_sprung = model["stiffness"][0] > 0.0
+    q = np.where(is_sprung, model["rest_position"][0], 0.0)
+    q[plant.driven_joints] = axis_positions
+    if not free.size:
+        return q
     last = np.zeros(len(free))
     for _ in range(MAX_ITERATIONS):
-        gradient = static_stiffness(plant, model, q)[np.ix_(free, free)]
-        effort = static_effort(plant, model, q)[free]
+        effort, gradient = _linearised(plant, model, q)
+        effort, gradient = effort[free], gradient[free[:, None], free]
         try:
             step = -np.linalg.solve(gradient, effort)
         except np.linalg.LinAlgError:
             step = np.full(len(free), np.nan)
-        if free and (model["stiffness"][0][free] > 0.0).all():
+        if is_sprung[free].all():
             balances = bool(np.isfinite(step).all())
             if not balances:
                 step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position there
@@ -87,9 +103,8 @@ def _is_stable(gradient: np.ndarray) -> bool:
 
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
-    held = list(plant.joint_of_axis().values())
     q = equilibrium(plant, model, axis_positions)
-    return _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))
+    return _drives_effort(static_effort(plant, model, q)[plant.driven_joints], plant.drive_gains(model, q))
 
 
 def _drives_effort(effort: np.ndarray, gains: np.ndarray) -> np.ndarray:
@@ -105,9 +120,9 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
     n = plant.joints
     q = equilibrium(plant, model, axis_positions)
     state = plant.new_state(q)
-    held = list(plant.joint_of_axis().values())
+    held = plant.driven_joints
     if held_by_brakes:
-        state[3 * n + np.array(held)] = static_effort(plant, model, q)[held]
+        state[3 * n + held] = static_effort(plant, model, q)[held]
     else:
         drive_states = state[plant.first_drive_state :][: len(held) * DRIVE_STATES].reshape(len(held), DRIVE_STATES)
         drive_states[:] = _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))[:, None]

@@ -18,6 +18,7 @@ from virtual_bus.sensors.encoder import quantised
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 HISTORY = 64  # samples a late channel remembers
+SENSOR_HOOKS = ("error", "resolution", "calibration", "signed", "lag_s", "is_lost")  # of effects' files: what sensors have of effects
 ANY, ERRORS, GAINS, CLOCKS, SIGNS, DROPOUTS = range(6)  # what there is of it
 
 
@@ -65,6 +66,11 @@ def new_memory(settings: PlantSettings) -> SensorMemory:
         np.zeros(1, dtype=np.int64), np.zeros(encoders), np.zeros(channels), np.zeros(channels), np.zeros(channels), np.zeros(channels),
         np.zeros((channels, HISTORY)),
     )  # fmt: skip
+
+
+def act_on_sensors(chosen: Sequence[EffectSetting]) -> bool:
+    """Whether sensors have anything of these effects."""
+    return any(hasattr(module_of(setting.name), hook) for setting in chosen for hook in SENSOR_HOOKS)
 
 
 def sensor_effects(settings: PlantSettings, chosen: Sequence[EffectSetting]) -> SensorEffects:

@@ -18,7 +18,7 @@ from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.sensors import current, effects, encoder, imu, thermometer
 from virtual_bus.sensors.current import current_arrays, current_reading
-from virtual_bus.sensors.effects import DROPOUTS, SensorEffects, before_noise, encoder_error, repeat_lost, sensor_effects
+from virtual_bus.sensors.effects import DROPOUTS, SensorEffects, act_on_sensors, before_noise, encoder_error, repeat_lost, sensor_effects
 from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position, summed_speed
 from virtual_bus.sensors.imu import imu_arrays, measured_channel
 from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
@@ -62,11 +62,20 @@ def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | Non
     link_joints, link_resolution = encoder_arrays(settings, "link_position")
     speeds = encoder_arrays(settings, "speed")
     bias, _, imu_resolution = imu_arrays(settings)
-    added = sensor_effects(settings, settings.effects if effects is None else effects)
-    return SensorModel(
+    none = sensor_effects(settings, ())
+    own = SensorModel(
         position_joints, position_resolution, link_joints, link_resolution, *speeds, current_arrays(settings)[0], bias, imu_resolution,
-        *thermometer_arrays(settings), added.switches, added,
+        *thermometer_arrays(settings), none.switches, none,
     )  # fmt: skip
+    return with_effects(own, settings, settings.effects if effects is None else effects)
+
+
+def with_effects(own: SensorModel, settings: PlantSettings, effects: Sequence[EffectSetting]) -> SensorModel:
+    """Sensors that have no effects with these; themselves where these are none of sensors."""
+    if not act_on_sensors(effects):
+        return own
+    added = sensor_effects(settings, effects)
+    return own._replace(switches=added.switches, effects=added)
 
 
 def new_readings(settings: PlantSettings) -> Readings:
