@@ -21,6 +21,7 @@ from hil.diagnosis.noise import assumed_noise
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
+from hil.diagnosis.step_error import with_finer_steps
 from hil.diagnosis.without_effects import without_effects
 
 ROUNDS = 2
@@ -73,9 +74,10 @@ def with_bounded_noise(train: Mismatch, jobs: int, report: Callable[[str, float]
         with FreeRuns({TRAIN: train}, train.noise, jobs) as runs:
             tuning = retune(runs)
             selection = _one_way(runs, tuning)
-            again = without_effects(runs, tuning, selection)
-            if again is not tuning:
-                tuning, selection = again, _one_way(runs, again)
+            for begun_anew in (without_effects, with_finer_steps):
+                again = begun_anew(runs, tuning, selection)
+                if again is not tuning:
+                    tuning, selection = again, _one_way(runs, again)
             closest = selection.closest
             trial = Trial(tuning.values) if closest is None else Trial(tuning.at(closest.offset), closest.settings)
             rows = runs.rows(trial)

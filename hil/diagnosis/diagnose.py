@@ -40,6 +40,7 @@ from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
+from hil.diagnosis.step_error import with_finer_steps
 from hil.diagnosis.sufficiency import what_is_missing
 from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too, with_read_off
 from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among, with_unsure
@@ -143,12 +144,13 @@ def diagnose(
         noise = float(len(measured))
         judged = HeldOut(runs, tuning) if runs.has_held_out else None
         selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
-        again = without_effects(runs, tuning, selection)
-        if again is not tuning:
-            tuning = again
-            runs.weigh_lines(HELD_OUT, None)  # what other fits leave there is asked anew
-            judged = HeldOut(runs, tuning) if runs.has_held_out else None
-            selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
+        for begun_anew in (without_effects, with_finer_steps):
+            again = begun_anew(runs, tuning, selection)
+            if again is not tuning:
+                tuning = again
+                runs.weigh_lines(HELD_OUT, None)  # what other fits leave there is asked anew
+                judged = HeldOut(runs, tuning) if runs.has_held_out else None
+                selection = select(runs, tuning, judged, noise, candidates_for(runs, tuning), report)
         report("weighing", 0.95)
         passed, tried = selection.chosen is not None, len(selection.screened)
         weigh = partial(evidence_of, runs, tuning, judged, formless=selection.formless, tried=tried, found=passed)

@@ -59,6 +59,7 @@ class _Runner:
     def __init__(self, sets: Mapping[str, Mismatch], noise: NoiseModel) -> None:
         self._sets = sets
         self._noise = noise
+        self.finer = 1  # plant steps than LARGEST_STEP_s asks for
 
     @cached_property
     def _simulators(self) -> dict[tuple[int, int], Simulator]:
@@ -84,7 +85,7 @@ class _Runner:
         for group in found.groups:
             alive = [k for k, rows in enumerate(folded) if rows is not None]
             machines = [(trials[k].values, (*found.machine.plant.effects, *trials[k].effects)) for k in alive]
-            simulator = self._simulator(group.machine, FINE_STEPS if fine else 1)
+            simulator = self._simulator(group.machine, self.finer * (FINE_STEPS if fine else 1))
             inputs = group.inputs.settled if settled else group.inputs
             if len(trials) > 1 and len(group.time_s) >= SIDE_BY_SIDE_FROM:
                 answers = simulator.run_all(inputs, machines)
@@ -94,7 +95,7 @@ class _Runner:
                 own = folded[k]
                 assert own is not None
                 rows = None if isinstance(outputs, Exception) else group.fold(simulated_matrix(group.machine, outputs, found.channels))
-                if rows is None or not np.isfinite(_largest(rows)).all():
+                if rows is None or not np.isfinite(_largest(rows)):
                     folded[k] = None
                 else:
                     own.append(rows)
@@ -104,10 +105,14 @@ class _Runner:
         return [self._whitened(name, rows) for rows in self.rows_of_all(name, trials)]
 
     def _whitened(self, name: str, rows: list[np.ndarray] | None) -> np.ndarray | None:
-        if rows is None or any(np.any(_largest(one) > RUN_AWAY * self._noise.std) for one in rows):  # whitening would overflow
+        if rows is None or any(self._runs_away(one) for one in rows):  # whitening would overflow
             return None
         joined = self.join(name, rows)
-        return joined if float(_largest(joined)) < RUN_AWAY else None
+        return joined if _largest(joined) < RUN_AWAY else None
+
+    def _runs_away(self, rows: np.ndarray) -> bool:
+        most = RUN_AWAY * self._noise.std
+        return _largest(rows) > most.min() and bool(np.any(np.abs(rows).max(axis=0) > most))
 
     def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) rows of all groups in units of the noise of the repeats' mean."""
@@ -117,9 +122,9 @@ class _Runner:
         )
 
 
-def _largest(values: np.ndarray) -> np.ndarray:
-    """Magnitude by column, NaN where one is in it."""
-    return np.maximum(values.max(axis=0), -values.min(axis=0))
+def _largest(values: np.ndarray) -> float:
+    """Magnitude, NaN where one is among them."""
+    return float(np.maximum(values.max(), -values.min()))
 
 
 @dataclass(eq=False)
@@ -222,6 +227,7 @@ class FreeRuns:
     def _run_in_thread(self, name: str, batch: Sequence[Trial]) -> list[np.ndarray | None]:
         if not hasattr(self._of_thread, "runner"):
             self._of_thread.runner = _Runner(self.sets, self.noise)
+        self._of_thread.runner.finer = self._local.finer
         return self._of_thread.runner.whitened(name, batch)
 
     def _answers(self, asked: _Asked) -> list[np.ndarray | None]:
@@ -278,10 +284,29 @@ class FreeRuns:
     def correct(self, trial: Trial) -> None:
         """From now on add to every run what finer plant steps change in this one.
 
-        The error of the steps hardly depends on what is tried: one fine run near the end of a search stands for all.
+        The error of the steps hardly depends on what is tried: one fine run near the end of a search stands for all. Where it does depend
+        on it, see `refine`.
         """
         for name in self.sets:
-            coarse, fine = self._local.rows(name, trial), self._local.rows(name, trial, fine=True)
-            if coarse is not None and fine is not None:
-                self._correction[name] = [f - c for f, c in zip(fine, coarse, strict=True)]
-                self._whitened_correction[name] = self._local.join(name, self._correction[name])
+            rows = self._step_error(name, trial)
+            if rows is not None:
+                self._correction[name] = rows
+                self._whitened_correction[name] = self._local.join(name, rows)
+
+    def miscorrected(self, trial: Trial) -> float:
+        """Energy, in units of noise, by which what is added to every run is not what finer plant steps change in this one: the larger of
+        training's and held-out recordings'. 0 where that is not known.
+        """
+        found = [(self._step_error(name, trial), correction) for name, correction in self._whitened_correction.items()]
+        pairs = zip(self._whitened_correction, found, strict=True)
+        energies = [float(np.sum((self._local.join(name, rows) - old) ** 2)) for name, (rows, old) in pairs if rows is not None]
+        return max((energy for energy in energies if np.isfinite(energy)), default=0.0)
+
+    def refine(self, factor: int) -> None:
+        """Take plant steps so many times finer from now on; what was added to every run until now is to be taken anew."""
+        self._local.finer *= factor
+
+    def _step_error(self, name: str, trial: Trial) -> list[np.ndarray] | None:
+        """(N, C) per group that finer plant steps change."""
+        coarse, fine = self._local.rows(name, trial), self._local.rows(name, trial, fine=True)
+        return None if coarse is None or fine is None else [f - c for f, c in zip(fine, coarse, strict=True)]

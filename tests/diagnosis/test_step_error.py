@@ -1,0 +1,68 @@
+"""Plant steps are as fine as the effects that were found ask for (carriage.py: a carriage simulated apart)."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from carriage import MACHINE, repeats
+
+from hil.diagnosis.align import aligned
+from hil.diagnosis.free_run import FINE_STEPS, TRAIN, FreeRuns, Trial
+from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.refit import Fitted
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning, retune
+from hil.diagnosis.simulated import simulated_matrix, smooth
+from hil.diagnosis.step_error import FINER, with_finer_steps
+from hil.simulation import Simulator
+
+
+@pytest.fixture
+def runs():
+    found = mismatch(MACHINE, aligned(MACHINE, repeats()))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs
+
+
+def beside(effect: EffectAt, values: list[float], tuning: Tuning, cost: float) -> SimpleNamespace:
+    """A selection that chose this effect."""
+    nothing = np.zeros((0, 0))
+    fitted = Fitted((effect,), (np.array(values),), tuning.offset, nothing, cost, ((0, 0),), nothing, np.ones(1))
+    return SimpleNamespace(chosen=fitted, contenders=[SimpleNamespace(fitted=fitted, by_numbers=(0.0, 0.0))])
+
+
+def cost_of(runs: FreeRuns, tuning: Tuning) -> float:
+    left = runs.measured() - tuning.predicted
+    return float(left @ left + tuning.offset @ tuning.offset)
+
+
+SPRING = EffectAt("cable_spring", "carriage"), [2e5, 0.0, 0.0]
+
+
+def test_beside_a_spring_a_run_is_that_of_much_finer_steps(runs):
+    tuning = retune(runs)
+    selection = beside(*SPRING, tuning, cost_of(runs, tuning))
+    trial = Trial(tuning.values, selection.chosen.settings)
+    (group,) = runs.sets[TRAIN].groups
+    finest = Simulator(smooth(MACHINE, 16 * FINER * FINE_STEPS)).run(group.inputs, trial.values, trial.effects)
+    expected = runs.joined([group.fold(simulated_matrix(MACHINE, finest, runs.sets[TRAIN].channels))])
+    before = float(np.sum((runs.run_one(trial) - expected) ** 2))
+    again = with_finer_steps(runs, tuning, selection)
+    assert float(np.sum((runs.run_one(trial) - expected) ** 2)) < 0.01 * before
+    assert np.array_equal(again.predicted, runs.run_one(Trial(again.values)))
+    assert cost_of(runs, again) <= cost_of(runs, tuning) + 1.0
+
+
+def test_steps_stay_where_nothing_was_found_or_they_err_as_before(runs):
+    tuning = retune(runs)
+    assert with_finer_steps(runs, tuning, SimpleNamespace(chosen=None, contenders=[])) is tuning
+    rubs = beside(EffectAt("coulomb_friction", "carriage"), [1.0], tuning, cost_of(runs, tuning))
+    assert with_finer_steps(runs, tuning, rubs) is tuning
+
+
+def test_steps_stay_where_the_effects_own_equation_may_err_by_more(runs):
+    tuning = retune(runs)
+    large = beside(*SPRING, tuning, -1e12)  # an effect that removes that much
+    assert with_finer_steps(runs, tuning, large) is tuning
