@@ -3,8 +3,8 @@
 What is located is the difference that the named effects make (free runs with and without them), or, where nothing is named, the mean
 residual with the noise's share taken off. It is where any channel exceeds one repeat's noise: the channel's noise rms over time and in bins
 of pose, speed and effort, its noise spectrum over frequency. Channels' shares are those of power in units of their noise spectra, so that
-no channel counts more for its unit, and, where there is more than that, without the constant: of it every recording has one line, too few
-to say what its noise is.
+no channel counts more for its unit, from the first line of a tapered record on, as frequencies are: a constant, of which every recording
+has one line, too few to say what its noise is, counts by the fifth that tapering leaves of it there.
 """
 
 from __future__ import annotations
@@ -26,9 +26,6 @@ TIME_WINDOW_s = 0.25
 
 LINES = 5
 """Neighbouring lines that power is averaged over."""
-
-SEEN = 1.0
-"""Energy, in units of noise, below which there is nothing beside a constant."""
 
 GAP_OCTAVES = 1.0 / 6.0
 """Bands closer than this are one."""
@@ -59,10 +56,7 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     signals = [group.mean - group.simulated for group in found.groups] if effect is None else list(effect)
     whitened = [in_noise_units(found.noise, signal) for signal in signals]
     left = [1.0 / group.repeats if effect is None else 0.0 for group in found.groups]  # noise power in the mean of repeats
-    pairs = list(zip(whitened, left, strict=True))
-    total = sum(np.maximum(len(w.rows) * (w.rows.var(axis=0) - noise), 0.0) for w, noise in pairs)
-    if np.sum(total) < SEEN:
-        total = sum(np.maximum((w.rows**2).sum(axis=0) - len(w.rows) * noise, 0.0) for w, noise in pairs)
+    total = sum(np.maximum((w.power[1:] - noise).sum(axis=0), 0.0) for w, noise in zip(whitened, left, strict=True))
     if not np.any(total > 0.0):
         return Location()
     powers = [(signal / found.noise.std) ** 2 - noise for signal, noise in zip(signals, left, strict=True)]
