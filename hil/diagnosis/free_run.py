@@ -297,10 +297,12 @@ class FreeRuns:
         """Energy, in units of noise, by which what is added to every run is not what finer plant steps change in this one: the larger of
         training's and held-out recordings'. 0 where that is not known.
         """
-        found = [(self._step_error(name, trial), correction) for name, correction in self._whitened_correction.items()]
-        pairs = zip(self._whitened_correction, found, strict=True)
-        energies = [float(np.sum((self._local.join(name, rows) - old) ** 2)) for name, (rows, old) in pairs if rows is not None]
-        return max((energy for energy in energies if np.isfinite(energy)), default=0.0)
+        energies = [0.0]
+        for name, correction in self._whitened_correction.items():
+            rows = self._step_error(name, trial)
+            if rows is not None:
+                energies.append(float(np.sum((self._local.join(name, rows) - correction) ** 2)))
+        return max(energies)
 
     def refine(self, factor: int) -> None:
         """Take plant steps so many times finer from now on; what was added to every run until now is to be taken anew."""

@@ -89,7 +89,9 @@ def lines_of(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: flo
 
 
 def lines_by_channel(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float, length: int) -> np.ndarray:
-    """(C, K) lines of `lines_of`, of as many rows: zeros follow the record, and its lines are as much closer, not independent."""
+    """(C, K) lines of `lines_of`, of a transform of this length: where that is longer than the record zeros follow, and lines are as much
+    closer, not independent of each other.
+    """
     count = len(values) - (filters.shape[1] - 1)
     faded = fading(count, end_s * rate_Hz)[0] / np.sqrt(count)
     return np.asarray(scipy.fft.rfft(_filtered(filters, values, faded, length)))

@@ -14,8 +14,8 @@ from hil.diagnosis.retune import Tuning, corrected
 from hil.diagnosis.selection import Selection
 
 WORTH_REFINING = 5.0
-"""Energy, in units of noise, by which the correction is off beside what was found that is less than any effect needs. What the equations of
-what was found may err by is not told from more either."""
+"""Energy, in units of noise, by which the correction is off beside what was found: less than any effect needs. Steps are not refined either
+while the correction is off by less than the equations of what was found may err by."""
 
 FINER = 4
 """Times: the second-order error's energy is less by 256."""
