@@ -91,7 +91,7 @@ def along(folder: Path, number: int) -> dict[str, object]:
     shop = Workshop(case, making.machines(places.models)[case.machine])
     nothing = shop.setup(())
     group = train.groups[0]
-    drawn = [shop.recorded(nothing, shop.training, repeat)[1] for repeat in FRESH]
+    drawn = [shop.recorded(nothing, shop.training, repeat).channels for repeat in FRESH]
     repeats = {"fresh": np.stack([np.column_stack([one[name] for name in train.channels])[: len(group.mean)] for one in drawn])}
     repeats["own"] = group.complete
     deviations = {

@@ -133,7 +133,8 @@ def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkey
     shop = Workshop(case, machines[name])
     setup = shop.setup(())
     usual = shop.matrix(setup, shop.training)
-    units = NoiseUnits(shop.noise(setup, shop.training, usual, range(case.repeats)))
+    repeats = [shop.recorded(setup, shop.training, repeat) for repeat in range(case.repeats)]
+    units = NoiseUnits(shop.noise(repeats, usual))
     monkeypatch.setattr(plant, "STEP_S", plant.STEP_S / 3.0)
     assert np.linalg.norm(units(shop.matrix(setup, shop.training) - usual)) < 1.5
 
@@ -153,7 +154,7 @@ def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
     for drive, repeats in ((shop.training, range(case.repeats)), (shop.held_out, [case.repeats])):
         difference = np.abs(shop.matrix(setup, drive) - shop.matrix(shop.setup(()), drive))
         changed = difference[:, channel] > 1e-12
-        repeated = np.array([np.diff(shop.recorded(setup, drive, repeat)[1][place], prepend=np.nan) == 0.0 for repeat in repeats])
+        repeated = np.array([np.diff(shop.recorded(setup, drive, repeat).channels[place], prepend=np.nan) == 0.0 for repeat in repeats])
         assert not np.any(changed & ~np.any(repeated, axis=0))
         assert len(changed) / 100 < changed.sum() < len(changed) / 5
         assert np.delete(difference, channel, axis=1).max() < 1e-12

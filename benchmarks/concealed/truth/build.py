@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,6 +41,15 @@ class Chosen:
 
     hidden: Hidden
     strength: float
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One recording: what drove it, what the plant did, and every channel of the machine as its sensors read it (N,)."""
+
+    drive: Drive
+    answer: Answer
+    channels: dict[str, np.ndarray]
 
 
 class Workshop:
@@ -98,24 +107,23 @@ class Workshop:
             self._derivatives[id(drive)] = signals
         return self._derivatives[id(drive)]
 
-    def recorded(self, setup: Setup, drive: Drive, repeat: int) -> tuple[Answer, dict[str, np.ndarray]]:
+    def recorded(self, setup: Setup, drive: Drive, repeat: int) -> Recorded:
         """A run with its own disturbances and noise, every channel of the machine; draws do not depend on the hidden physics."""
         case = self.case
         rng = np.random.default_rng([case.seed, repeat])
         efforts, calm = disturbance(rng, self.machine, len(drive.reference), case.colour, case.disturbance)
         answer = self.answer(setup, replace(drive, disturbance=efforts, calm_speed=calm), lattices=True)
+        assert not answer.failed, f"case {case.number}: the plant runs away"
         channels = with_noise(rng, self.machine, read(setup, answer.channels, self.machine.rate_Hz), case.noise)
-        return answer, with_losses(setup, channels, self._losses(repeat))
+        return Recorded(drive, answer, with_losses(setup, channels, self._losses(repeat)))
 
     def _losses(self, repeat: int) -> np.random.Generator:
         """What a recording's samples are lost by: the same in its noise-free readings."""
         return np.random.default_rng([self.case.seed, repeat, LOSSES])
 
-    def noise(self, setup: Setup, drive: Drive, clean: np.ndarray, repeats: range) -> np.ndarray:
-        """What repeats differ by (R, N, C): recordings minus the noise-free answer, each channel's mean taken off."""
-        names = self.case.channels
-        rows = [np.column_stack([self.recorded(setup, drive, repeat)[1][name] for name in names]) - clean for repeat in repeats]
-        return np.array(rows)
+    def noise(self, recordings: Sequence[Recorded], clean: np.ndarray) -> np.ndarray:
+        """What repeats differ by (R, N, C): recordings minus the noise-free answer."""
+        return np.array([np.column_stack([recording.channels[name] for name in self.case.channels]) - clean for recording in recordings])
 
 
 def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> None:
@@ -131,8 +139,10 @@ def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> N
         rich = shop.held_out
     chosen = _strengths(shop, rich)
     setup = shop.setup(chosen)
-    truth = _describe(case, machine, chosen) | _oracle(shop, chosen, setup)
-    _write(shop, setup, folder)
+    repeats = [shop.recorded(setup, shop.training, repeat) for repeat in range(case.repeats)]
+    held_out = shop.recorded(setup, shop.held_out, case.repeats)
+    truth = _describe(case, machine, chosen) | _oracle(shop, chosen, setup, repeats, held_out)
+    _write(shop, repeats, held_out, folder)
     truth_path.parent.mkdir(parents=True, exist_ok=True)
     truth_path.write_text(json.dumps(truth, indent=1), encoding="utf-8")
 
@@ -147,7 +157,7 @@ def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     nothing = shop.setup(())
     base = shop.matrix(nothing, drive)
     assert base is not None, f"case {shop.case.number}: the plant without effects runs away"
-    units = NoiseUnits(shop.noise(nothing, drive, base, range(100, 103)))
+    units = NoiseUnits(shop.noise([shop.recorded(nothing, drive, repeat) for repeat in range(100, 103)], base))
     nominal = [units(signal) for signal in shop.by_numbers(drive)]
     return tuple(Chosen(hidden, _strength(shop, hidden, drive, base, units, nominal)) for hidden in shop.case.hidden)
 
@@ -181,13 +191,13 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
 # ---- the oracle -------------------------------------------------------------------------------------
 
 
-def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup) -> dict[str, object]:
+def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: list[Recorded], held_out: Recorded) -> dict[str, object]:
     """Detectability, separability, what could be removed, where it shows."""
     case, machine = shop.case, shop.machine
     clean = {"train": shop.matrix(setup, shop.training), "held_out": shop.matrix(setup, shop.held_out)}
     assert clean["train"] is not None and clean["held_out"] is not None, f"case {case.number}: the plant runs away"
-    units = NoiseUnits(shop.noise(setup, shop.training, clean["train"], range(case.repeats)))
-    held_noise = shop.noise(setup, shop.held_out, clean["held_out"], range(case.repeats, case.repeats + 1))[0]
+    units = NoiseUnits(shop.noise(repeats, clean["train"]))
+    held_noise = shop.noise([held_out], clean["held_out"])[0]
     answer: dict[str, object] = {
         "noise_rms": dict(zip(case.channels, units.std.tolist(), strict=True)),
         "held_out_noise_rms": dict(zip(case.channels, held_noise.std(axis=0).tolist(), strict=True)),
@@ -290,19 +300,18 @@ def _describe(case: Case, machine: Machine, chosen: tuple[Chosen, ...]) -> dict[
     }  # fmt: skip
 
 
-def _write(shop: Workshop, setup: Setup, folder: Path) -> None:
+def _write(shop: Workshop, repeats: list[Recorded], held_out: Recorded, folder: Path) -> None:
     """Recordings and the nominal machine file: all that the tool sees."""
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(shop.machine.path, folder / "machine.toml")
-    runs = [(f"run_{repeat + 1}.csv", shop.training, repeat) for repeat in range(shop.case.repeats)]
-    runs.append(("held_out.csv", shop.held_out, shop.case.repeats))
-    for name, drive, repeat in runs:
-        answer, channels = shop.recorded(setup, drive, repeat)
+    names = [*(f"run_{repeat + 1}.csv" for repeat in range(len(repeats))), "held_out.csv"]
+    for name, recorded in zip(names, [*repeats, held_out], strict=True):
+        drive = recorded.drive
         columns = {"time": np.arange(len(drive.reference)) / shop.machine.rate_Hz}
         for i, axis in enumerate(shop.machine.axes):
             if shop.machine.closed:
                 columns[f"reference_{axis}"], columns[f"excitation_{axis}"] = drive.reference[:, i], drive.excitation[:, i]
-            columns[f"command_{axis}"] = answer.command[:, i]
-        columns |= {channel: channels[channel] for channel in shop.case.channels}
+            columns[f"command_{axis}"] = recorded.answer.command[:, i]
+        columns |= {channel: recorded.channels[channel] for channel in shop.case.channels}
         experiment = {"kind": "run", "start_pose": drive.start.tolist()}
-        write_recording(folder / name, shop.under(drive), columns, experiment, answer.controller_states)
+        write_recording(folder / name, shop.under(drive), columns, experiment, recorded.answer.controller_states)
