@@ -12,7 +12,8 @@ from carriage import MACHINE, repeats
 
 from hil.diagnosis.align import aligned
 from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.form_error import NO_ERROR, FormError, can_err, form_error, since_reversal
+from hil.diagnosis.error_functions import can_err, since_reversal
+from hil.diagnosis.form_error import NO_ERROR, FormError, form_error
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.motion import Motion
@@ -87,20 +88,22 @@ def rider():
     yield from driven(machine, Channel("N", 5.0 * np.sin(2.0 * np.pi * 2.0 * time_s) + 5.0 * np.sin(2.0 * np.pi * 4.5 * time_s)), 1e-4)
 
 
-def fitted(runs, tuning, *found: tuple[str, list[float]], axis: int = 0) -> Fitted:
-    """These effects at one axis, as a fit would have left them."""
-    at = runs.machine.axes[axis]
+def fitted(runs, tuning, *found: tuple[str, list[float]], axis: int = 0, at: str = "") -> Fitted:
+    """These effects at one axis, or at another place, as a fit would have left them."""
+    at = at or runs.machine.axes[axis]
     effects, values = [EffectAt(name, at) for name, _ in found], [np.array(own) for _, own in found]
     settings = tuple(setting_of(effect, own) for effect, own in zip(effects, values, strict=True))
     predicted = runs.run_one(Trial(tuning.values, settings))
     return Fitted(tuple(effects), tuple(values), tuning.offset, predicted, 0.0, (), np.zeros((len(predicted), 0)), np.zeros(0))
 
 
-def within(carriage, found: tuple[str, list[float]], other: tuple[str, list[float]], axis: int = 0) -> tuple[FormError, np.ndarray, float]:
+def within(
+    carriage, found: tuple[str, list[float]], other: tuple[str, list[float]], axis: int = 0, at: str = ""
+) -> tuple[FormError, np.ndarray, float]:
     """Errors of an effect, another one's change of the free run, and the share of its energy that the errors span."""
     runs, tuning = carriage
-    errors = form_error(runs, TRAIN, tuning, fitted(runs, tuning, found))
-    answer = fitted(runs, tuning, other, axis=axis).predicted - tuning.predicted
+    errors = form_error(runs, TRAIN, tuning, fitted(runs, tuning, found, at=at))
+    answer = fitted(runs, tuning, other, axis=axis, at=at).predicted - tuning.predicted
     left = answer - np.linalg.lstsq(errors.responses.T, answer, rcond=1e-8)[0] @ errors.responses
     return errors, answer, 1.0 - float(left @ left) / float(answer @ answer)
 
@@ -156,7 +159,7 @@ def test_what_moves_with_the_machine_or_at_another_frequency_is_no_error_of_a_fl
 def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(carriage):
     runs, tuning = carriage
     assert can_err(EffectAt("cogging", "carriage"))
-    assert not can_err(EffectAt("imu_scale_bias", "imu"))
+    assert not can_err(EffectAt("encoder_eccentricity", "position_carriage"))
     assert form_error(runs, TRAIN, tuning, fitted(runs, tuning, ("torque_constant", [1.05]))) is NO_ERROR
 
 
@@ -174,6 +177,18 @@ def test_a_spring_behind_a_joint_errs_by_its_own_deflection_not_by_the_drive_s_e
     assert within(rider, hardening, hardening)[2] > 0.8
 
 
+@pytest.mark.parametrize(
+    ("found", "other"),
+    [
+        (("bouc_wen_hysteresis", [2000.0, 1.0, 0.001, 0.5, 1.0]), ("bouc_wen_hysteresis", [2000.0, 1.0, 0.0005, 0.5, 1.0])),
+        (("base_motion", [2.0, 5.0, 0.4]), ("base_motion", [1.0, 10.0, -1.0])),
+    ],
+    ids=["a hysteresis of its spring", "what shakes it"],
+)
+def test_what_acts_on_a_body_without_a_drive_errs_there(rider, found, other):
+    assert within(rider, found, other, at="rider")[2] > 0.8
+
+
 @pytest.mark.parametrize("shaken_Hz", [1.0, 4.0, 8.0])
 def test_a_spring_behind_a_joint_deflects_as_a_shaken_oscillator_does(shaken_Hz):
     """A rider of 2 kg on 2200 N/m and 3 N s/m, whose cart moves to and fro: below, near and above its 5.3 Hz."""
@@ -186,6 +201,42 @@ def test_a_spring_behind_a_joint_deflects_as_a_shaken_oscillator_does(shaken_Hz)
     rider = [joint.name for joint in machine.plant.tree.joints].index("rider_spring")
     later = slice(1400, None)  # it begins at full speed: what that sets ringing falls to a 190th by then
     assert motion.deflection(rider)[later] == pytest.approx(wanted[later], abs=0.01 * np.ptp(wanted))
+
+
+@pytest.mark.parametrize(
+    ("found", "other"),
+    [
+        (("drive_bandwidth", [800.0, 0.7]), ("delay", [0.0002])),
+        (("drive_bandwidth", [800.0, 0.7]), ("drive_bandwidth", [1500.0, 1.2])),
+        (("structural_mode", [8.0, 9.0, 0.02]), ("structural_mode", [8.0, 9.6, 0.05])),
+    ],
+    ids=["a delay of a drive's lag", "another lag", "a mode that swings faster"],
+)
+def test_another_law_of_the_same_kind_is_an_error_of_the_one_that_was_found(carriage, found, other):
+    assert within(carriage, found, other)[2] > 0.9
+
+
+def test_another_limit_of_a_drive_is_an_error_of_the_one_that_was_found(rider):
+    assert within(rider, ("current_saturation", [8.0, 0.0]), ("current_saturation", [7.0, 0.0]))[2] > 0.8
+
+
+def test_a_mode_s_errors_bear_a_recorder_s_jitter(carriage):
+    runs, tuning = carriage
+    mode = fitted(runs, tuning, ("structural_mode", [8.0, 9.0, 0.02]))
+    (group,) = runs.sets[TRAIN].groups
+    jitter = 1e-4 / MACHINE.sample_rate_Hz * np.random.default_rng(8).standard_normal(len(group.time_s))
+    found = replace(runs.sets[TRAIN], groups=(replace(group, time_s=group.time_s + jitter),))
+    with FreeRuns({TRAIN: found}, found.noise) as jittering:
+        errors = form_error(jittering, TRAIN, tuning, mode)
+    assert errors.responses == pytest.approx(form_error(runs, TRAIN, tuning, mode).responses, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("found", [("drive_bandwidth", [800.0, 0.7]), ("structural_mode", [8.0, 9.0, 0.02])], ids=lambda found: found[0])
+def test_a_friction_or_a_spring_is_no_error_of_a_drive_s_lag_nor_of_a_mode(carriage, found):
+    for other in (FRICTION, SPRING):
+        errors, answer, _ = within(carriage, found, other)
+        assert len(errors.responses)
+        assert errors.gain(answer, answer) > 0.5 * float(answer @ answer)
 
 
 PAN_TILT = load_machine(SPRING_MASS.with_name("pan_tilt.toml"))
@@ -224,6 +275,45 @@ def test_an_inertia_between_two_axes_errs_as_another_function_of_their_positions
 
 def test_which_axis_s_position_an_inertia_between_both_depends_on_is_an_error_of_it(head):
     assert within(head, ("axis_coupling", [0.02, 0.3]), ("axis_coupling", [0.02, 0.3]), axis=1)[2] > 0.95
+
+
+def of_a_sensor(head, found: tuple[str, str, list[float]], other: tuple[str, str, list[float]]) -> tuple[FormError, np.ndarray]:
+    """Errors of an effect of a sensor, and another effect's change of the free run."""
+    runs, tuning = head
+    effects, values = [EffectAt(name, at) for name, at, _ in (found, other)], [np.array(own) for _, _, own in (found, other)]
+    settings = [setting_of(effect, own) for effect, own in zip(effects, values, strict=True)]
+    one, changed = (runs.run_one(Trial(tuning.values, (setting,))) for setting in settings)
+    fit = Fitted((effects[0],), (values[0],), tuning.offset, one, 0.0, (), np.zeros((len(one), 0)), np.zeros(0))
+    return form_error(runs, TRAIN, tuning, fit), changed - tuning.predicted
+
+
+SCALE = ("imu_scale_bias", "imu", [0.01, 0.02, -0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+LATE = ("clock_offset", "imu_y", [0.004, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("found", "other"),
+    [
+        (SCALE, ("imu_scale_bias", "imu", [-0.02, 0.01, 0.0, 0.05, 0.0, 0.02, 0.0, 0.0])),
+        (LATE, ("clock_offset", "imu_y", [0.0, 0.001])),
+    ],
+    ids=["another scale", "a clock that goes slow"],
+)
+def test_another_function_of_the_same_reading_is_an_error_of_a_sensor_s(head, found, other):
+    errors, answer = of_a_sensor(head, found, other)
+    left = answer - np.linalg.lstsq(errors.responses.T, answer, rcond=1e-8)[0] @ errors.responses
+    assert float(left @ left) < 0.1 * float(answer @ answer)
+
+
+@pytest.mark.parametrize("found", [SCALE, LATE], ids=["scale", "clock"])
+def test_what_moves_the_machine_is_no_error_of_a_sensor_that_the_loop_does_not_read(head, found):
+    errors, answer = of_a_sensor(head, found, ("coulomb_friction", "pan", [0.02]))
+    assert len(errors.responses)
+    assert errors.gain(answer, answer) > 0.8 * float(answer @ answer)
+
+
+def test_of_a_sensor_that_the_loop_reads_the_general_rule_is_kept(head):
+    assert of_a_sensor(head, ("clock_offset", "position_pan", [0.002, 0.0]), LATE)[0] is NO_ERROR
 
 
 @pytest.mark.parametrize("found", [("pose_dependent_dynamics", [0.2, 0.3]), ("axis_coupling", [0.02, 0.3])], ids=lambda found: found[0])
