@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -122,7 +123,8 @@ class Stand:
     gates : tuple of Gate
         Of every effect.
     errors, held_out_errors : FormError
-        Of its equations, as far as it is known which functions they err by; in training with what re-tuning imitates taken out.
+        Of its equations, as far as it is known which functions they err by, and of what noise begins with (`onset.py`); in training with
+        what re-tuning imitates taken out.
     """
 
     fitted: Fitted | None
@@ -198,10 +200,18 @@ class Judgement:
         Expected |residual|^2 of a perfect simulation.
     equations : callable, optional
         What equations may err by (`form_error.form_error`). Without it they err in any way, by a share of their own response.
+    begins : callable, optional
+        What the noise of a set may have begun with (`onset.onset`).
     """
 
     def __init__(
-        self, runs: FreeRuns, tuning: Tuning, held_out: HeldOut | None, noise_energy: float, equations: Equations | None = None
+        self,
+        runs: FreeRuns,
+        tuning: Tuning,
+        held_out: HeldOut | None,
+        noise_energy: float,
+        equations: Equations | None = None,
+        begins: Callable[[str], FormError] = lambda name: NO_ERROR,
     ) -> None:
         self.scatter = Scatter(runs)
         self._equations = equations
@@ -209,11 +219,13 @@ class Judgement:
         self._measured = runs.measured()
         self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
         self._projection = Projection.of(tuning)
+        self._begins = cache(begins)
         self.nothing = self._stand(None, ())
 
     def without_own_lines(self, fits: Sequence[Fitted]) -> Stand:
         """What first effects are judged against, lines that only the held-out recordings have counting by their own power."""
         if self._judge is not None and self._judge.leave_out_own_lines(fits):
+            self._begins.cache_clear()  # they count in these units
             self.nothing = self._stand(None, ())
         return self.nothing
 
@@ -231,13 +243,15 @@ class Judgement:
         if self._judge is not None:
             held_out = self._judge.follow(tuning.offset, () if fitted is None else fitted.settings)
         stand = Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
-        if fitted is None or self._equations is None:
-            return stand
-        errors = self._equations(TRAIN, tuning, fitted)
+        errors = self._begins(TRAIN)
+        there = NO_ERROR if self._judge is None else self._begins(HELD_OUT)
+        if fitted is not None and self._equations is not None:
+            errors = errors.beside(self._equations(TRAIN, tuning, fitted))
+            there = there if self._judge is None else there.beside(self._equations(HELD_OUT, tuning, fitted))
+            stand = replace(stand, known=True)
         if len(errors.responses):
             errors = FormError(Projection.of(tuning).left(errors.responses), errors.effects)
-        there = NO_ERROR if self._judge is None else self._equations(HELD_OUT, tuning, fitted)
-        return replace(stand, errors=errors, held_out_errors=there, known=True)
+        return replace(stand, errors=errors, held_out_errors=there)
 
     def contenders(
         self,
@@ -303,9 +317,10 @@ class Judgement:
             if before.known:
                 structure = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
                 variance = max(scatter, structure) + form_variance(before.response, response, erring, 0.0)
-                beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
             else:
                 variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
+        if len(before.errors.responses):
+            beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
         trials = tried.sets(added)
         needed = needed_gain(trials, freedom, fitted.cost, entries)
         return _Trained(gain, beyond, needed, scatter, level, trials * chance_of_gain(beyond, freedom, variance))

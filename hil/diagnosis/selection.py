@@ -19,6 +19,7 @@ from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import Removing, are_of_the_file, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
+from hil.diagnosis.onset import onset
 from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.retune import Tuning
@@ -143,7 +144,7 @@ def select(
     another_way : bool
         Whether effects are added from another first one, or from the likeliest set, at all.
     """
-    judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs))
+    judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs), lambda name: onset(runs, name, tuning))
     search = _Search(runs, tuning, judgement, noise_energy, candidates_of, report)
     first = search.step(Way(judgement.nothing))
     way = search.to_the_end(first)

@@ -16,15 +16,18 @@ STEPS = 20
 NOISE = np.array([0.02, 5e-6])  # V and m rms, white
 
 
-def pushed_mass(reference, push, excitation=None, *, count=0.0, target_step=0.0, zero=0.0) -> tuple[np.ndarray, np.ndarray]:
+def pushed_mass(
+    reference, push, excitation=None, *, count=0.0, target_step=0.0, zero=0.0, begins=(0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
     """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper.
 
-    The encoder reads multiples of `count` and is `zero` off, the drive applies multiples of `target_step`.
+    The encoder reads multiples of `count` and is `zero` off, the drive applies multiples of `target_step`. It begins so far off the
+    reference and so fast.
     """
     period_s = 1.0 / RAIL.sample_rate_Hz
     sections = RAIL.controllers[0].position_sections
     state = np.zeros((len(sections), 2))
-    position, speed, command = float(reference[0]), 0.0, 0.0
+    position, speed, command = float(reference[0]) + begins[0], begins[1], 0.0
     rows = np.zeros((len(reference), 2))
     for k in range(len(reference)):
         effort = rounded(command, target_step)

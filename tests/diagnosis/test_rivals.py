@@ -10,7 +10,7 @@ import pytest
 
 from hil.diagnosis import judgement, selection, ways
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.form_error import FormError
+from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -90,6 +90,7 @@ def selected(
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: [])
     monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
+    monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
 
     return selection.select(runs, tuning, None, float(ENTRIES), candidates_of, lambda what, share: None)
