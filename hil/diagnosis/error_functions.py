@@ -11,6 +11,7 @@ import scipy.signal
 
 from hil.diagnosis.free_run import FreeRuns, Trial
 from hil.diagnosis.motion import Motion
+from hil.diagnosis.naming import EXACT, NUMBERS
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -28,9 +29,6 @@ OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
 
 OF_ACCELERATION = ("structural_mode",)
 """What hangs on a joint and is shaken by it."""
-
-EXACT_READINGS = ("imu_misalignment",)
-"""Of which numbers alone are unknown: where an IMU's axes point."""
 
 DETUNED, LIGHT = (0.7, 0.85, 1.0, 1.15, 1.3), 0.005
 """Shares of a mode's frequency at which others may swing, and the least damping ratio these have."""
@@ -82,8 +80,10 @@ Efforts = list[np.ndarray]
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
     name, kind = effect.effect, effects()[effect.effect].kind
+    if name in EXACT and name not in NUMBERS:
+        return False
     if _is_friction(name) or kind in (ELASTIC, COUPLING, LAG, LIMIT, CALIBRATION, CLOCK):
-        return name not in EXACT_READINGS
+        return True
     return name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION, *OVER_TIME, *OF_ACCELERATION)
 
 

@@ -1,9 +1,8 @@
 """By what the equations of effects that were found may err: other functions of what they depend on, where they act.
 
-A friction law errs as another function of speed, and of the way since the last reversal, at its joint; a spring as another function of its
-deflection; a wave over position or in time as its other harmonics, and as one that changes slowly along the way or in time; an inertia
-between two axes as other functions of their positions. A few such functions, added to the joints' equations and sent through the linear
-closed loop (`through_the_loop.py`), span what errors do to recordings. In units of their standard deviations beforehand the residual has
+A friction law errs as another function of speed, a spring as one of its deflection, a clock as one of its channel's rate of change. A few
+such functions (`error_functions.py`), sent through the linear closed loop (`through_the_loop.py`) or added to readings, span what errors do
+to recordings. In units of their standard deviations beforehand the residual has
 the covariance 1 + B'B for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within
 only beyond what the law that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B
 63, in few functions).

@@ -26,8 +26,8 @@ from hil.simulation import Inputs, Simulator
 def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:
     """What noise gives every axis of a set's groups at the first row, a speed and a deviation, with standard deviation one each.
 
-    Nothing is known of noise that no repeats show, of what a group that begins within a record begins with, nor of joints that nothing
-    holds.
+    Nothing is known of noise that no repeats show, of what a group that begins within a record begins with, of joints that nothing holds,
+    nor of a machine that cannot be simulated there.
 
     Parameters
     ----------
@@ -59,8 +59,11 @@ def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:
                 replace(own.inputs, start_speed=speed + fast * one),
                 replace(own.inputs, deviation=deviation + apart * one),
             ):
+                changed = run(begun)
+                if base is None or changed is None:
+                    continue
                 answer = [np.zeros((len(group.time_s), len(found.channels))) for group in found.groups]
-                answer[k] = run(begun) - base
+                answer[k] = changed - base
                 rows.append(runs.joined(answer, name))
     return FormError(np.stack(rows)) if rows else NO_ERROR
 
@@ -71,8 +74,10 @@ def _is_held(machine: Machine, axis: int) -> bool:
     return bool(machine.controllers) or tree.joints[tree.joint_index(machine.plant.drives[axis].joint)].stiffness > 0.0
 
 
-def _rows(simulator: Simulator, values: np.ndarray, channels: tuple[str, ...], inputs: Inputs) -> np.ndarray:
-    return simulated_matrix(simulator.machine, simulator.run(inputs, values), channels)
+def _rows(simulator: Simulator, values: np.ndarray, channels: tuple[str, ...], inputs: Inputs) -> np.ndarray | None:
+    """(N, C); None where the machine cannot stand or the simulation diverges."""
+    outputs = simulator.run_or_error(inputs, values, None)
+    return None if isinstance(outputs, Exception) else simulated_matrix(simulator.machine, outputs, channels)
 
 
 def _deviation_and_speed(noise: NoiseModel, channels: tuple[str, ...], axis: str, machine: Machine) -> tuple[float, float]:

@@ -305,6 +305,15 @@ def test_another_function_of_the_same_reading_is_an_error_of_a_sensor_s(head, fo
     assert float(left @ left) < 0.1 * float(answer @ answer)
 
 
+def test_another_lateness_counts_where_it_is_more_than_an_error_of_the_first(head):
+    """Both stand out of the noise by far, alone: a lateness that grows by 0.03 and by 1 ms a second, beside one of 4 ms."""
+    for growth_per_s, counts in ((3e-5, False), (1e-3, True)):
+        errors, answer = of_a_sensor(head, LATE, ("clock_offset", "imu_y", [0.0, growth_per_s]))
+        assert answer @ answer > 50.0
+        assert (errors.gain(answer, answer) > 100.0) is counts
+        assert (errors.gain(answer, answer) < 1.0) is not counts
+
+
 @pytest.mark.parametrize("found", [SCALE, LATE], ids=["scale", "clock"])
 def test_what_moves_the_machine_is_no_error_of_a_sensor_that_the_loop_does_not_read(head, found):
     errors, answer = of_a_sensor(head, found, ("coulomb_friction", "pan", [0.02]))

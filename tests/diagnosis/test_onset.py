@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from hil.diagnosis import selection
 from hil.diagnosis.align import aligned
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.form_error import NO_ERROR, FormError
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.gate import LEVEL
 from hil.diagnosis.judgement import Judgement
 from hil.diagnosis.mismatch import mismatch
@@ -87,6 +88,14 @@ def test_lines_that_count_less_held_out_count_less_in_it_too(shaking):
     judgement = Judgement(runs, tuning, judge, float(len(runs.measured())), None, begins)
     judgement.without_own_lines([])
     assert asked.count(HELD_OUT) == 2
+
+
+def test_of_a_machine_that_cannot_be_simulated_nothing_is_known(shaking):
+    runs, tuning = shaking
+    driven_on = np.array([-1e4 if parameter.quantity == "damping" else 1.0 for parameter in runs.parameters])
+    diverging = replace(tuning, values=driven_on * tuning.values)
+    assert runs.run_one(Trial(diverging.values)) is None
+    assert onset(runs, TRAIN, diverging) is NO_ERROR
 
 
 def test_of_noise_that_no_repeats_show_nothing_is_known():
