@@ -7,14 +7,14 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from concealed.making import COMMAND, Places, case_of, machines
+from concealed.making import Places, case_of, machines
+from concealed.preloaded import isocenter
 from concealed.truth.build import make_case
 from concealed.truth.draw import Case
 
@@ -56,11 +56,9 @@ def _at_strength(case: Case, strength: float) -> Case:
 def _diagnose(folder: Path) -> dict[str, Any]:
     out = folder.with_name(folder.name + "_out")
     runs = sorted(str(path) for path in folder.glob("run_*.csv"))
-    held_out = ["--held-out", str(folder / "held_out.csv")]
-    command = [COMMAND, "diagnose", str(folder / "machine.toml"), *runs, *held_out, "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, check=False)
+    done = isocenter("diagnose", str(folder / "machine.toml"), *runs, "--held-out", str(folder / "held_out.csv"), "-o", str(out))
     answer = out / "diagnosis.json"
-    if done.returncode != 0 or not answer.exists():
+    if done.exit_status != 0 or not answer.exists():
         return {"verdict": "refused", "findings": []}
     found = json.loads(answer.read_text(encoding="utf-8"))
     return {"verdict": found["verdict"], "findings": [f"{finding['effect']}@{finding['at']}" for finding in found["findings"]]}

@@ -1,4 +1,4 @@
-"""Running the tool as an outside user would: the command, on a folder of recordings and a machine file."""
+"""Running the tool as an outside user would: the command, on recordings and a machine file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from concealed.making import COMMAND, Places, make, seal
+from concealed.making import Places, make, seal
+from concealed.preloaded import isocenter
 from hil.recording.toml_text import toml_text
 
 TIME_LIMIT_S = 900.0
@@ -38,26 +39,13 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
     case, out = places.case(number), places.answer(number)
     out.mkdir(parents=True, exist_ok=True)
     runs = sorted(str(path) for path in case.glob("run_*.csv"))
-    command = [
-        COMMAND,
-        "diagnose",
-        str(case / "machine.toml"),
-        *runs,
-        "--held-out",
-        str(case / "held_out.csv"),
-        "-o",
-        str(out),
-        "--jobs",
-        "1",
-    ]
-    start = time.monotonic()
+    command = ["diagnose", str(case / "machine.toml"), *runs, "--held-out", str(case / "held_out.csv"), "-o", str(out), "--jobs", "1"]
     row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": commit()}
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S, check=False)
-        row |= {"exit_status": done.returncode, "error": _without_places(done.stderr.strip(), places)[-500:]}
-    except subprocess.TimeoutExpired:
-        row |= {"exit_status": None, "error": f"no answer within {TIME_LIMIT_S:g} s"}
+    start = time.monotonic()
+    done = isocenter(*command, limit_s=TIME_LIMIT_S)
     row["wall_s"] = round(time.monotonic() - start, 1)
+    said = f"no answer within {TIME_LIMIT_S:g} s" if done.exit_status is None else _without_places(done.said.strip(), places)[-500:]
+    row |= {"exit_status": done.exit_status, "error": said}
     answer = out / "diagnosis.json"
     if answer.exists():
         found = json.loads(answer.read_text(encoding="utf-8"))
@@ -88,12 +76,8 @@ def _held_out_errors(places: Places, number: int, verdict: str) -> dict[str, Any
     errors = {}
     for name, extra in (("retuned", []), ("extended", ["--effects", str(out / "effects.toml")])):
         simulated, compared = out / f"{name}.csv", out / f"{name}.json"
-        steps = (
-            [COMMAND, "simulate", str(machine), str(case / "held_out.csv"), "-o", str(simulated), *extra],
-            [COMMAND, "compare", str(case / "held_out.csv"), str(simulated), "--json", str(compared)],
-        )
-        for step in steps:
-            subprocess.run(step, capture_output=True, check=False)
+        isocenter("simulate", str(machine), str(case / "held_out.csv"), "-o", str(simulated), *extra)
+        isocenter("compare", str(case / "held_out.csv"), str(simulated), "--json", str(compared))
         if compared.exists():
             table = json.loads(compared.read_text(encoding="utf-8"))
             errors[name] = {channel: row["rms"] for channel, row in table["channels"].items()}
