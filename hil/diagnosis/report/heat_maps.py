@@ -29,6 +29,9 @@ CHANNELS_SHOWN = 6
 BRIGHTEST = 100.0
 """In units of noise: the colour scale ends there."""
 
+PLAIN = "{x:g}"
+"""Powers of ten as numbers: to set a formula takes longer than all ticks of an axis."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeatMap:
@@ -115,18 +118,22 @@ def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
     drawn = []
     for row, (label, scale, maps) in enumerate(kinds):
         axes[row, 0].set(yscale=scale, ylabel=label)
+        if scale == "log":
+            axes[row, 0].yaxis.set_major_formatter(PLAIN)
         for place, heat_map in zip(axes[row], maps, strict=True):
             if heat_map is None:
                 place.set_axis_off()
                 continue
             drawn.append(_draw(place, heat_map))
+            place.xaxis.set_visible(row == len(kinds) - 1)
+            place.yaxis.set_visible(place is axes[row, 0])  # of a figure's time most is ticks
     for place, c in zip(axes[0], channels, strict=True):
         place.set_title(found.channels[c], fontsize="medium")
     for place in axes[-1]:
         place.set_xlabel(f"position of {units.axis} [{units.position}]")
     top, last, width = axes[0, -1].get_position(), axes[-1, -1].get_position(), figure.get_figwidth()
     bar = figure.add_axes((last.x1 + 0.2 / width, last.y0, 0.15 / width, top.y1 - last.y0))
-    figure.colorbar(drawn[-1], cax=bar, extend="max", label="rms of the residual\nin units of one repeat's noise")
+    figure.colorbar(drawn[-1], cax=bar, extend="max", format=PLAIN, label="rms of the residual\nin units of one repeat's noise")
     figure.suptitle(f"Residual over the pose of {units.axis}, {stage}\nhatched: not visited", fontsize="medium")
     return figure
 

@@ -11,6 +11,10 @@ LEGIBLE = 24
 """Numbers shown at most: those with the largest sensitivity."""
 
 
+LEAST_SAID = 0.1
+"""Below it a colour is enough."""
+
+
 def cosines(columns: np.ndarray) -> np.ndarray:
     """(P, P) absolute cosines between the columns (M, P) of a Jacobian; 0 for a column of zeros."""
     norm = np.linalg.norm(columns, axis=0)
@@ -19,7 +23,7 @@ def cosines(columns: np.ndarray) -> np.ndarray:
 
 
 def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
-    """The matrix as an image with its numbers; None with fewer than two numbers."""
+    """The matrix as an image, with numbers below its diagonal; None with fewer than two numbers."""
     seen = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
     if len(seen) < 2:
         return None
@@ -32,8 +36,8 @@ def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
     labels = [names[k] for k in order]
     axes.set_xticks(range(len(order)), labels, rotation=90, fontsize="small")
     axes.set_yticks(range(len(order)), labels, fontsize="small")
-    for i, row in enumerate(values):
-        for j, value in enumerate(row):
-            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=6, color="white" if value < 0.6 else "black")
+    for i, j in np.argwhere(np.tril(values, -1) >= LEAST_SAID):
+        colour = "white" if values[i, j] < 0.6 else "black"
+        axes.text(j, i, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=6, color=colour, in_layout=False)
     figure.colorbar(image, ax=axes, label="|cos| of sensitivities\n1: cannot be told apart")
     return figure

@@ -13,6 +13,9 @@ from hil.diagnosis.report.style import STAGE_COLOURS, STAGE_NAMES
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""
 
+WIDTH_in = 3.3
+"""Of one channel's axes."""
+
 LEAST_ROWS = 50
 RECORDED = "0.65"
 """A wide grey line under the coloured ones: what is recorded may be noise from edge to edge."""
@@ -28,13 +31,13 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
     ----------
     found : Mismatch
     stages : mapping of str to sequence of (N, C) arrays
-        Simulated rows per group at "nominal", "retuned" and "extended".
+        Simulated rows per group at "nominal", "retuned" and, where an effect is named, "extended".
     """
     number, rows = _stretch(found, stages)
     group = found.groups[number]
     columns = _columns(found, stages, number)
-    figure = Figure(figsize=(4.0 * len(columns) + 1.0, 5.6), layout="constrained")
-    axes = figure.subplots(2, len(columns), sharex=True, squeeze=False, height_ratios=(3, 2))
+    figure = Figure(figsize=(4.4 * len(columns), 5.6))
+    axes = figure.subplots(2, len(columns), sharex=True, squeeze=False, height_ratios=(3, 2), gridspec_kw=_margins(len(columns)))
     time_s = group.time_s[rows]
     for place, c in enumerate(columns):
         above, below = axes[0, place], axes[1, place]
@@ -50,13 +53,22 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
         below.set_xlabel("time [s]")
         for each in (above, below):
             each.grid(alpha=0.3, lw=0.5)
-    figure.align_ylabels(axes)
+            each.yaxis.set_label_coords(-0.6 / WIDTH_in, 0.5)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     more, names = axes[1, 0].get_legend_handles_labels()
-    figure.legend(handles + more, labels + names, loc="outside lower center", ncols=5, fontsize="small", frameon=False)
+    figure.legend(handles + more, labels + names, loc="lower center", ncols=5, fontsize="small", frameon=False)
     of = f", mean of {group.repeats} repeats" if group.repeats > 1 else ""
     figure.suptitle(f"{title}: {group.labels[0]}{of}\n{_window_words(group.time_s, rows)}", fontsize="medium")
     return figure
+
+
+def _margins(columns: int) -> dict[str, float]:
+    """Places for axes that leave their labels so much: a layout that is solved takes longer than drawing them."""
+    width, beside, height = 4.4 * columns, 4.4 - WIDTH_in, 5.6
+    return {
+        "left": 0.9 * beside / width, "right": 1.0 - 0.1 * beside / width, "wspace": beside / WIDTH_in,
+        "bottom": 0.85 / height, "top": 1.0 - 0.55 / height, "hspace": 0.08,
+    }  # fmt: skip
 
 
 def _window_words(time_s: np.ndarray, rows: slice) -> str:
@@ -70,9 +82,10 @@ def _window_words(time_s: np.ndarray, rows: slice) -> str:
 def _stretch(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]]) -> tuple[int, slice]:
     """The group and the rows in which the nominal simulation and the last one differ most, in units of noise."""
     best = (-1.0, 0, slice(0, 1))
+    first, *_, last = stages.values()
     for number, group in enumerate(found.groups):
         width = max(LEAST_ROWS, round(SHOWN_s * found.noise.rate_Hz))
-        change = np.sum(((stages["extended"][number] - stages["nominal"][number]) / found.noise.std) ** 2, axis=1)
+        change = np.sum(((last[number] - first[number]) / found.noise.std) ** 2, axis=1)
         if not np.isfinite(change).all():
             change = np.zeros(len(group.time_s))
         width = min(width, len(change))

@@ -49,7 +49,10 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis)))
     title = "Held-out" if outcome.held_out is not None else "Training"
     sections["overlay"].append(
-        (f"{title} recording and simulations", overlay_figure(judged, {name: stages[name] for name in DRAWN}, title))
+        (
+            f"{title} recording and simulations",
+            overlay_figure(judged, {name: stages[name] for name in DRAWN if named or name != "extended"}, title),
+        )
     )
     if named:
         for finding in outcome.diagnosis.findings:
