@@ -71,8 +71,8 @@ HELD = 0.99
 of it where the other number moved last."""
 
 WANTED = 10.0
-"""Energy, in units of noise, from which on recordings want more of a number that is held: what its slope removes at the least. Where they
-do not show how wide a gap's flanks are it is 1 to 6."""
+"""Energy, in units of noise, from which on recordings want a number, or more of one that is held: what it or its slope removes at the
+least. Where they do not show how wide a gap's flanks are it is 1 to 6, of viscosity beside a Coulomb friction 0.1 to 4."""
 
 
 def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], residual: np.ndarray) -> str:
@@ -182,7 +182,10 @@ def _wants_more(fitted: Fitted, number: int, residual: np.ndarray) -> str:
 
 
 def _one_way(fitted: Fitted, number: int) -> str:
-    """Which of the two directions' numbers stands alone and counts; "" where none does."""
+    """Which of the two directions' numbers stands alone, counts and is needed; "" where none is.
+
+    What a joint's damping may be otherwise is both directions' alike: one of their numbers is zero wherever the recordings show neither.
+    """
     effect, values = fitted.effects[number], fitted.values[number]
     names = [parameter.name for parameter in effects()[effect.effect].parameters]
     alone = [name for name in ONE_WAY[effect.effect] if values[names.index(name)] > 0.0]
@@ -190,4 +193,6 @@ def _one_way(fitted: Fitted, number: int) -> str:
         return ""
     parts = {names[p]: values[p] * fitted.jacobian[:, column] for column, (k, p) in enumerate(fitted.free) if k == number}
     own, whole = parts.get(alone[0], np.zeros(1)), sum(parts.values(), np.zeros(1))
-    return alone[0] if own @ own > COUNTS * (whole @ whole) else ""
+    both = {column for column, (k, p) in enumerate(fitted.free) if k == number and names[p] in ONE_WAY[effect.effect]}
+    loss = next((form.loss for form in fitted.simpler if set(form.absent) == both), np.inf)
+    return alone[0] if own @ own > COUNTS * (whole @ whole) and loss > WANTED else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,16 @@ class Free:
     value: float
     size: float  # which the Hessian counts it in
     beforehand: float = 1.0  # deviation that it may have beforehand, in units of its size
+
+
+class Form(NamedTuple):
+    """A set whose laws are without some of their terms: the energy that recordings lose, (F',) information on what is left, and which free
+    parameters are absent.
+    """
+
+    loss: float
+    information: np.ndarray
+    absent: tuple[int, ...]
 
 
 def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.ndarray:
@@ -42,9 +53,8 @@ def information_of(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> np.
     return _narrowed(_own(hessian, tuned), free)
 
 
-def simpler_forms(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> tuple[tuple[float, np.ndarray], ...]:
-    """What a set costs whose laws are without some of their terms: the energy that the recordings lose, everything else fitted again, and
-    the information on what is left, of every such set; as `information_of`.
+def simpler_forms(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> tuple[Form, ...]:
+    """Every set whose laws are without some of their terms, everything else fitted again; arguments as of `information_of`.
 
     The strengths of a law that have one unit are one term: a friction that differs with direction may have a level, a viscous coefficient
     or both. A law that keeps none of its terms is none.
@@ -67,7 +77,7 @@ def simpler_forms(hessian: np.ndarray, tuned: int, free: Sequence[Free]) -> tupl
             if is_in_proportion(one.parameter):
                 one = replace(one, value=value * one.size)
             parts.append(one)
-        found.append((loss, _narrowed(own[np.ix_(kept, kept)], parts)))
+        found.append(Form(loss, _narrowed(own[np.ix_(kept, kept)], parts), tuple(absent)))
     return tuple(found)
 
 

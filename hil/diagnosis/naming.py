@@ -188,7 +188,7 @@ class Weighed:
 
     def priced_as(self, fitted: Fitted) -> Weighed:
         """With the information of a fit."""
-        simpler = tuple((loss, tuple(seen.tolist())) for loss, seen in fitted.simpler)
+        simpler = tuple((form.loss, tuple(form.information.tolist())) for form in fitted.simpler)
         return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
     def in_units(self, train: float, held_out: float) -> Weighed:

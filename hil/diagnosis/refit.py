@@ -16,7 +16,7 @@ import scipy.optimize
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.coordinates import WEAKER, Coordinates, Point, weaker
 from hil.diagnosis.free_run import FreeRuns, Trial
-from hil.diagnosis.information import information_of, simpler_forms
+from hil.diagnosis.information import Form, information_of, simpler_forms
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import PRIOR, Tuning, bounded_step, sensitivities_from, sensitivity_trials
 from hil.diagnosis.tuned_sensitivities import TunedSensitivities
@@ -101,8 +101,8 @@ class Fitted:
     information : (F,) array
         Energies, in units of noise, that the recordings lose by changes of the free parameters as large as these may be beforehand, with
         the tuned numbers free (`information.py`): what a parameter that the recordings do not see has none of.
-    simpler : tuple of (float, array)
-        The same of the set without some of its laws' terms, each behind the energy that it loses without them.
+    simpler : tuple of Form
+        The set without some of its laws' terms.
     """
 
     effects: tuple[EffectAt, ...]
@@ -113,7 +113,7 @@ class Fitted:
     free: tuple[tuple[int, int], ...]
     jacobian: np.ndarray
     information: np.ndarray
-    simpler: tuple[tuple[float, np.ndarray], ...] = ()
+    simpler: tuple[Form, ...] = ()
 
     @property
     def settings(self) -> tuple[EffectSetting, ...]:

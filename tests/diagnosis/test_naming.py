@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.gate import certain_excess
+from hil.diagnosis.information import Form
 from hil.diagnosis.naming import (
     CAP_ASSUMED,
     CONFIDENT,
@@ -301,7 +302,7 @@ def test_a_set_is_priced_by_what_its_fit_says_of_its_simpler_forms():
         (EffectAt("cable_spring", "arm"),), (nothing,), nothing, nothing, 0.0, (), np.zeros((0, 0)), np.array([ENERGETIC, ENERGETIC])
     )
     known = Weighed(None, ENTRIES, 0.0)
-    with_forms = known.priced_as(replace(whole, simpler=((0.0, np.array([ENERGETIC])),)))
+    with_forms = known.priced_as(replace(whole, simpler=(Form(0.0, np.array([ENERGETIC]), (1,)),)))
     assert known.priced_as(whole).price() == pytest.approx(np.log1p(ENERGETIC))
     assert with_forms.price() == pytest.approx(0.5 * np.log1p(ENERGETIC) + np.log(2.0), abs=1e-3)
 

@@ -9,6 +9,7 @@ import pytest
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import BENDS_BY, lost_form
+from hil.diagnosis.information import Form
 from hil.diagnosis.judgement import Stand, Tried
 from hil.diagnosis.pairs import beside_rivals, pairs
 from hil.diagnosis.refit import Fitted
@@ -137,6 +138,16 @@ def test_bristles_bend_as_far_as_their_law_says_that_creeps(parameters):
 def test_no_oil_is_viscous_one_way_only(one_way, other_way, lost):
     rows = np.random.default_rng(8).normal(size=(400, 4))
     rubbing = replace(fitted("asymmetric_friction", [10.0, 10.0, one_way, other_way]), free=tuple((0, p) for p in range(4)), jacobian=rows)
+    assert bool(lost_form(rubbing, {}, np.zeros(400))) == lost
+
+
+@pytest.mark.parametrize(("loss", "lost"), [(3.0, False), (30.0, True)])
+def test_viscosity_one_way_that_recordings_do_not_want_is_the_joint_s_damping(loss, lost):
+    """What both directions have in common the joint's own number may have, and then the smaller one of the two is zero."""
+    rows = np.random.default_rng(8).normal(size=(400, 4))
+    levels = fitted("asymmetric_friction", [10.0, 10.0, 8.0, 0.0])
+    forms = tuple(Form(loss if absent == (2, 3) else 1e6, np.ones(2), absent) for absent in ((0, 1), (2, 3)))
+    rubbing = replace(levels, free=tuple((0, p) for p in range(4)), jacobian=rows, simpler=forms)
     assert bool(lost_form(rubbing, {}, np.zeros(400))) == lost
 
 
