@@ -48,12 +48,8 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in ("waterfall", "overlay", "effect", "heat", "matrix")}
     sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis)))
     title = "Held-out" if outcome.held_out is not None else "Training"
-    sections["overlay"].append(
-        (
-            f"{title} recording and simulations",
-            overlay_figure(judged, {name: stages[name] for name in DRAWN if named or name != "extended"}, title),
-        )
-    )
+    drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
+    sections["overlay"].append((f"{title} recording and simulations", overlay_figure(judged, drawn, title)))
     if named:
         for finding in outcome.diagnosis.findings:
             found = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
