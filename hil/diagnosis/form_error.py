@@ -100,14 +100,14 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         Effects that it is not known of how they err are left out. A whole sign is right or wrong: it errs by nothing.
     """
     rows, known = [], []
-    loop = ThroughTheLoop.of(runs, name, tuning)
-    whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
+    loop, whole = ThroughTheLoop(runs, name, tuning), None
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effects()[effect.effect].kind is SIGN and is_a_whole_sign(values):
             known.append(effect)
             continue
         if not can_err(effect):
             continue
+        whole = runs.run_one(Trial(tuning.values, fitted.settings), name) if whole is None else whole
         without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
         if whole is None or without is None:
             continue

@@ -56,8 +56,8 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
             sections["effect"].append((str(finding.effect), None if found is None else effect_map_figure(found)))
     for axis in range(len(train.axes)):
         for stage in ("retuned", "extended") if named else ("retuned",):
-            drawn = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
-            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", drawn))
+            maps = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
+            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", maps))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
 
