@@ -1,4 +1,4 @@
-"""Running the tool as an outside user would: the command, on recordings and a machine file."""
+"""Running the tool: its command, on recordings and a machine file, in a process of its own that has the modules (`preloaded.py`)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from concealed.making import Places, make, seal
-from concealed.preloaded import isocenter
+from concealed.preloaded import ROOT, isocenter
 from hil.recording.toml_text import toml_text
 
 TIME_LIMIT_S = 900.0
@@ -22,28 +22,50 @@ CHECKED = 3
 JSON_KEPT = ("verdict", "findings", "hypotheses", "retuned", "noise", "location", "fit", "unexplained_share", "seconds")
 
 
+PACKAGES = ("hil", "virtual_bus", "controllers", "drivers")
+
+
 def commit() -> str:
     """The tool's commit, marked where its files differ from it."""
-    here = Path(__file__).parent
-    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False).stdout.strip()
-    packages = [str(here.parents[1] / name) for name in ("hil", "virtual_bus", "controllers", "drivers")]
-    changed = subprocess.run(
-        ["git", "status", "--porcelain", "--", *packages], cwd=here, capture_output=True, text=True, check=False
-    ).stdout
-    return head + ("+changes" if changed.strip() else "")
+    return _git("rev-parse", "HEAD") + ("+changes" if _changes() else "")
+
+
+def _changes() -> str:
+    return _git("status", "--porcelain", "--", *PACKAGES)
+
+
+def _files() -> tuple[str, str]:
+    """What the tool's files are, whatever else was committed."""
+    return _git("rev-parse", *(f"HEAD:{name}" for name in PACKAGES)), _changes()
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+
+@cache
+def _loaded() -> tuple[str, tuple[str, str]]:
+    """Commit and files when this process first ran the tool, whose modules are loaded once."""
+    return commit(), _files()
+
+
+def _check_unchanged() -> None:
+    if _files() != _loaded()[1]:
+        raise RuntimeError("the tool's files are others than when this run began: begin it again")
 
 
 def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
     """Make the case where it is not there, diagnose it, and return what is kept of the answer, with the truth's seal."""
+    _check_unchanged()
     make(places, number)
     case, out = places.case(number), places.answer(number)
     out.mkdir(parents=True, exist_ok=True)
     runs = sorted(str(path) for path in case.glob("run_*.csv"))
     command = ["diagnose", str(case / "machine.toml"), *runs, "--held-out", str(case / "held_out.csv"), "-o", str(out), "--jobs", "1"]
-    row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": commit()}
-    start = time.monotonic()
+    row: dict[str, Any] = {"number": number, "truth_sha256": seal(places.truth(number)), "commit": _loaded()[0]}
     done = isocenter(*command, limit_s=TIME_LIMIT_S)
-    row["wall_s"] = round(time.monotonic() - start, 1)
+    _check_unchanged()
+    row["wall_s"] = round(done.seconds, 1)
     said = f"no answer within {TIME_LIMIT_S:g} s" if done.exit_status is None else _without_places(done.said.strip(), places)[-500:]
     row |= {"exit_status": done.exit_status, "error": said}
     answer = out / "diagnosis.json"
@@ -60,7 +82,7 @@ def run_case(places: Places, number: int, keep: bool) -> dict[str, Any]:
 
 def _without_places(said: str, places: Places) -> str:
     """What a command said, without the folders of the computer it ran on."""
-    for folder, name in ((places.work, "WORK"), (Path(sys.prefix), "PYTHON"), (Path(__file__).parents[2], "ISOCENTER")):
+    for folder, name in ((places.work, "WORK"), (Path(sys.prefix), "PYTHON"), (ROOT, "ISOCENTER")):
         said = said.replace(str(folder.absolute()), name).replace(str(folder), name)
     return said
 

@@ -22,6 +22,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.step_error import with_finer_steps
+from hil.diagnosis.through_the_loop import ThroughTheLoop
 from hil.diagnosis.without_effects import without_effects
 
 ROUNDS = 2
@@ -36,6 +37,7 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
     train = runs.sets[TRAIN]
     is_assumed = train.noise.kind == "assumed"
     assumed = dict(zip(train.channels, train.noise.std.tolist(), strict=True)) if is_assumed else {}
+    loop = ThroughTheLoop(runs, TRAIN, tuning)
 
     def found_beside(found: Fitted | None) -> Sequence[Candidate]:
         values = tuning.values if found is None else tuning.at(found.offset)
@@ -46,7 +48,7 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
         longest = max(len(simulated) for simulated in rows)
         first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
         tried = candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
-        return with_filtered_starts(runs, tuning, tried, motions, runs.measured() - runs.joined(rows))
+        return with_filtered_starts(loop, tried, motions, runs.measured() - runs.joined(rows))
 
     return found_beside
 

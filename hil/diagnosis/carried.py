@@ -108,16 +108,15 @@ def _gradients(plant: CompiledPlant, moved: Sequence[int], actuated: Sequence[in
     """(3, rows, 6 imus, moved) gradients of the IMUs' unfiltered channels along a motion (rows, 3, axes) of the actuated joints."""
     model = plant.model()
     gradients = np.zeros((3, len(motion), 6 * len(plant.settings.imus), len(moved)))
-    state = np.zeros((3, plant.joints))
-    state[0] = equilibrium(plant, model, motion[:, 0].mean(axis=0))
-    for row, values in enumerate(motion):
-        state[:, actuated] = values
-        for order in range(3):
-            for column, joint in enumerate(moved):
-                shift = np.zeros_like(state)
-                shift[order, joint] = DIFFERENCE
-                change = plant.imu_motion(model, *(state + shift)) - plant.imu_motion(model, *(state - shift))
-                gradients[order, row, :, column] = change / (2.0 * DIFFERENCE)
+    states = np.zeros((3, len(motion), plant.joints))
+    states[0] = equilibrium(plant, model, motion[:, 0].mean(axis=0))
+    states[:, :, actuated] = motion.swapaxes(0, 1)
+    for order in range(3):
+        for column, joint in enumerate(moved):
+            shift = np.zeros((3, 1, plant.joints))
+            shift[order, 0, joint] = DIFFERENCE
+            change = plant.imu_motions(model, *(states + shift)) - plant.imu_motions(model, *(states - shift))
+            gradients[order, :, :, column] = change / (2.0 * DIFFERENCE)
     return gradients
 
 

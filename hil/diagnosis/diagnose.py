@@ -167,6 +167,7 @@ def diagnose(
         stages = _stages(runs, tuning, values, effects)
         misfits = [_energy(runs, rows) for rows in (stages[TRAIN]["nominal"], stages[TRAIN]["retuned"], stages[TRAIN]["extended"])]
         shown = int(np.sum(np.diag(tuning.covariance) < 0.5))
+        best_held_out = hypotheses[0].held_out if hypotheses else evidence.base.held_out
         standing = Standing(
             gates=selection.gates,
             hypotheses=hypotheses,
@@ -176,7 +177,7 @@ def diagnose(
             noise=noise,
             shown=shown,
             missing=what_is_missing(train, selection),
-            held_out=None if judged is None else (evidence.base.held_out, hypotheses[0].held_out, evidence.entries_held_out),
+            held_out=None if judged is None else (evidence.base.held_out, best_held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
             further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
             imitated=_imitated(selection, evidence),

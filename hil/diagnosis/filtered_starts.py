@@ -10,11 +10,9 @@ import numpy as np
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.filtered_lines import line_starts
 from hil.diagnosis.filtered_orders import order_starts
-from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.harmonics import FIRST_AND_SECOND
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.projection import Projection
-from hil.diagnosis.retune import Tuning
 from hil.diagnosis.through_the_loop import ThroughTheLoop
 
 STARTS = {**dict.fromkeys(FIRST_AND_SECOND, order_starts), "base_motion": line_starts}
@@ -22,15 +20,14 @@ STARTS = {**dict.fromkeys(FIRST_AND_SECOND, order_starts), "base_motion": line_s
 
 
 def with_filtered_starts(
-    runs: FreeRuns, tuning: Tuning, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
+    loop: ThroughTheLoop, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
 ) -> list[Candidate]:
     """Candidates whose waves start, before all else, at the orders and frequencies that the matched filter finds.
 
     Parameters
     ----------
-    runs : FreeRuns
-    tuning : Tuning
-        Without effects.
+    loop : ThroughTheLoop
+        Of the training groups, without effects.
     found : sequence of Candidate
     motions : sequence of Motion
         Of every training group, beside what was found.
@@ -39,12 +36,11 @@ def with_filtered_starts(
     """
     if not any(candidate.effect.effect in STARTS for candidate in found):
         return list(found)
-    left = Projection.of(tuning).left_of_residual(residual)
-    loop = ThroughTheLoop.of(runs, TRAIN, tuning)
+    left = Projection.of(loop.tuning).left_of_residual(residual)
     behind = loop.efforts_behind(left[: len(residual)])
 
     def starts(candidate: Candidate) -> tuple[np.ndarray, ...]:
         filtered = STARTS.get(candidate.effect.effect)
-        return () if filtered is None else tuple(filtered(loop, tuning, candidate, motions, behind, left))
+        return () if filtered is None else tuple(filtered(loop, loop.tuning, candidate, motions, behind, left))
 
     return [replace(candidate, starts=(*starts(candidate), *candidate.starts)) for candidate in found]

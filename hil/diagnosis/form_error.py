@@ -2,10 +2,9 @@
 
 A friction law errs as another function of speed, a spring as one of its deflection, a clock as one of its channel's rate of change. A few
 such functions (`error_functions.py`), sent through the linear closed loop (`through_the_loop.py`) or added to readings, span what errors do
-to recordings. In units of their standard deviations beforehand the residual has
-the covariance 1 + B'B for responses B, and further effects are judged by that: what lies outside of B counts in full, what lies within
-only beyond what the law that was found may err by (a Gaussian process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B
-63, in few functions).
+to recordings. In units of their standard deviations beforehand the residual has the covariance 1 + B'B for responses B, and further effects
+are judged by that: what lies outside of B counts in full, what lies within only beyond what the law that was found may err by (a Gaussian
+process as model discrepancy, Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, in few functions).
 """
 
 from __future__ import annotations
@@ -101,14 +100,14 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         Effects that it is not known of how they err are left out. A whole sign is right or wrong: it errs by nothing.
     """
     rows, known = [], []
-    loop = ThroughTheLoop.of(runs, name, tuning)
-    whole = runs.run_one(Trial(tuning.values, fitted.settings), name)
+    loop, whole = ThroughTheLoop(runs, name, tuning), None
     for number, (effect, values) in enumerate(zip(fitted.effects, fitted.values, strict=True)):
         if effects()[effect.effect].kind is SIGN and is_a_whole_sign(values):
             known.append(effect)
             continue
         if not can_err(effect):
             continue
+        whole = runs.run_one(Trial(tuning.values, fitted.settings), name) if whole is None else whole
         without = runs.run_one(Trial(tuning.values, (*fitted.settings[:number], *fitted.settings[number + 1 :])), name)
         if whole is None or without is None:
             continue

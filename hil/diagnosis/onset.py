@@ -27,7 +27,7 @@ def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:
     """What noise gives every axis of a set's groups at the first row, a speed and a deviation, with standard deviation one each.
 
     Nothing is known of noise that no repeats show, of what a group that begins within a record begins with, of joints that nothing holds,
-    nor of a machine that cannot be simulated there.
+    nor of a machine that cannot be simulated.
 
     Parameters
     ----------
@@ -50,6 +50,8 @@ def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:
             np.zeros(len(machine.axes)) if given is None else given for given in (own.inputs.start_speed, own.inputs.deviation)
         )
         base = run(own.inputs)
+        if base is None:
+            continue
         for i, axis in enumerate(machine.axes):
             if f"position_{axis}" not in found.channels or not _is_held(machine, i):
                 continue
@@ -60,7 +62,7 @@ def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:
                 replace(own.inputs, deviation=deviation + apart * one),
             ):
                 changed = run(begun)
-                if base is None or changed is None:
+                if changed is None:
                     continue
                 answer = [np.zeros((len(group.time_s), len(found.channels))) for group in found.groups]
                 answer[k] = changed - base

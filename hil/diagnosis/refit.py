@@ -317,7 +317,7 @@ def _begun(
             cost = _cost(measured, answer, start.offset)
             if found is None or cost < found[0]:
                 found = cost, start, answer
-            if start.values is at.values and followed < FOLLOWED_AT_MOST:
+            if found[0] > base and start.values is at.values and followed < FOLLOWED_AT_MOST:
                 gradient = tuned.across(measured - answer) - start.offset
                 hessian = tuned.square + np.eye(len(tuned.square))
                 step = bounded_step(tuning, hessian, gradient, start.offset)

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.rigid_bodies import Shortage, rigid, shortages
+from hil.diagnosis.rigid_bodies import Shortage, rigid, shortages, some_are_short
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
+from virtual_bus.plant.same import Same
 from virtual_bus.settings import EffectSetting
 
 PRIOR = 0.1
@@ -119,14 +121,23 @@ class Tuning:
         """Of bodies that are none at these tuned coordinates."""
         return shortages(self.parameters, self._said(offset))
 
+    def some_are_short(self, offsets: np.ndarray) -> np.ndarray:
+        """(K,) whether bodies are none at each of these tuned coordinates (K, P)."""
+        return some_are_short(self.parameters, np.stack([self._said(offset) for offset in offsets]))
+
     def _said(self, offset: np.ndarray) -> np.ndarray:
-        values = np.array([parameter.value for parameter in self.parameters])
+        values = _nominal(Same(self.parameters)).copy()
         values[self.indices] += offset * self.scale
         return values
 
     @property
     def names(self) -> list[str]:
         return [f"{self.parameters[i].owner}.{self.parameters[i].quantity}" for i in self.indices]
+
+
+@lru_cache(maxsize=16)
+def _nominal(parameters: Same[tuple[PlantParameter, ...]]) -> np.ndarray:
+    return np.array([parameter.value for parameter in parameters.it])
 
 
 def tunable(parameters: Sequence[PlantParameter]) -> np.ndarray:
@@ -232,9 +243,8 @@ def quick_sensitivities(
 def sensitivity_trials(tuning: Tuning, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> tuple[list[Trial], np.ndarray]:
     """A trial for every tuned coordinate, and (P,) how far each is moved."""
     differences = np.where(offset > 0.0, -DIFFERENCE, DIFFERENCE)
-    for k, move in enumerate(np.diag(differences)):
-        if tuning.shortages(offset + move):  # what keeps the body a rigid one would be taken for the machine's answer
-            differences[k] *= -1.0
+    if len(offset):  # what keeps a body a rigid one would be taken for the machine's answer
+        differences[tuning.some_are_short(offset + np.diag(differences))] *= -1.0
     return [Trial(tuning.at(offset + move), effects) for move in np.diag(differences)], differences
 
 
@@ -270,6 +280,8 @@ def bounded_step(tuning: Tuning, hessian: np.ndarray, gradient: np.ndarray, offs
 
     A step that ends where a body is none is taken again with that body's least second moment held at its end.
     """
+    if not len(offset):
+        return np.zeros(0)
     rows = np.linalg.cholesky(hessian).T
     wanted = np.linalg.solve(rows.T, gradient)
     heavy = HELD_BY * float(np.sqrt(hessian.diagonal().max()))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from virtual_bus.plant.parameters import INERTIA_ENTRIES, PlantParameter
+from virtual_bus.plant.same import Same
 
 DIAGONAL = tuple(entry for entry, i, j in INERTIA_ENTRIES if i == j)
 
@@ -51,43 +53,71 @@ def rigid(parameters: Sequence[PlantParameter], values: np.ndarray) -> np.ndarra
     values : (all parameters,) array
         In the parameters' units; not written to.
     """
+    bodies = _bodies_of(parameters)
+    second = bodies.second_moments(values)
+    least = np.linalg.eigvalsh(second)[:, 0]
     found = values
-    for entries in _bodies(parameters):
-        second = _second_moments(entries, values)
-        least = float(np.linalg.eigvalsh(second)[0])
-        if least < -ROUNDING * np.trace(second):
-            found = values.copy() if found is values else found
-            found[[entries[entry] for entry in DIAGONAL]] -= 2.0 * least
+    for body in np.flatnonzero(_is_below_zero(least, second)):
+        found = values.copy() if found is values else found
+        found[[bodies.entries[body][entry] for entry in DIAGONAL]] -= 2.0 * float(least[body])
     return found
 
 
 def shortages(parameters: Sequence[PlantParameter], values: np.ndarray) -> list[Shortage]:
     """Of every body that `rigid` would change: what keeps a search on this side of where it would."""
+    bodies = _bodies_of(parameters)
+    second = bodies.second_moments(values)
+    moments, directions = np.linalg.eigh(second)
     found = []
-    for entries in _bodies(parameters):
-        second = _second_moments(entries, values)
-        moments, directions = np.linalg.eigh(second)
-        if moments[0] < -ROUNDING * np.trace(second):
-            v = directions[:, 0]
-            slopes = [0.5 - v[i] ** 2 if i == j else -2.0 * v[i] * v[j] for entry, i, j in INERTIA_ENTRIES if entry in entries]
-            places = [entries[entry] for entry, _, _ in INERTIA_ENTRIES if entry in entries]
-            found.append(Shortage(np.array(places), np.array(slopes), float(INSIDE * np.trace(second) - moments[0])))
+    for body in np.flatnonzero(_is_below_zero(moments[:, 0], second)):
+        entries, v = bodies.entries[body], directions[body, :, 0]
+        slopes = [0.5 - v[i] ** 2 if i == j else -2.0 * v[i] * v[j] for entry, i, j in INERTIA_ENTRIES if entry in entries]
+        places = [entries[entry] for entry, _, _ in INERTIA_ENTRIES if entry in entries]
+        missing = float(INSIDE * np.trace(second[body]) - moments[body, 0])
+        found.append(Shortage(np.array(places), np.array(slopes), missing))
     return found
 
 
-def _bodies(parameters: Sequence[PlantParameter]) -> Iterator[Mapping[str, int]]:
-    """Places of the moments of every body that has three: no point mass, and none that does not turn."""
+def some_are_short(parameters: Sequence[PlantParameter], values: np.ndarray) -> np.ndarray:
+    """(K,) whether there are `shortages` with each of these values (K, all parameters)."""
+    second = _bodies_of(parameters).second_moments(values)
+    return np.any(_is_below_zero(np.linalg.eigh(second)[0][..., 0], second), axis=-1)
+
+
+def _is_below_zero(least: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.asarray(least < -ROUNDING * np.trace(second, axis1=-2, axis2=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """Bodies that have three moments of inertia: no point mass, and none that does not turn.
+
+    `entries` says where each one's moments stand among the parameters, `places` (B, 3, 3) where its matrix's stand, -1 for zero.
+    """
+
+    entries: tuple[Mapping[str, int], ...]
+    places: np.ndarray
+
+    def second_moments(self, values: np.ndarray) -> np.ndarray:
+        """(..., B, 3, 3), of values (..., all parameters)."""
+        inertia = np.where(self.places < 0, 0.0, values[..., self.places])
+        return 0.5 * np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - inertia
+
+
+def _bodies_of(parameters: Sequence[PlantParameter]) -> _Bodies:
+    return _bodies(Same(parameters))
+
+
+@lru_cache(maxsize=16)
+def _bodies(parameters: Same[Sequence[PlantParameter]]) -> _Bodies:
     places: dict[str, dict[str, int]] = {}
-    for place, parameter in enumerate(parameters):
+    for place, parameter in enumerate(parameters.it):
         quantity, _, entry = parameter.quantity.rpartition("_")
         if quantity == "inertia":
             places.setdefault(parameter.owner, {})[entry] = place
-    yield from (entries for entries in places.values() if all(entry in entries for entry in DIAGONAL))
-
-
-def _second_moments(entries: Mapping[str, int], values: np.ndarray) -> np.ndarray:
-    inertia = np.zeros((3, 3))
-    for entry, i, j in INERTIA_ENTRIES:
-        if entry in entries:
-            inertia[i, j] = inertia[j, i] = values[entries[entry]]
-    return 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    entries = tuple(own for own in places.values() if all(entry in own for entry in DIAGONAL))
+    matrices = np.full((len(entries), 3, 3), -1)
+    for matrix, own in zip(matrices, entries, strict=True):
+        for entry, i, j in INERTIA_ENTRIES:
+            matrix[i, j] = matrix[j, i] = own.get(entry, -1)
+    return _Bodies(entries, matrices)

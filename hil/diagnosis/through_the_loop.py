@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -64,23 +65,24 @@ class _Loop:
 
 @dataclass(frozen=True, eq=False)
 class ThroughTheLoop:
-    """The closed loop of every group of one set."""
+    """The closed loop of every group of one set, with a machine's tuned numbers."""
 
     runs: FreeRuns
     name: str
-    loops: tuple[_Loop, ...]
+    tuning: Tuning
 
-    @classmethod
-    def of(cls, runs: FreeRuns, name: str, tuning: Tuning) -> ThroughTheLoop:
-        found, loops = runs.sets[name], []
+    @cached_property
+    def loops(self) -> tuple[_Loop, ...]:
+        """When they are first asked for: one takes as long as several runs."""
+        found, loops = self.runs.sets[self.name], []
         for group in found.groups:
             rows, rate_Hz = len(group.time_s), found.noise.rate_Hz
             frequencies, pose = np.fft.rfftfreq(2 * rows, 1.0 / rate_Hz), group.position.mean(axis=0)
             growth = DIES_OUT * rate_Hz / (2 * rows)
             grown = np.exp(growth * np.arange(rows) / rate_Hz)
-            lines = loop_response(group.machine, pose, found.channels, frequencies, tuning.values, growth)
-            loops.append(_Loop(lines, grown, _standing(group.machine, pose, found.channels, tuning.values)))
-        return cls(runs, name, tuple(loops))
+            lines = loop_response(group.machine, pose, found.channels, frequencies, self.tuning.values, growth)
+            loops.append(_Loop(lines, grown, _standing(group.machine, pose, found.channels, self.tuning.values)))
+        return tuple(loops)
 
     def responses(self, efforts: Sequence[Sequence[tuple[int, np.ndarray]]]) -> np.ndarray:
         """(K, M) whitened, of K joints' numbers and their efforts (N,) per group."""

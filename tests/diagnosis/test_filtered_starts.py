@@ -77,7 +77,7 @@ def smooth(random: np.random.Generator, rows: int) -> np.ndarray:
 @pytest.mark.parametrize("machine", ["arm", "rotor"])
 def test_efforts_behind_a_record_have_its_products_with_their_responses(machine, request):
     runs, tuning = request.getfixturevalue(machine)
-    loop, random = ThroughTheLoop.of(runs, TRAIN, tuning), np.random.default_rng(1)
+    loop, random = ThroughTheLoop(runs, TRAIN, tuning), np.random.default_rng(1)
     joints = [joint for joint in range(len(runs.machine.plant.tree.joints)) for _ in range(3)]
     efforts = [[(joint, smooth(random, len(group.time_s))) for joint in joints] for group in runs.sets[TRAIN].groups]
     responses, record = loop.responses(efforts), random.standard_normal(len(tuning.predicted))
@@ -97,7 +97,7 @@ def offered(arm, name: str, values: np.ndarray, at: str = "arm", load: float = 0
     residual = change + pulled + np.random.default_rng(5).standard_normal(len(change))
     group = runs.sets[TRAIN].groups[0]
     motion = Motion(runs.machine, tuning.values, group, runs.sets[TRAIN].channels)
-    (found,) = with_filtered_starts(runs, tuning, [Candidate(wave.effect, ())], [motion], residual)
+    (found,) = with_filtered_starts(ThroughTheLoop(runs, TRAIN, tuning), [Candidate(wave.effect, ())], [motion], residual)
     left = Projection.of(tuning).left(change)
     return list(found.starts), float(left @ left)
 
@@ -163,4 +163,4 @@ def test_a_load_that_is_missing_too_does_not_hide_a_base_motion(arm, load):
 def test_nothing_is_added_to_what_is_no_wave(arm):
     runs, tuning = arm
     friction = Candidate(EffectAt("coulomb_friction", "arm"), (np.array([1.0]),))
-    assert with_filtered_starts(runs, tuning, [friction], [], np.zeros(len(tuning.predicted))) == [friction]
+    assert with_filtered_starts(ThroughTheLoop(runs, TRAIN, tuning), [friction], [], np.zeros(len(tuning.predicted))) == [friction]

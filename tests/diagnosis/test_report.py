@@ -10,7 +10,7 @@ from carriage import MACHINE, repeats
 
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.report import write_report
-from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed
+from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed, residuals
 from hil.diagnosis.report.overlay import overlay_figure
 
 DURATION_s = 5.0
@@ -22,7 +22,7 @@ def found():
 
 
 def test_a_pose_that_recordings_visit_has_a_spectrum(found):
-    by_speed, by_frequency = (make(found, 0, 0) for make in (over_pose_and_speed, over_pose_and_frequency))
+    by_speed, by_frequency = (make(found, residuals(found), 0, 0) for make in (over_pose_and_speed, over_pose_and_frequency))
     assert by_frequency.x_edges == pytest.approx(by_speed.x_edges)
     visited = np.isfinite(by_speed.power).any(axis=1)
     assert visited.sum() > 12
@@ -34,7 +34,8 @@ def test_a_tone_is_drawn_at_its_frequency_in_the_poses_where_it_sounds(found):
     place = group.position[:, 0]
     high = place > 0.5 * (place.min() + place.max())
     with_tone = group.mean - (high * np.sin(2.0 * np.pi * 60.0 * group.time_s))[:, None]
-    drawn = over_pose_and_frequency(found.with_simulated([with_tone]), 0, 1)
+    toned = found.with_simulated([with_tone])
+    drawn = over_pose_and_frequency(toned, residuals(toned), 0, 1)
     band = np.searchsorted(drawn.y_edges, 60.0) - 1
     seen = np.isfinite(drawn.power[:, band])
     assert (np.argmax(drawn.power[seen], axis=1) == band).all()

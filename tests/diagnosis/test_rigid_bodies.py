@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -106,3 +108,9 @@ def test_sensitivities_are_not_taken_across_the_end_of_rigid_bodies():
         moving[k] += differences[k]
         values[INDICES] += moving * tuning().scale
         assert trial.values == pytest.approx(values, rel=1e-12), "another moment was raised with it"
+
+
+def test_without_numbers_that_show_there_is_no_step():
+    none = replace(tuning(), indices=INDICES[:0], scale=np.zeros(0), offset=np.zeros(0))
+    assert bounded_step(none, np.zeros((0, 0)), np.zeros(0), none.offset).shape == (0,)
+    assert sensitivity_trials(none, none.offset, ())[0] == []

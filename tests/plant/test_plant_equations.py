@@ -95,6 +95,8 @@ def test_accelerations_imu_and_poses_of_any_tree_are_those_of_mujoco(seed: int, 
     motion = plant.imu_motion(model, q, v, acceleration)
     expected = np.concatenate([data.sensor("imu").data, data.sensor("gyro").data])
     np.testing.assert_allclose(motion, expected, rtol=0, atol=1e-8 * scale)
+    others = plant.imu_motions(model, *(np.stack([0.5 * part, part]) for part in (q, v, acceleration)))
+    np.testing.assert_allclose(others[1], motion, rtol=1e-12, atol=1e-12 * scale)
     for body, pose in zip(machine.tree.bodies, plant.body_poses(model, q), strict=True):
         np.testing.assert_allclose(pose[:3], data.body(body.name).xpos, rtol=0, atol=1e-10)
         np.testing.assert_allclose(pose[3:], data.body(body.name).xmat, rtol=0, atol=1e-10)

@@ -42,6 +42,7 @@ from virtual_bus.plant.generate import PlantText, plant_text
 from virtual_bus.plant.low_pass import fill_low_pass
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
+from virtual_bus.plant.same import Same
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 # compiled into every generated plant
@@ -54,7 +55,7 @@ STANDSTILL_TIME_s = -1.0  # before the start: no disturbance has begun
 
 AT_POSES = '''"""Generated: equations of one plant at many poses; do not edit."""
 
-from PLANT import evaluate_equations
+from PLANT import evaluate_equations, evaluate_imu
 
 from virtual_bus.plant.jit import compiled_and_cached
 
@@ -71,6 +72,19 @@ def evaluate(model, work, positions, speeds, inertias, biases):
             biases[row, i] = work[0].bias[i]
             for j in range(i + 1):
                 inertias[row, i, j] = inertias[row, j, i] = work[0].mass[i, j]
+
+
+@compiled_and_cached
+def imu_motions(model, work, positions, speeds, accelerations, readings):
+    joints = positions.shape[1]
+    for row in range(len(positions)):
+        for i in range(joints):
+            work[0].query_position[i] = positions[row, i]
+            work[0].query_speed[i] = speeds[row, i]
+            work[0].query_acceleration[i] = accelerations[row, i]
+        evaluate_imu(model, work)
+        for i in range(readings.shape[1]):
+            readings[row, i] = work[0].reading[i]
 '''
 
 
@@ -176,6 +190,12 @@ class CompiledPlant:
         work["query_position"], work["query_speed"], work["query_acceleration"] = q, v, a
         self.module.evaluate_imu(model, work)
         return work["reading"][0, : 6 * len(self.settings.imus)].copy()
+
+    def imu_motions(self, model: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The same (N, 6 imus) of many motions (N, n)."""
+        readings = np.empty((len(q), 6 * len(self.settings.imus)))
+        self._at_poses.imu_motions(model, self._query, *(np.ascontiguousarray(each, dtype=float) for each in (q, v, a)), readings)
+        return readings
 
     def body_poses(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Position and rotation by rows (bodies, 12) of the watched bodies' frames in the world."""
@@ -318,23 +338,10 @@ def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(products).max(initial=0.0))
 
 
-class _Same:
-    """Settings that are equal to themselves alone: arrays have no hash."""
-
-    def __init__(self, settings: PlantSettings) -> None:
-        self.settings = settings
-
-    def __hash__(self) -> int:
-        return id(self.settings)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.settings is self.settings
-
-
 @lru_cache(maxsize=16)
-def _text_of(same: _Same) -> PlantText:
+def _text_of(settings: Same[PlantSettings]) -> PlantText:
     """Writing the equations takes 20 ms, and the steps of a diagnosis ask for the plant of one machine sixty times."""
-    return plant_text(same.settings)
+    return plant_text(settings.it)
 
 
 def compile_plant(settings: PlantSettings) -> CompiledPlant:
@@ -346,6 +353,6 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
         The settings are no plant: see `check_plant`.
     """
     check_plant(settings)
-    generated = _text_of(_Same(settings))
+    generated = _text_of(Same(settings))
     sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources()
     return CompiledPlant(settings, plant_parameters(settings), load_generated("plant", generated.text, sources), generated.constant_count)

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.whitened import in_noise_units
+from hil.diagnosis.whitened import InNoiseUnits, in_noise_units
 
 POSE_CELLS = 16
 SPEED_CELLS = 12
@@ -42,41 +42,40 @@ class HeatMap:
     power: np.ndarray
 
 
-def over_pose_and_speed(found: Mismatch, axis: int, channel: int) -> HeatMap | None:
-    """Of one axis's position and speed; None for an axis that does not move."""
-    positions, speeds, powers = [], [], []
-    for group in found.groups:
-        w = in_noise_units(found.noise, group.mean - group.simulated)
-        positions.append(group.position[w.first_row :, axis])
-        speeds.append(group.speed[w.first_row :, axis])
-        powers.append(w.rows[:, channel] ** 2)
-    x, y, power = np.concatenate(positions), np.concatenate(speeds), np.concatenate(powers)
-    if not (np.ptp(x) > 0.0 and np.ptp(y) > 0.0):
+def residuals(found: Mismatch) -> list[InNoiseUnits]:
+    """What each group's simulation leaves, in units of noise."""
+    return [in_noise_units(found.noise, group.mean - group.simulated) for group in found.groups]
+
+
+def over_pose_and_speed(found: Mismatch, left: Sequence[InNoiseUnits], axis: int, channel: int) -> HeatMap | None:
+    """Of one axis's position and speed; `left` is the groups' `residuals`. None for an axis that does not move."""
+    x_edges = _pose_edges(found, left, axis)
+    y = np.concatenate([group.speed[each.first_row :, axis] for group, each in zip(found.groups, left, strict=True)])
+    if x_edges is None or not np.ptp(y) > 0.0:
         return None
-    x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
+    x = np.concatenate([group.position[each.first_row :, axis] for group, each in zip(found.groups, left, strict=True)])
+    power = np.concatenate([each.rows[:, channel] ** 2 for each in left])
     y_edges = np.linspace(y.min(), y.max(), SPEED_CELLS + 1)
     return HeatMap(x_edges, y_edges, _mean_in_cells(x, y, power, x_edges, y_edges))
 
 
-def over_pose_and_frequency(found: Mismatch, axis: int, channel: int) -> HeatMap | None:
+def over_pose_and_frequency(found: Mismatch, left: Sequence[InNoiseUnits], axis: int, channel: int) -> HeatMap | None:
     """Of one axis's position; a row of a recording has the spectrum of the window whose middle is nearest."""
     rate_Hz = found.noise.rate_Hz
     width = round(WINDOW_s * rate_Hz)
     seen = []
-    for group in found.groups:
-        w = in_noise_units(found.noise, group.mean - group.simulated)
-        if len(w.rows) < 2 * width or width < 8:
+    for group, each in zip(found.groups, left, strict=True):
+        if len(each.rows) < 2 * width or width < 8:
             continue
         lines_Hz, times_s, spectrum = scipy.signal.spectrogram(
-            w.rows[:, channel], rate_Hz, window="hann", nperseg=width, noverlap=width // 2, detrend=False, scaling="density", mode="psd"
+            each.rows[:, channel], rate_Hz, window="hann", nperseg=width, noverlap=width // 2, detrend=False, scaling="density", mode="psd"
         )
-        position = group.position[w.first_row :, axis]
+        position = group.position[each.first_row :, axis]
         window = np.searchsorted(0.5 * (times_s[1:] + times_s[:-1]), np.arange(len(position)) / rate_Hz)
         seen.append((position, window, spectrum[1:] * rate_Hz / 2.0))  # white noise of unit variance has density 2 / rate
-    x = np.concatenate([position for position, *_ in seen]) if seen else np.zeros(1)
-    if not np.ptp(x) > 0.0:
+    x_edges = _pose_edges(found, left, axis)
+    if x_edges is None or not seen:
         return None
-    x_edges = np.linspace(x.min(), x.max(), POSE_CELLS + 1)
     y_edges = _edges_between_lines(lines_Hz[1:])
     first_line = np.searchsorted(lines_Hz[1:], y_edges[:-1])
     rows, sums = np.zeros((POSE_CELLS, 1)), np.zeros((POSE_CELLS, len(first_line)))
@@ -86,6 +85,13 @@ def over_pose_and_frequency(found: Mismatch, axis: int, channel: int) -> HeatMap
         rows += visits.sum(axis=1, keepdims=True)
         sums += visits @ bands.T
     return HeatMap(x_edges, y_edges, np.where(rows >= LEAST_ROWS, sums / np.maximum(rows, 1.0), np.nan))
+
+
+def _pose_edges(found: Mismatch, left: Sequence[InNoiseUnits], axis: int) -> np.ndarray | None:
+    """(POSE_CELLS + 1,) the same for every map of an axis; None where it does not move."""
+    positions = [group.position[each.first_row :, axis] for group, each in zip(found.groups, left, strict=True)]
+    lowest, highest = min(each.min() for each in positions), max(each.max() for each in positions)
+    return np.linspace(lowest, highest, POSE_CELLS + 1) if highest > lowest else None
 
 
 def _edges_between_lines(lines_Hz: np.ndarray) -> np.ndarray:
@@ -105,10 +111,11 @@ def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.
 def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
     """A row for each kind of map that there is, of the channels with the largest residual; None for an axis that does not move."""
     units = found.machine.units[axis]
-    channels = _loudest(found)
+    left = residuals(found)
+    channels = _loudest(left)
     kinds = [
-        (f"speed [{units.position}/s]", "linear", [over_pose_and_speed(found, axis, c) for c in channels]),
-        ("frequency [Hz]", "log", [over_pose_and_frequency(found, axis, c) for c in channels]),
+        (f"speed [{units.position}/s]", "linear", [over_pose_and_speed(found, left, axis, c) for c in channels]),
+        ("frequency [Hz]", "log", [over_pose_and_frequency(found, left, axis, c) for c in channels]),
     ]
     kinds = [kind for kind in kinds if any(heat_map is not None for heat_map in kind[2])]
     if not kinds:
@@ -125,7 +132,7 @@ def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
                 place.set_axis_off()
                 continue
             drawn.append(_draw(place, heat_map))
-            place.xaxis.set_visible(row == len(kinds) - 1)
+            place.xaxis.set_visible(row == len(kinds) - 1)  # all have the same
             place.yaxis.set_visible(place is axes[row, 0])  # of a figure's time most is ticks
     for place, c in zip(axes[0], channels, strict=True):
         place.set_title(found.channels[c], fontsize="medium")
@@ -147,8 +154,8 @@ def _margins(figure: Figure) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _loudest(found: Mismatch) -> Sequence[int]:
-    power = sum((in_noise_units(found.noise, group.mean - group.simulated).rows ** 2).mean(axis=0) for group in found.groups)
+def _loudest(left: Sequence[InNoiseUnits]) -> Sequence[int]:
+    power = sum((each.rows**2).mean(axis=0) for each in left)
     loudest = np.argsort(-np.asarray(power))[:CHANNELS_SHOWN]
     return sorted(int(c) for c in loudest)
 

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 LEGIBLE = 24
 """Numbers shown at most: those with the largest sensitivity."""
 
-
 LEAST_SAID = 0.1
 """Below it a colour is enough."""
 

@@ -13,8 +13,14 @@ from hil.diagnosis.report.style import STAGE_COLOURS, STAGE_NAMES
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""
 
-WIDTH_in = 3.3
-"""Of one channel's axes."""
+WIDTH_in, LEFT_in, RIGHT_in = 3.3, 1.0, 0.1
+"""Of one channel's axes, and of what stands beside them."""
+
+HEIGHT_in, ABOVE_in, BELOW_in = 5.6, 0.55, 0.85
+"""Of the figure, and of what stands above and below its axes."""
+
+LABEL_in = 0.58
+"""From the axes to their label: tick numbers of six characters."""
 
 LEAST_ROWS = 50
 RECORDED = "0.65"
@@ -36,8 +42,8 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
     number, rows = _stretch(found, stages)
     group = found.groups[number]
     columns = _columns(found, stages, number)
-    figure = Figure(figsize=(4.4 * len(columns), 5.6))
-    axes = figure.subplots(2, len(columns), sharex=True, squeeze=False, height_ratios=(3, 2), gridspec_kw=_margins(len(columns)))
+    figure = Figure(figsize=((LEFT_in + WIDTH_in + RIGHT_in) * len(columns), HEIGHT_in))
+    axes = figure.subplots(2, len(columns), sharex=True, squeeze=False, height_ratios=(3, 2), gridspec_kw=_margins(figure))
     time_s = group.time_s[rows]
     for place, c in enumerate(columns):
         above, below = axes[0, place], axes[1, place]
@@ -53,21 +59,23 @@ def overlay_figure(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]], 
         below.set_xlabel("time [s]")
         for each in (above, below):
             each.grid(alpha=0.3, lw=0.5)
-            each.yaxis.set_label_coords(-0.6 / WIDTH_in, 0.5)
+            each.tick_params(axis="y", labelsize="small")
+            each.ticklabel_format(axis="y", scilimits=(-3, 4))
+            each.yaxis.set_label_coords(-LABEL_in / WIDTH_in, 0.5)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     more, names = axes[1, 0].get_legend_handles_labels()
-    figure.legend(handles + more, labels + names, loc="lower center", ncols=5, fontsize="small", frameon=False)
+    figure.legend(handles + more, labels + names, loc="lower center", ncols=5 if len(columns) > 1 else 2, fontsize="small", frameon=False)
     of = f", mean of {group.repeats} repeats" if group.repeats > 1 else ""
     figure.suptitle(f"{title}: {group.labels[0]}{of}\n{_window_words(group.time_s, rows)}", fontsize="medium")
     return figure
 
 
-def _margins(columns: int) -> dict[str, float]:
+def _margins(figure: Figure) -> dict[str, float]:
     """Places for axes that leave their labels so much: a layout that is solved takes longer than drawing them."""
-    width, beside, height = 4.4 * columns, 4.4 - WIDTH_in, 5.6
+    width, height = figure.get_size_inches()
     return {
-        "left": 0.9 * beside / width, "right": 1.0 - 0.1 * beside / width, "wspace": beside / WIDTH_in,
-        "bottom": 0.85 / height, "top": 1.0 - 0.55 / height, "hspace": 0.08,
+        "left": LEFT_in / width, "right": 1.0 - RIGHT_in / width, "wspace": (LEFT_in + RIGHT_in) / WIDTH_in,
+        "bottom": BELOW_in / height, "top": 1.0 - ABOVE_in / height, "hspace": 0.16,
     }  # fmt: skip
 
 
@@ -82,7 +90,7 @@ def _window_words(time_s: np.ndarray, rows: slice) -> str:
 def _stretch(found: Mismatch, stages: Mapping[str, Sequence[np.ndarray]]) -> tuple[int, slice]:
     """The group and the rows in which the nominal simulation and the last one differ most, in units of noise."""
     best = (-1.0, 0, slice(0, 1))
-    first, *_, last = stages.values()
+    first, *_, last = stages["nominal"], *stages.values()
     for number, group in enumerate(found.groups):
         width = max(LEAST_ROWS, round(SHOWN_s * found.noise.rate_Hz))
         change = np.sum(((last[number] - first[number]) / found.noise.std) ** 2, axis=1)

@@ -48,20 +48,16 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in ("waterfall", "overlay", "effect", "heat", "matrix")}
     sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis)))
     title = "Held-out" if outcome.held_out is not None else "Training"
-    sections["overlay"].append(
-        (
-            f"{title} recording and simulations",
-            overlay_figure(judged, {name: stages[name] for name in DRAWN if named or name != "extended"}, title),
-        )
-    )
+    drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
+    sections["overlay"].append((f"{title} recording and simulations", overlay_figure(judged, drawn, title)))
     if named:
         for finding in outcome.diagnosis.findings:
             found = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
             sections["effect"].append((str(finding.effect), None if found is None else effect_map_figure(found)))
     for axis in range(len(train.axes)):
         for stage in ("retuned", "extended") if named else ("retuned",):
-            drawn = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
-            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", drawn))
+            maps = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
+            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", maps))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
 
