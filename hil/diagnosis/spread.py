@@ -14,11 +14,13 @@ from three or four repeats makes it a t distribution.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import scipy.stats
 
 from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point
+from hil.diagnosis.form_error import NO_ERROR, form_error
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.gate import Scatter
 from hil.diagnosis.refit import Fitted
@@ -48,13 +50,19 @@ def spread_of(runs: FreeRuns, tuning: Tuning, fitted: Fitted | None) -> np.ndarr
         predicted = fitted.predicted
     scatter, structure, residual = Scatter(runs), StructureLeft(runs, TRAIN), runs.measured() - predicted
 
+    equations = NO_ERROR
+    if fitted is not None:
+        equations = form_error(runs, TRAIN, replace(tuning, offset=offset, values=tuning.at(offset), predicted=predicted), fitted)
+
     def variance(functional: np.ndarray) -> float:
         return max(scatter.along(functional), structure.along(functional, residual))
 
-    return spread(columns, known, variance, scatter.freedom)
+    return spread(columns, known, variance, scatter.freedom, equations.responses)
 
 
-def spread(columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarray], float], freedom: float) -> np.ndarray:
+def spread(
+    columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarray], float], freedom: float, errors: np.ndarray | None = None
+) -> np.ndarray:
     """(K,) of parameters that fit recordings best.
 
     Parameters
@@ -67,6 +75,8 @@ def spread(columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarra
         Of the noise along a functional (M,), in units of the noise model's: its expectation.
     freedom : float
         Degrees of freedom with which that is known.
+    errors : (E, M) array, optional
+        Of the equations, in units of their standard deviations, independent of each other.
     """
     if not columns.shape[1]:  # of a machine that stood still
         return np.zeros(0)
@@ -82,6 +92,8 @@ def spread(columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarra
     for k, own in enumerate(weights.T):
         functional = columns @ own
         noise[k] = float(functional @ functional) * variance(functional)
+        if errors is not None and len(errors):
+            beforehand[k] += float(np.sum((errors @ functional) ** 2))
     return np.sqrt(as_normal(freedom) ** 2 * noise + beforehand)
 
 
