@@ -89,7 +89,7 @@ class Coordinates:
     """What is fitted: tuned coordinates, and effects' free parameters in units of their size where the fit is."""
 
     def __init__(self, tuning: Tuning, names: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...], visited: Visited) -> None:
-        self._tuning, self._names = tuning, names
+        self._tuning, self._names, self._visited = tuning, names, visited
         self._parameters = [
             tuple(_between(p, visited.range_of_a_place(name, p)) for p in effects()[name.effect].parameters) for name in names
         ]
@@ -200,9 +200,9 @@ class Coordinates:
         """The free parameters."""
         found = []
         for (e, k), size in zip(self.free, self._sizes(at), strict=True):
-            parameter = self._parameters[e][k]
-            beforehand = OF_A_MODE.get((self._names[e].effect, parameter.name), 1.0)
-            found.append(Free(e, parameter, float(at.values[e][k]), size, beforehand))
+            name, parameter = self._names[e], self._parameters[e][k]
+            beforehand = OF_A_MODE.get((name.effect, parameter.name), 1.0)
+            found.append(Free(e, parameter, self._visited.what_changes(name, parameter, float(at.values[e][k])), size, beforehand))
         return found
 
     def _highest(self, e: int, k: int, values: tuple[np.ndarray, ...]) -> float:

@@ -1,4 +1,5 @@
-"""Lost samples: readings that repeat the last one exactly while the channel must have moved, or stay where it was but for noise.
+"""Lost samples: readings that repeat the last one exactly while the channel must have moved, oftener in a row than noise lets them, or stay
+where it was but for noise.
 
 They are seen in the recordings themselves. Lost at other instants in every repeat, they are noise to the repeats' mean and a small lag in
 it: they are taken out before anything else is looked at.
@@ -13,6 +14,7 @@ import numpy as np
 import scipy.stats
 
 from hil.diagnosis.held_samples import held_samples
+from hil.diagnosis.noise_repeats import repeated_in_noise
 from hil.diagnosis.result import READ_OFF, EffectAt, Estimate, Finding
 from virtual_bus.settings import EffectSetting
 
@@ -27,6 +29,10 @@ BY_ITSELF = 1e-3
 
 CHANCE = 1e-6
 """Largest probability of as many repeated readings by themselves."""
+
+
+POSITIONS = ("position_", "link_position_")
+"""Channels that may stand still: a joint that sticks between two motions repeats its reading."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +86,10 @@ def without_lost_samples(
         moving = _moves_around(steps, same, least)
         count, repeated = int(moving.sum()), int((same & moving).sum())
         if count < LEAST_STEPS or scipy.stats.binom.sf(repeated - 1, count, BY_ITSELF) > CHANCE:
-            held = held_samples(measured[:, :, c])
-            if held is not None:
-                seen = (
-                    f"{int(held.rows.sum())} readings stay where the channel was while the other repeats move on, likelier than chance by "
-                )
-                lost[channel] = Dropout(held.share, held.ci95, held.length, f"{seen}exp({held.evidence:.0f})", held.evidence)
-                kept[:, :, c][held.rows] = np.nan
+            found = _without_motion(measured[:, :, c], channel)
+            if found is not None:
+                lost[channel], rows = found
+                kept[:, :, c][rows] = np.nan
             continue
         share = repeated / count
         interval = scipy.stats.binomtest(repeated, count).proportion_ci(0.95)
@@ -94,6 +97,21 @@ def without_lost_samples(
         lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), seen, float(count))
         kept[:, 1:, c][same] = np.nan
     return kept, lost
+
+
+def _without_motion(measured: np.ndarray, channel: str) -> tuple[Dropout, np.ndarray] | None:
+    """What (R, N) readings of one channel lose that does not show between two steps the same way, and which rows."""
+    if not channel.startswith(POSITIONS):
+        repeated = repeated_in_noise(measured, CHANCE)
+        if repeated is not None:
+            seen = f"{repeated.runs} times {repeated.least} readings or more in a row repeat the one before, where noise changes it"
+            return Dropout(repeated.share, repeated.ci95, repeated.length, seen, float(repeated.rows.sum())), repeated.rows
+    held = held_samples(measured)
+    if held is None:
+        return None
+    rows = int(held.rows.sum())
+    seen = f"{rows} readings stay where the channel was while the other repeats move on, likelier than chance by exp({held.evidence:.0f})"
+    return Dropout(held.share, held.ci95, held.length, seen, held.evidence), held.rows
 
 
 def _moves_around(steps: np.ndarray, same: np.ndarray, least: float) -> np.ndarray:

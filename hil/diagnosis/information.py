@@ -18,7 +18,7 @@ class Free:
 
     effect: int  # which of the set
     parameter: Parameter
-    value: float
+    value: float  # of one that takes the place of a number in the machine file, what changes (`visited.what_changes`)
     size: float  # which the Hessian counts it in
     beforehand: float = 1.0  # deviation that it may have beforehand, in units of its size
 

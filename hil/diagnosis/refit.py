@@ -255,7 +255,7 @@ def _fit(
             race.enter(names, cost)
             if is_large and number >= LOST_AFTER and not was_held and race.is_lost(names, cost - QUICKENING * gained * (steps - number)):
                 break
-        jacobian = yield from _sensitivities(fitting, at, predicted)
+        jacobian, taken_at = (yield from _sensitivities(fitting, at, predicted)), at
         hessian, gradient = _normal_equations(tuned, jacobian, measured - predicted, at.offset)
         gained, shrunk = 0.0, 0
         while shrunk < SHRUNK_AT_MOST:
@@ -289,7 +289,8 @@ def _fit(
             break
     else:  # its steps ran out on the way; where a fit goes on, it takes them itself
         if race is not None:
-            jacobian = yield from _sensitivities(fitting, at, predicted)
+            jacobian, taken_at = (yield from _sensitivities(fitting, at, predicted)), at
+    jacobian = jacobian * (fitting.slopes(taken_at) / fitting.slopes(at))  # sizes are those of the point where a fit ends
     if race is not None:
         race.enter(names, cost)
     hessian, _ = _normal_equations(tuned, jacobian, measured - predicted, at.offset)

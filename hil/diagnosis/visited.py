@@ -27,6 +27,11 @@ IS_NONE_AT = (("cable_spring", "theta0"),)
 weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away, as a hose may
 be, is fitted at that end with wrong numbers."""
 
+IN_PLACE_OF_ANOTHER = (("imu_bandwidth", "fc"),)
+"""Numbers that take the place of the machine file's. Counted from nothing a lag that changed by a twelfth was known twelve times as well as
+a delay that does the same, and so much the less likely beforehand: three of four IMUs with a second pole were called late (sealed 2779,
+2866, 3001)."""
+
 NARROWEST = 1e-6
 """Of a range, in units of its ends or of 1: an axis that stood still has a place nowhere else, but differences of positions must show."""
 
@@ -80,10 +85,13 @@ class Visited:
         The longest.
     travels : mapping of axis to Travel
         In the machine's order.
+    low_passes_Hz : mapping of IMU to float
+        Of those whose readings the machine file has filtered.
     """
 
     time_s: float
     travels: dict[str, Travel] = field(default_factory=dict)
+    low_passes_Hz: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def by(cls, runs: FreeRuns) -> Visited:
@@ -93,11 +101,24 @@ class Visited:
             limits.axis: Travel(float(q.min()), float(q.max()), drive.ratio, limits.lower, limits.upper, limits.unit == "rad")
             for limits, drive, q in zip(machine.limits, machine.plant.drives, positions.T, strict=True)  # all in the order of axes
         }
-        return cls(max(float(np.ptp(group.time_s)) for group in groups), travels)
+        corners = {imu.name: imu.accelerometer_bandwidth_Hz or imu.gyro_bandwidth_Hz for imu in machine.plant.imus}
+        filtered = {name: corner for name, corner in corners.items() if corner}
+        return cls(max(float(np.ptp(group.time_s)) for group in groups), travels, filtered)
 
     def one_over_a_radian(self) -> float:
         """The order [cycles per turn] that turns a wave's phase by a radian along the longest way of any motor."""
         return 1.0 / max(max(travel.length * travel.ratio for travel in self.travels.values()), SMALLEST)
+
+    def what_changes(self, effect: EffectAt, parameter: Parameter, value: float) -> float:
+        """What of a parameter is not in the machine file.
+
+        A low pass in place of the file's own does what the difference of their lags does: of a corner f beside the file's f0 that is the
+        share f (1/f - 1/f0).
+        """
+        own = self.low_passes_Hz.get(effect.at, 0.0)
+        if (effect.effect, parameter.name) not in IN_PLACE_OF_ANOTHER or not own:
+            return value
+        return value * (1.0 - value / own)
 
     def range_of_a_place(self, effect: EffectAt, parameter: Parameter) -> tuple[float, float] | None:
         """Between which positions a place may be beforehand, wherever the catalogue's bounds are; None of what is no place of an axis."""

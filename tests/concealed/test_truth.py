@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 TRUTH = Path(__file__).parents[2] / "benchmarks" / "concealed" / "truth"
 
@@ -158,3 +159,39 @@ def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
         assert not np.any(changed & ~np.any(repeated, axis=0))
         assert len(changed) / 100 < changed.sum() < len(changed) / 5
         assert np.delete(difference, channel, axis=1).max() < 1e-12
+
+
+def test_an_imus_second_pole_lags_by_its_time_constant(machines):
+    from concealed.truth.experiments import Experiment, plan
+    from concealed.truth.plant import Plant, Setup
+
+    machine, lag_s = machines["tilted_arm"], 1e-3
+    drive = plan(machine, Experiment("steps", 3, duration_s=4.0))
+    before, after = (
+        Plant(machine, setup).run(drive, lattices=False).channels["imu_z"]
+        for setup in (Setup(), Setup(imu_pole_Hz=1.0 / (2.0 * np.pi * lag_s)))
+    )
+    slope = CubicSpline(np.arange(len(before)) / machine.rate_Hz, before)(np.arange(len(before)) / machine.rate_Hz, 1)
+    assert -(after - before) @ slope / (slope @ slope) == pytest.approx(lag_s, rel=0.05)
+
+
+def test_all_of_an_imu_read_late_imitates_a_fast_second_pole(machines):
+    """Half a millisecond does the same either way, to a twentieth: the oracle has to ask for a name at twenty times the distance."""
+    from concealed.truth.build import Chosen, Workshop
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden, draw
+
+    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == "tilted_arm" and not case.hidden)
+    shop = Workshop(case, machines["tilted_arm"])
+    assert KINDS["imu_bandwidth"].neighbours == ("clock_offset:imu",)
+    base, pole, late = (
+        shop.matrix(shop.setup(chosen), shop.training)
+        for chosen in (
+            (),
+            *((Chosen(Hidden(KINDS[kind], "imu", {"drift": 0.0}, 1.0), 5e-4),) for kind in ("imu_bandwidth", "clock_offset")),
+        )
+    )
+    live = [case.channels.index(name) for name in ("imu_x", "imu_z", "gyro_y")]
+    left = np.linalg.norm((pole - late)[:, live], axis=0) / np.linalg.norm((pole - base)[:, live], axis=0)
+    print(left)
+    assert left.max() < 0.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal
 
 from hil.diagnosis.dropout import by_sensor, without_lost_samples
 
@@ -62,3 +63,54 @@ def test_a_joint_that_sticks_while_its_simulation_moves_loses_nothing():
     kept, lost = without_lost_samples(np.stack([stuck] * 3), simulated, CHANNELS)
     assert not lost
     assert np.isfinite(kept).all()
+
+
+def in_noise(rows=3000, *, count=0.05, runs=(), seed=0):
+    """(3, N, 3) of an IMU at rest on a lattice, with (repeat, row, length) of readings that repeat the one before, and the simulation."""
+    random = np.random.default_rng(seed)
+    measured = np.round(random.standard_normal((3, rows, 3)) / count) * count
+    for repeat, row, length in runs:
+        measured[repeat, row : row + length, 1] = measured[repeat, row - 1, 1]
+    return measured, np.zeros((rows, 3))
+
+
+RUNS = ((0, 300, 5), (1, 1200, 7), (2, 1500, 2), (2, 2200, 6))
+
+
+def test_few_losses_show_in_noise_that_repeats_no_reading_so_often_in_a_row():
+    measured, simulated = in_noise(runs=RUNS)
+    kept, lost = without_lost_samples(measured, simulated, CHANNELS)
+    assert set(lost) == {"imu_x"}
+    found = lost["imu_x"]
+    low, high = found.ci95
+    assert low < 20 / 9000 < high
+    assert low < found.share < high < 0.02
+    assert found.length == pytest.approx(5.0, abs=2.0)
+    for repeat, row, length in RUNS:
+        assert length < 3 or np.isnan(kept[repeat, row : row + length, 1]).all()
+    assert np.isnan(kept).sum() <= 20 + 3
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.9])
+def test_noise_alone_loses_nothing_slow_or_fast(slow):
+    for seed in range(20):
+        print(f"seed {seed}")
+        random = np.random.default_rng(seed)
+        noise = scipy.signal.lfilter([1.0], [1.0, -slow], random.standard_normal((3, 3000, 3)), axis=1)
+        measured = np.round(noise / 0.2) * 0.2
+        assert not without_lost_samples(measured, np.zeros((3000, 3)), CHANNELS)[1]
+
+
+def test_a_reading_that_stands_still_or_at_its_limit_is_not_lost():
+    measured, simulated = in_noise()
+    standing = measured.copy()
+    standing[:, 1000:1400, 1] = 0.15
+    limited = np.clip(measured, -1.5, 1.5)
+    assert not without_lost_samples(standing, simulated, CHANNELS)[1]
+    assert not without_lost_samples(limited, simulated, CHANNELS)[1]
+
+
+def test_an_encoder_that_repeats_itself_is_at_rest():
+    measured, simulated = in_noise(runs=RUNS)
+    encoder = measured[:, :, [1, 0, 2]]
+    assert not without_lost_samples(encoder, simulated, CHANNELS)[1]

@@ -34,6 +34,9 @@ NEIGHBOUR_VARIANTS = 3
 SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 """Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
 
+LAGS = ("imu_bandwidth", "clock_offset")
+"""Kinds whose strength is a lag [s] in what a sensor reads: one as long is what imitates it, and not three milliseconds."""
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -254,6 +257,8 @@ def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> li
     """Signals of a neighbour in a few shapes, at a strength that makes it about as large as the truth."""
     rng = np.random.default_rng([shop.case.seed, 7])
     signals = []
+    lags = one.hidden.kind.name in LAGS and like.kind.name in LAGS
+    strength = one.strength if lags else like.kind.typical(shop.machine, like.place)
     variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and like.kind.draw(rng, shop.machine, like.place) else 1
     for variant in range(variants):
         shape = like.kind.draw(rng, shop.machine, like.place)
@@ -264,7 +269,7 @@ def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> li
             shape["k"] = one.hidden.shape["Np"]
         shape |= {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape}
         hidden = Hidden(like.kind, like.place, shape, 1.0)
-        answer = shop.matrix(shop.setup((Chosen(hidden, like.kind.typical(shop.machine, like.place)),)), shop.training)
+        answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), shop.training)
         if answer is not None:
             signals.append(answer - base)
     return signals

@@ -154,7 +154,8 @@ def run(
                     slope = (sensor[c] - middle_before[c]) / h if k + stage > 1 else 0.0
                     middle_before[c] = sensor[c]
                     pole = imu_poles[0] if c < 3 else imu_poles[1]
-                    passed[0, c] = low_pass(passed[0, c], sensor[c], slope, pole, h)
+                    begun = passed[0, c]
+                    passed[0, c] = low_pass(begun, sensor[c], slope, pole, h)
                     if imu_poles[2] > 0.0:
-                        passed[1, c] = low_pass(passed[1, c], passed[0, c], 0.0, imu_poles[2], h)
+                        passed[1, c] = low_pass(passed[1, c], 0.5 * (begun + passed[0, c]), (passed[0, c] - begun) / h, imu_poles[2], h)
     return -1

@@ -53,7 +53,7 @@ def _count(share: float):  # type: ignore[no-untyped-def]
 def _reading(kind: str, channels: tuple[str, ...] | None = None):  # type: ignore[no-untyped-def]
     def add(setup: Setup, _machine: Machine, place: str, shape: Shape, s: float) -> None:
         if s:
-            setup.readings.append((kind, channels or (place,), {**shape, "s": s}))
+            setup.readings.append((kind, channels or (IMU_CHANNELS if place == "imu" else (place,)), {**shape, "s": s}))
 
     return add
 
@@ -102,7 +102,7 @@ KINDS = (
         ("imu_misalignment",), compare=_scale_values, sensor=True,
     ),
     Kind(
-        "imu_bandwidth", ("imu_bandwidth",), _with_imu, no_shape, _low_pass, number(0.003), number(0.03), ("clock_offset:imu_x",),
+        "imu_bandwidth", ("imu_bandwidth",), _with_imu, no_shape, _low_pass, number(0.003), number(0.03), ("clock_offset:imu",),
         sensor=True,
     ),
     Kind(
