@@ -8,7 +8,8 @@ parameter no more than its range), a fit ends at
 so every parameter is a sum over the recordings, along a functional (a row of H^-1 A'), and of what it was beforehand: the variance is that
 of the noise along the functional, and H^-1 L H^-1. The noise model is one opinion of the first. How the sum scatters from repeat to repeat
 (`gate.Scatter`) and what the fit leaves along it (`structure_left.py`) are others, and the largest counts. A variance that is known
-from three or four repeats makes it a t distribution.
+from three or four repeats makes it a t distribution. What the effects' equations may err by (`form_error.py`), along the functional, is
+added.
 """
 
 from __future__ import annotations

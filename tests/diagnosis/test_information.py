@@ -131,7 +131,7 @@ def test_a_place_that_the_recordings_do_not_see_leaves_the_other_parameters_free
     seen[0, 0], seen[1:3, 1:3], seen[3, 3] = 1.0, ENERGY, rounded
     forms = simpler_forms(seen, 1, free)
     assert len(forms) == 2
-    for loss, narrowed in forms:
+    for loss, narrowed, _ in forms:
         assert loss == pytest.approx(0.0, abs=1e-6)
         assert sorted(narrowed) == pytest.approx([0.0, 4.0 * ENERGY], abs=1e-6)
 
@@ -141,7 +141,7 @@ def test_what_is_left_of_a_law_does_what_its_absent_term_did_as_far_as_it_can():
     linear, cubic, _ = effects()["cable_spring"].parameters
     free = [Free(0, linear, 2.0, 2.0), Free(0, cubic, 5.0, 5.0)]
     forms = simpler_forms(np.block([[1.0, np.zeros((1, 2))], [np.zeros((2, 1)), np.full((2, 2), ENERGY)]]), 1, free)
-    for loss, seen in forms:
+    for loss, seen, _ in forms:
         assert loss == pytest.approx(0.0, abs=1e-9)
         assert seen == pytest.approx([4.0 * ENERGY])
 
