@@ -31,8 +31,8 @@ CHANCE = 1e-6
 """Largest probability of as many repeated readings by themselves."""
 
 
-POSITIONS = ("position_", "link_position_")
-"""Channels that may stand still: a joint that sticks between two motions repeats its reading."""
+NOISY = ("imu_", "gyro_", "current_")
+"""Channels that noise never leaves still; a joint that sticks between two motions repeats its encoder's reading."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def without_lost_samples(
 
 def _without_motion(measured: np.ndarray, channel: str) -> tuple[Dropout, np.ndarray] | None:
     """What (R, N) readings of one channel lose that does not show between two steps the same way, and which rows."""
-    if not channel.startswith(POSITIONS):
+    if channel.startswith(NOISY):
         repeated = repeated_in_noise(measured, CHANCE)
         if repeated is not None:
             seen = f"{repeated.runs} times {repeated.least} readings or more in a row repeat the one before, where noise changes it"

@@ -184,7 +184,8 @@ def _wants_more(fitted: Fitted, number: int, residual: np.ndarray) -> str:
 def _one_way(fitted: Fitted, number: int) -> str:
     """Which of the two directions' numbers stands alone, counts and is needed; "" where none is.
 
-    What a joint's damping may be otherwise is both directions' alike: one of their numbers is zero wherever the recordings show neither.
+    The machine file's damping is the same both ways: where recordings do not need more than that, one direction's number ends at zero and
+    says nothing.
     """
     effect, values = fitted.effects[number], fitted.values[number]
     names = [parameter.name for parameter in effects()[effect.effect].parameters]

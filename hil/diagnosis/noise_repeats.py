@@ -1,7 +1,8 @@
-"""Lost samples of a channel that noise never leaves still: the same reading several times in a row.
+"""Lost samples of a channel that noise never leaves still: the same reading several times in a row, in one repeat alone.
 
-Where white noise of many counts changes every reading, two in a row are the same once in a hundred rows or so, and five never. This asks
-for no motion, where `dropout.without_lost_samples` does, and sees losses that are few.
+Where noise of several counts changes every reading, two in a row are the same once in a hundred rows or so, and five never. This asks for
+no motion, where `dropout.without_lost_samples` does, and sees losses that are few. What is quiet at times is told from what is lost by how
+far readings move around, by what the other repeats do in the same rows, and by steps of a single count, which quiet noise makes as well.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import numpy as np
 import scipy.ndimage
 import scipy.stats
 
-AROUND = 65
-"""Rows whose third differences say how strong the noise is; half of them may be lost."""
+AROUND = (31, 65)
+"""Rows whose differences say how strong the noise is; half of them may be lost."""
 
-SAME = 0.4 / np.sqrt(2.0)
-"""Density at zero of the difference of two readings, times the rms of their white noise: 1 / (2 sqrt(pi)). With noise that is slower than
-white, third differences are smaller than its rms and repeats are thought commoner than they are."""
+OTHERS = 9
+"""Rows of the other repeats whose steps say the same."""
+
+DENSITY = 0.4
+"""At zero, of a step of unit variance."""
 
 SAFETY = 2.0
 """Factor on the probability that a reading repeats by itself."""
@@ -27,6 +30,15 @@ LARGEST_CHANCE = 0.2
 
 LONGEST = 8
 """Repeats in a row that are asked for at most."""
+
+ROUNDING = 1e-12
+"""Of the largest reading, by which two of one value may differ."""
+
+ON_LATTICE = 0.02
+"""Of a count, by which steps may miss the lattice: other channels have none."""
+
+AT_ONE_VALUE = 0.5
+"""Share of runs at one value from which on it is a limit or a dead band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +54,7 @@ class Repeated:
     least : int
         Repeats in a row in each of them, or more.
     share : float
-        Of all rows, that are lost.
+        Of the rows that can tell, that are lost.
     ci95 : pair of float
     length : float
         Mean number of samples lost at once.
@@ -69,47 +81,69 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     Returns
     -------
     Repeated or None
-        None where nothing is lost so, or noise is too small to tell.
+        None where nothing is lost so, noise is too small to tell, there is no lattice or no second repeat.
     """
+    repeats, rows = measured.shape
     steps = np.diff(measured, axis=1)
+    steps[np.abs(steps) <= ROUNDING * np.max(np.abs(measured), initial=0.0)] = 0.0
     moved = np.abs(steps[steps != 0.0])
-    if measured.shape[1] < AROUND or not moved.size or not np.isfinite(measured).all():
+    if repeats < 2 or rows < 2 * max(AROUND) or not moved.size or not np.isfinite(measured).all():
         return None
-    chance = SAFETY * _chance(measured, float(moved.min()))
-    at_an_end = (measured[:, 1:] == measured.max()) | (measured[:, 1:] == measured.min())  # a drive at its limit repeats itself
-    runs = _runs((steps == 0.0) & (chance <= LARGEST_CHANCE) & ~at_an_end)
-    chance = chance[chance <= LARGEST_CHANCE]
-    if not runs.size or not chance.size:
+    counts = steps / float(moved.min())
+    if np.mean(np.abs(counts - np.rint(counts)) > ON_LATTICE) > ON_LATTICE:
         return None
-    by_chance = np.array([np.sum(chance**k) for k in range(1, LONGEST + 1)])  # runs of so many repeats or more
-    seen = np.array([np.sum(runs[:, 2] >= k) for k in range(1, LONGEST + 1)])
+    chance = SAFETY * _chance(counts)
+    telling = chance <= LARGEST_CHANCE
+    telling[:, : min(AROUND)] = telling[:, -min(AROUND) :] = False  # a sensor that has not begun yet, or has ended
+    still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
+    runs, chance = _runs(still), chance[telling]
+    lengths = range(1, LONGEST + 1)
+    quiet = np.array([_windows(near, k) - _windows(still, k) for k in lengths])  # of so many small steps that are not all none
+    by_chance = np.array([np.sum(chance**k) for k in lengths]) + quiet
+    seen = np.array([np.sum(runs[:, 2] >= k) for k in lengths])
     unlikely = (LONGEST - 1) * float(np.min(scipy.stats.poisson.sf(seen[1:] - 1, by_chance[1:])))
-    if unlikely > largest_chance:
-        return None
-    return _losses(runs, 1 + int(np.sum(by_chance >= 1.0)), float(chance.sum() / SAFETY), measured.shape)
-
-
-def _losses(runs: np.ndarray, least: int, by_chance: float, shape: tuple[int, ...]) -> Repeated:
-    """Runs of `least` repeats or more are losses; of the others all but those that come by chance."""
+    least = 1 + int(np.sum(by_chance >= 1.0))
     long = runs[runs[:, 2] >= least]
+    if unlikely > largest_chance or least > LONGEST or not len(long) or _is_at_one_value(measured, long):
+        return None
+    lost = max(float(runs[:, 2].sum()) - float(chance.sum()) / SAFETY, float(long[:, 2].sum()))
+    return _losses(long, least, lost, chance.size, measured.shape)
+
+
+def _losses(long: np.ndarray, least: int, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
+    """Of runs of `least` repeats or more, and of so many lost samples among those rows that can tell."""
     rows = np.zeros(shape, dtype=bool)
     for repeat, first, length in long.tolist():
         rows[repeat, first + 1 : first + 1 + length] = True
     length = float(np.mean(long[:, 2] - least + 1.0))  # bursts that last go on as if they had just begun
-    lost = max(float(runs[:, 2].sum()) - by_chance, float(long[:, 2].sum()))
     bursts = max(lost / length, 1.0)
     # the number of bursts scatters as Poisson's, and their lengths by as much again
     low, high = scipy.stats.chi2.ppf([0.025, 0.975], [bursts, bursts + 2.0]) / bursts
-    share = lost / rows.size
+    share = lost / telling
     return Repeated(rows, len(long), least, share, (float(low * share), float(min(high * share, 1.0))), length)
 
 
-def _chance(measured: np.ndarray, lattice: float) -> np.ndarray:
-    """(R, N - 1) probability of a repeat by the noise around."""
-    third = np.abs(np.diff(measured, n=3, axis=1))
-    around = scipy.ndimage.median_filter(third, size=(1, AROUND), mode="reflect") / 0.6745 / np.sqrt(20.0)
-    around = np.pad(around, ((0, 0), (1, 1)), mode="edge")
-    return SAME * lattice / np.maximum(around, 1e-12 * lattice)
+def _chance(counts: np.ndarray) -> np.ndarray:
+    """(R, N - 1) probability of a repeat by the smallest of what says how strong the noise is, from steps in counts."""
+    third = np.pad(np.abs(np.diff(counts, n=2, axis=1)), ((0, 0), (1, 1)), mode="edge") / np.sqrt(10.0)  # as strong as white noise's steps
+    sizes = np.abs(counts)
+    spreads = [scipy.ndimage.median_filter(each, size=(1, rows), mode="nearest") for each in (third, sizes) for rows in AROUND]
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(sizes, ((0, 0), (OTHERS // 2, OTHERS // 2)), mode="edge"), OTHERS, axis=1)
+    spreads.append(np.stack([np.median(np.delete(windows, r, axis=0), axis=(0, 2)) for r in range(len(counts))]))
+    return DENSITY / np.maximum(np.min(spreads, axis=0) / 0.6745, 1e-9)
+
+
+def _windows(small: np.ndarray, length: int) -> int:
+    """How many stretches of so many rows are small."""
+    return int(np.sum(np.lib.stride_tricks.sliding_window_view(small, length, axis=1).all(axis=2)))
+
+
+def _is_at_one_value(measured: np.ndarray, long: np.ndarray) -> bool:
+    """Whether runs hold one value as often as a limit or a dead band does."""
+    values = measured[long[:, 0], long[:, 1]]
+    ends = (values == measured.max()) | (values == measured.min())
+    most = int(np.unique(values, return_counts=True)[1].max())
+    return bool(ends.any()) or most > max(2, AT_ONE_VALUE * len(values))
 
 
 def _runs(same: np.ndarray) -> np.ndarray:

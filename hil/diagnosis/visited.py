@@ -27,7 +27,7 @@ IS_NONE_AT = (("cable_spring", "theta0"),)
 weight on a lever that fit a few degrees alike would else be told apart by how few they are. One that is slack further away, as a hose may
 be, is fitted at that end with wrong numbers."""
 
-IN_PLACE_OF_ANOTHER = (("imu_bandwidth", "fc"),)
+REPLACES_THE_FILES = (("imu_bandwidth", "fc"),)
 """Numbers that take the place of the machine file's. Counted from nothing a lag that changed by a twelfth was known twelve times as well as
 a delay that does the same, and so much the less likely beforehand: three of four IMUs with a second pole were called late (sealed 2779,
 2866, 3001)."""
@@ -116,7 +116,7 @@ class Visited:
         share f (1/f - 1/f0).
         """
         own = self.low_passes_Hz.get(effect.at, 0.0)
-        if (effect.effect, parameter.name) not in IN_PLACE_OF_ANOTHER or not own:
+        if (effect.effect, parameter.name) not in REPLACES_THE_FILES or not own:
             return value
         return value * (1.0 - value / own)
 

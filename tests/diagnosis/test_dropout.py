@@ -114,3 +114,39 @@ def test_an_encoder_that_repeats_itself_is_at_rest():
     measured, simulated = in_noise(runs=RUNS)
     encoder = measured[:, :, [1, 0, 2]]
     assert not without_lost_samples(encoder, simulated, CHANNELS)[1]
+
+
+@pytest.mark.parametrize("period", [4, 8, 12, 20, 30, 40, 60, 100])
+@pytest.mark.parametrize("quiet", [0.3, 0.6])
+def test_a_channel_that_is_quiet_and_lively_by_turns_loses_nothing(period, quiet):
+    """Ten counts of noise and a fraction of one, in all repeats in the same rows or in each in its own."""
+    for seed in range(4):
+        print(f"seed {seed}")
+        random = np.random.default_rng(seed)
+        together = np.tile(np.arange(3000) % period < 0.65 * period, (3, 1))
+        apart = np.repeat(random.random((3, 3000 // period + 1)) < 0.65, period, axis=1)[:, :3000]
+        for lively in (together, apart):
+            readings = np.round(np.where(lively, 10.0, quiet) * random.standard_normal((3, 3000)))
+            measured = np.repeat(0.01 * readings[:, :, None], 3, axis=2)
+            assert not without_lost_samples(measured, np.zeros((3000, 3)), CHANNELS)[1]
+
+
+@pytest.mark.parametrize("rows", [slice(0, 20), slice(-20, None), slice(1500, 1520)])
+def test_a_stretch_that_is_constant_in_all_repeats_is_not_lost(rows):
+    measured, simulated = in_noise()
+    measured[:, rows, 1] = 0.15
+    assert not without_lost_samples(measured, simulated, CHANNELS)[1]
+
+
+def test_a_dead_band_is_not_lost():
+    measured, simulated = in_noise()
+    measured[np.abs(measured) < 0.6] = 0.0
+    assert not without_lost_samples(measured, simulated, CHANNELS)[1]
+
+
+def test_what_has_no_lattice_or_no_second_repeat_says_nothing():
+    measured, simulated = in_noise(runs=RUNS)
+    assert not without_lost_samples(measured[:1], simulated, CHANNELS)[1]
+    smooth = np.random.default_rng(0).standard_normal(measured.shape)
+    smooth[0, 700:703, 1] = smooth[0, 699, 1]
+    assert not without_lost_samples(smooth, simulated, CHANNELS)[1]

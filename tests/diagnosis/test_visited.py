@@ -57,6 +57,19 @@ def test_a_stop_is_where_recordings_go_and_a_cable_slack_where_the_joint_may_go(
     assert size(CABLE, "theta0", slide, kc=1.0, theta0=0.25) == pytest.approx(stop)
 
 
+@pytest.mark.parametrize("corner", [59.0, 50.0, 20.0, 70.0])
+def test_a_low_pass_in_place_of_the_files_costs_what_a_delay_that_does_the_same_costs(corner):
+    """A strength that removes this energy: what of the lag was in the machine file before is not found by the fit."""
+    removed, own = 400.0, 60.0
+    low_pass = described(EffectAt("imu_bandwidth", "imu"), Visited(10.0, low_passes_Hz={"imu": own}), fc=corner)[0]["fc"]
+    delay = described(EffectAt("clock_offset", "imu"), Visited(10.0), t0=1e-3)[0]["t0"]
+    seen = removed / (corner * (1.0 / corner - 1.0 / own)) ** 2  # per share of the lag
+    priced = [information_of(np.diag([1.0, each]), 1, [one])[0] for each, one in ((seen, low_pass), (removed, delay))]
+    assert priced == pytest.approx([removed, removed])
+    unfiltered = described(EffectAt("imu_bandwidth", "imu"), Visited(10.0), fc=corner)[0]["fc"]
+    assert information_of(np.diag([1.0, removed]), 1, [unfiltered])[0] == pytest.approx(removed)
+
+
 def test_one_limit_is_a_limit():
     assert Travel(0.2, 0.3, lower=-1.0).where_it_may_go() == pytest.approx((-1.0, 2.0 * np.pi - 1.0))
     assert Travel(0.2, 0.3, upper=1.0, turns=False).where_it_may_go() == pytest.approx((0.2, 1.0))
@@ -99,11 +112,15 @@ def test_what_was_visited_is_each_axis_s_own():
     shipped = load_machine("carm")
     angle, slide = shipped.limits[0], replace(shipped.limits[1], unit="m")
     drives = [SimpleNamespace(ratio=500.0), SimpleNamespace(ratio=20.0)]
-    machine = SimpleNamespace(limits=(angle, slide), plant=SimpleNamespace(drives=drives))
+    machine = SimpleNamespace(
+        limits=(angle, slide),
+        plant=SimpleNamespace(drives=drives, imus=[SimpleNamespace(name="imu", accelerometer_bandwidth_Hz=0.0, gyro_bandwidth_Hz=60.0)]),
+    )
     first = np.array([[0.1, -0.2], [0.4, -0.3], [0.2, 0.3]])
     times = np.array([0.0, 1.0, 2.0]), np.array([0.0, 9.0])
     groups = [SimpleNamespace(position=q, time_s=t) for q, t in zip((first, first[:2] + 1.0), times, strict=True)]
     visited = Visited.by(SimpleNamespace(sets={TRAIN: SimpleNamespace(groups=groups)}, machine=machine))
+    assert visited.low_passes_Hz == {"imu": 60.0}
     one, other = visited.travels.values()
     assert tuple(visited.travels) == ("propeller", "roll")
     assert (one.lower, one.upper, one.ratio, one.turns) == (angle.lower, angle.upper, 500.0, True)
