@@ -8,20 +8,17 @@ parameter no more than its range), a fit ends at
 so every parameter is a sum over the recordings, along a functional (a row of H^-1 A'), and of what it was beforehand: the variance is that
 of the noise along the functional, and H^-1 L H^-1. The noise model is one opinion of the first. How the sum scatters from repeat to repeat
 (`gate.Scatter`) and what the fit leaves along it (`structure_left.py`) are others, and the largest counts. A variance that is known
-from three or four repeats makes it a t distribution. What the effects' equations may err by (`form_error.py`), along the functional, is
-added.
+from three or four repeats makes it a t distribution.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import scipy.stats
 
 from hil.diagnosis.coordinates import FINE_SHARE, Coordinates, Point
-from hil.diagnosis.form_error import NO_ERROR, form_error
 from hil.diagnosis.free_run import TRAIN, FreeRuns
 from hil.diagnosis.gate import Scatter
 from hil.diagnosis.refit import Fitted
@@ -51,19 +48,13 @@ def spread_of(runs: FreeRuns, tuning: Tuning, fitted: Fitted | None) -> np.ndarr
         predicted = fitted.predicted
     scatter, structure, residual = Scatter(runs), StructureLeft(runs, TRAIN), runs.measured() - predicted
 
-    equations = NO_ERROR
-    if fitted is not None:
-        equations = form_error(runs, TRAIN, replace(tuning, offset=offset, values=tuning.at(offset), predicted=predicted), fitted)
-
     def variance(functional: np.ndarray) -> float:
         return max(scatter.along(functional), structure.along(functional, residual))
 
-    return spread(columns, known, variance, scatter.freedom, equations.responses)
+    return spread(columns, known, variance, scatter.freedom)
 
 
-def spread(
-    columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarray], float], freedom: float, errors: np.ndarray | None = None
-) -> np.ndarray:
+def spread(columns: np.ndarray, known: np.ndarray, variance: Callable[[np.ndarray], float], freedom: float) -> np.ndarray:
     """(K,) of parameters that fit recordings best.
 
     Parameters
@@ -76,8 +67,6 @@ def spread(
         Of the noise along a functional (M,), in units of the noise model's: its expectation.
     freedom : float
         Degrees of freedom with which that is known.
-    errors : (E, M) array, optional
-        Of the equations, in units of their standard deviations, independent of each other.
     """
     if not columns.shape[1]:  # of a machine that stood still
         return np.zeros(0)
@@ -93,8 +82,6 @@ def spread(
     for k, own in enumerate(weights.T):
         functional = columns @ own
         noise[k] = float(functional @ functional) * variance(functional)
-        if errors is not None and len(errors):
-            beforehand[k] += float(np.sum((errors @ functional) ** 2))
     return np.sqrt(as_normal(freedom) ** 2 * noise + beforehand)
 
 

@@ -92,7 +92,8 @@ def test_without_a_term_a_law_loses_what_a_fit_without_it_leaves():
     hessian = root.T @ root + np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     best = np.array([0.1, -0.2, *(one.value for one in free)])
     forms = simpler_forms(hessian, 2, free)
-    for (loss, seen), absent in zip(forms, ([2, 3], [4, 5]), strict=True):
+    for (loss, seen, without), absent in zip(forms, ([2, 3], [4, 5]), strict=True):
+        assert without == tuple(n - 2 for n in absent)
         kept = [n for n in range(6) if n not in absent]
         rest = best.copy()
         rest[absent] = 0.0
@@ -105,7 +106,7 @@ def test_a_law_without_a_term_that_was_fitted_to_nothing_is_narrowed_as_its_othe
     free = free_of(("asymmetric_friction", {"Fc_plus": 1.0, "Fc_minus": 1.0, "Fv_plus": 0.0, "Fv_minus": 0.0}))
     forms = simpler_forms(np.diag([1.0, ENERGY, ENERGY, 5.0, 5.0]), 1, free)
     alone = information_of(np.diag([1.0, ENERGY, ENERGY]), 1, free[:2])
-    loss, seen = min(forms, key=lambda form: form[0])
+    loss, seen, _ = min(forms, key=lambda form: form.loss)
     assert loss == 0.0
     assert seen == pytest.approx(alone)
 

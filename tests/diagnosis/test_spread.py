@@ -51,18 +51,6 @@ def test_noise_that_is_stronger_than_the_model_says_widens_its_own_part_alone():
     assert found[[0, 2]] / quiet[[0, 2]] == pytest.approx([3.0, 1.0], rel=0.01)
 
 
-def test_what_equations_may_err_by_widens_spreads_by_what_it_moves():
-    """Errors along three directions of the recordings, drawn with the noise."""
-    random = np.random.default_rng(5)
-    columns, known = random.standard_normal((ENTRIES, 3)) * [3.0, 0.5, 0.001], np.ones(3)
-    responses = random.standard_normal((3, ENTRIES)) * [[4.0], [1.0], [0.2]]
-    erred = random.standard_normal((DRAWS, 3)) @ responses
-    moved = np.linalg.solve(columns.T @ columns + np.diag(known), columns.T @ erred.T).T
-    errors = fitted_to_drawn(columns, known, random) + moved
-    assert spread(columns, known, white, CERTAIN, responses) == pytest.approx(errors.std(axis=0), rel=0.05)
-    assert spread(columns, known, white, CERTAIN)[0] < 0.5 * errors[:, 0].std()
-
-
 @pytest.mark.parametrize("freedom", [4.2, 6.2, 30.0])
 def test_a_variance_that_is_not_known_widens_intervals_as_it_must(freedom):
     """Strengths drawn with a variance that was drawn itself: the expected variance, widened, holds 95 % of them."""
