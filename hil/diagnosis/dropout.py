@@ -30,7 +30,6 @@ BY_ITSELF = 1e-3
 CHANCE = 1e-6
 """Largest probability of as many repeated readings by themselves."""
 
-
 NOISY = ("imu_", "gyro_", "current_")
 """Channels that noise never leaves still; a joint that sticks between two motions repeats its encoder's reading."""
 

@@ -94,7 +94,6 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
         return None
     chance = SAFETY * _chance(counts)
     telling = chance <= LARGEST_CHANCE
-    telling[:, : min(AROUND)] = telling[:, -min(AROUND) :] = False  # a sensor that has not begun yet, or has ended
     still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
     runs, chance = _runs(still), chance[telling]
     lengths = range(1, LONGEST + 1)
@@ -104,7 +103,7 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     unlikely = (LONGEST - 1) * float(np.min(scipy.stats.poisson.sf(seen[1:] - 1, by_chance[1:])))
     least = 1 + int(np.sum(by_chance >= 1.0))
     long = runs[runs[:, 2] >= least]
-    if unlikely > largest_chance or least > LONGEST or not len(long) or _is_at_one_value(measured, long):
+    if unlikely > largest_chance or least > LONGEST or not len(long) or _is_at_one_value(measured, runs):
         return None
     lost = max(float(runs[:, 2].sum()) - float(chance.sum()) / SAFETY, float(long[:, 2].sum()))
     return _losses(long, least, lost, chance.size, measured.shape)
@@ -127,7 +126,7 @@ def _chance(counts: np.ndarray) -> np.ndarray:
     """(R, N - 1) probability of a repeat by the smallest of what says how strong the noise is, from steps in counts."""
     third = np.pad(np.abs(np.diff(counts, n=2, axis=1)), ((0, 0), (1, 1)), mode="edge") / np.sqrt(10.0)  # as strong as white noise's steps
     sizes = np.abs(counts)
-    spreads = [scipy.ndimage.median_filter(each, size=(1, rows), mode="nearest") for each in (third, sizes) for rows in AROUND]
+    spreads = [scipy.ndimage.median_filter(third, size=(1, rows), mode="nearest") for rows in AROUND]
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(sizes, ((0, 0), (OTHERS // 2, OTHERS // 2)), mode="edge"), OTHERS, axis=1)
     spreads.append(np.stack([np.median(np.delete(windows, r, axis=0), axis=(0, 2)) for r in range(len(counts))]))
     return DENSITY / np.maximum(np.min(spreads, axis=0) / 0.6745, 1e-9)
@@ -138,9 +137,9 @@ def _windows(small: np.ndarray, length: int) -> int:
     return int(np.sum(np.lib.stride_tricks.sliding_window_view(small, length, axis=1).all(axis=2)))
 
 
-def _is_at_one_value(measured: np.ndarray, long: np.ndarray) -> bool:
-    """Whether runs hold one value as often as a limit or a dead band does."""
-    values = measured[long[:, 0], long[:, 1]]
+def _is_at_one_value(measured: np.ndarray, runs: np.ndarray) -> bool:
+    """Whether runs, long or short, hold one value as often as a limit or a dead band does."""
+    values = measured[runs[:, 0], runs[:, 1]]
     ends = (values == measured.max()) | (values == measured.min())
     most = int(np.unique(values, return_counts=True)[1].max())
     return bool(ends.any()) or most > max(2, AT_ONE_VALUE * len(values))

@@ -19,6 +19,7 @@ from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import bounded
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
+from hil.diagnosis.visited import REPLACES_THE_FILES
 from virtual_bus.effects.effect import PHASE
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -34,9 +35,6 @@ ROUNDS = 3
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them. What a stop does is, as long as
 it is softer than the loop that pushes into it."""
-
-IN_PLACE_OF_ANOTHER = ("imu_bandwidth",)
-"""Effects whose number takes the place of the machine file's: what they do is in proportion to a difference."""
 
 AMPLITUDE_AND_PHASE = (*((a, phase) for a, phase in TURNED_BY.items() if phase != "phi2"), ("mgr", "phi"), ("J12", "phi"))
 """Amplitude A and phase p of a first harmonic A cos(x + p) or A sin(x + p)."""
@@ -216,7 +214,7 @@ def _rescaled(effect: EffectAt, values: np.ndarray, factor: float) -> np.ndarray
     """All strengths that enter in proportion, by this factor; None where there is none."""
     parameters = effects()[effect.effect].parameters
     in_proportion = [p.is_strength and p.name not in NONLINEAR_STRENGTH for p in parameters]
-    if effect.effect in IN_PLACE_OF_ANOTHER or not any(in_proportion):
+    if any(effect.effect == name for name, _ in REPLACES_THE_FILES) or not any(in_proportion):
         return None
     factor = float(np.clip(factor, 1.0 / LARGEST_RESCALE, LARGEST_RESCALE))
     low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))

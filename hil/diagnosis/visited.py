@@ -1,4 +1,4 @@
-"""How far training recordings go, and with it how large places and orders of an effect may be beforehand.
+"""What a machine and how far its training recordings go say of how large places, orders and lags of an effect may be beforehand.
 
 Nothing is known of a place but where it may be, so beforehand it is anywhere in a range R. A range costs what a normal distribution of
 R / sqrt(2 pi) does: log(R / (sqrt(2 pi) s)) where recordings show the place with a deviation s (MacKay 2003, ch. 28). How near zero it is
@@ -28,9 +28,8 @@ weight on a lever that fit a few degrees alike would else be told apart by how f
 be, is fitted at that end with wrong numbers."""
 
 REPLACES_THE_FILES = (("imu_bandwidth", "fc"),)
-"""Numbers that take the place of the machine file's. Counted from nothing a lag that changed by a twelfth was known twelve times as well as
-a delay that does the same, and so much the less likely beforehand: three of four IMUs with a second pole were called late (sealed 2779,
-2866, 3001)."""
+"""Numbers that take the place of the machine file's: what they do is in proportion to the difference. Counted from nothing a lag that
+changed by a twelfth was known twelve times as well as a delay that does the same, and so much the less likely beforehand."""
 
 NARROWEST = 1e-6
 """Of a range, in units of its ends or of 1: an axis that stood still has a place nowhere else, but differences of positions must show."""

@@ -91,13 +91,15 @@ def test_few_losses_show_in_noise_that_repeats_no_reading_so_often_in_a_row():
     assert np.isnan(kept).sum() <= 20 + 3
 
 
-@pytest.mark.parametrize("slow", [0.0, 0.9])
-def test_noise_alone_loses_nothing_slow_or_fast(slow):
+@pytest.mark.parametrize(("radius", "angle"), [(0.0, 0.0), (0.9, 0.0), (0.9, 1.0), (0.95, 2.7), (0.98, 2.9), (0.9, np.pi)])
+def test_noise_alone_loses_nothing_slow_or_fast(radius, angle):
+    """Autoregressive, a pair of poles there."""
     for seed in range(20):
         print(f"seed {seed}")
         random = np.random.default_rng(seed)
-        noise = scipy.signal.lfilter([1.0], [1.0, -slow], random.standard_normal((3, 3000, 3)), axis=1)
-        measured = np.round(noise / 0.2) * 0.2
+        poles = [1.0, -2.0 * radius * np.cos(angle), radius**2]
+        noise = scipy.signal.lfilter([1.0], poles, random.standard_normal((3, 3000, 3)), axis=1)
+        measured = 0.2 * np.round(5.0 * noise / noise.std())
         assert not without_lost_samples(measured, np.zeros((3000, 3)), CHANNELS)[1]
 
 
@@ -131,17 +133,36 @@ def test_a_channel_that_is_quiet_and_lively_by_turns_loses_nothing(period, quiet
             assert not without_lost_samples(measured, np.zeros((3000, 3)), CHANNELS)[1]
 
 
-@pytest.mark.parametrize("rows", [slice(0, 20), slice(-20, None), slice(1500, 1520)])
+@pytest.mark.parametrize("rows", [slice(0, 20), slice(-20, None), slice(1500, 1510)])
 def test_a_stretch_that_is_constant_in_all_repeats_is_not_lost(rows):
     measured, simulated = in_noise()
     measured[:, rows, 1] = 0.15
     assert not without_lost_samples(measured, simulated, CHANNELS)[1]
 
 
-def test_a_dead_band_is_not_lost():
+@pytest.mark.parametrize("rows", [slice(0, 20), slice(-20, None)])
+def test_a_sensor_that_begins_late_or_ends_early_in_one_repeat_loses_nothing(rows):
     measured, simulated = in_noise()
-    measured[np.abs(measured) < 0.6] = 0.0
+    measured[0, rows, 1] = 0.15
     assert not without_lost_samples(measured, simulated, CHANNELS)[1]
+
+
+@pytest.mark.parametrize("limits", [(-np.inf, np.inf), (-0.7, 0.7)])
+def test_a_dead_band_is_not_lost(limits):
+    """Nor one between limits, where no value has most of the runs."""
+    measured, simulated = in_noise()
+    measured[np.abs(measured) < 0.4] = 0.0
+    assert not without_lost_samples(np.clip(measured, *limits), simulated, CHANNELS)[1]
+
+
+def test_a_motion_that_turns_in_little_noise_loses_nothing():
+    for seed in range(4):
+        print(f"seed {seed}")
+        random = np.random.default_rng(seed)
+        angle = 2.0 * np.pi * np.arange(3000) / 120.0 + random.uniform(0.0, 2.0 * np.pi, (3, 1))
+        readings = np.round(400.0 * np.sin(angle) + 0.4 * random.standard_normal((3, 3000)))
+        measured = np.repeat(0.01 * readings[:, :, None], 3, axis=2)
+        assert not without_lost_samples(measured, np.zeros((3000, 3)), CHANNELS)[1]
 
 
 def test_what_has_no_lattice_or_no_second_repeat_says_nothing():

@@ -17,7 +17,7 @@ from hil.diagnosis.form import lost_form
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.harmonics import with_other_harmonics
 from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import are_costly, polish, refit
+from hil.diagnosis.refit import Fitted, are_costly, polish, refit, sensitivities_to_effects
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
 from hil.diagnosis.same_order import with_others_of_its_order
@@ -76,6 +76,22 @@ def test_a_fit_finds_the_cubic_spring_of_a_milligramme():
     force = effort(SimpleNamespace(deflection=farthest), *fit.values[0])
     assert fit.cost < 1.0
     assert force / constant == pytest.approx(-4.0 * farthest**3, rel=0.03)
+
+
+def test_sensitivities_are_per_unit_where_a_fit_ends_that_ran_out_of_steps():
+    """A load does twice as much where it is twice as large: its sensitivity is the same wherever it was taken."""
+    load = EffectAt("constant_load", "mass")
+    command = 0.1 * np.random.default_rng(1).standard_normal(3000)
+    found = mismatch(
+        SILVERBOX, {"noise": recorded(SILVERBOX, driven(SILVERBOX, command), EffectSetting("constant_load", "mass", {"tau0": 0.05}))}
+    )
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning = retune(runs)
+        far = Fitted((load,), (np.array([1e-3]),), tuning.offset, tuning.predicted, np.inf, ((0, 0),), np.zeros((1, 1)), np.zeros(1))
+        (fit,) = polish(runs, tuning, runs.measured(), [far], rounds=1)
+        taken = sensitivities_to_effects(runs, tuning, fit, TRAIN)
+    assert 0.004 < fit.values[0][0] < 0.02  # its steps ran out on the way
+    assert np.linalg.norm(fit.jacobian - taken) < 0.05 * np.linalg.norm(taken)
 
 
 def test_a_fit_starts_from_the_strength_that_the_recordings_want():

@@ -254,7 +254,7 @@ def _apart(
 
 
 def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> list[np.ndarray]:
-    """Signals of a neighbour in a few shapes, at a strength that makes it about as large as the truth."""
+    """Signals of a neighbour in a few shapes, at its kind's typical strength; beside a lag as long as the truth's."""
     rng = np.random.default_rng([shop.case.seed, 7])
     signals = []
     lags = one.hidden.kind.name in LAGS and like.kind.name in LAGS
