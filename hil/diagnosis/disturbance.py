@@ -77,6 +77,7 @@ def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None =
     frequencies = np.fft.rfftfreq(len(extended), 1.0 / found.noise.rate_Hz)
     lines = np.fft.rfft(extended, axis=0)
     response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, values)
+    response = response[:, :, : len(group.machine.plant.tree.joints)]
     weight = _noise_weight(found, frequencies, group.repeats) * _is_linear(found.channels)
     machine = group.machine
     plant = compile_plant(machine.plant)
@@ -109,9 +110,10 @@ def loop_response(
     values: np.ndarray | None = None,
     growth_per_s: float = 0.0,
 ) -> np.ndarray:
-    """(L, C, joints) response of the channels to an effort on every joint, the controllers closing the loop.
+    """(L, C, joints + axes) response of the channels to an effort on every joint, and to what every axis' own encoder reads too much, the
+    controllers closing the loop.
 
-    y = P_d d + P_u H u and u = -C_y y with H the hold and the row of delay between command and effort (docs/notation.md); without
+    y = P_d d + P_u H u and u = -C_y (y + e) with H the hold and the row of delay between command and effort (docs/notation.md); without
     controllers u does not answer. At s = growth_per_s + 2 pi j f: of efforts that grow so, a free joint's response is finite at 0 Hz too.
     """
     plant = compile_plant(machine.plant)
@@ -126,16 +128,19 @@ def loop_response(
     from_effort = c @ np.linalg.solve(s * np.eye(len(a)) - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape))) + d
     from_drive = from_effort[:, :, list(plant.joint_of_axis().values())] * plant.drive_gains(model, equilibrium(plant, model, pose))
     labels = list(system.output_labels)
-    command = np.zeros((len(s), axes, plant.joints), dtype=complex)
+    command = np.zeros((len(s), axes, plant.joints + axes), dtype=complex)
+    rows = [labels.index(f"position_{axis}") for axis in machine.axes]
+    read = np.zeros((len(labels), axes))
+    read[rows, np.arange(axes)] = 1.0
+    seen = np.concatenate([from_effort, np.broadcast_to(read.astype(complex), (len(s), *read.shape))], axis=2)
     if machine.controllers:
-        rows = [labels.index(f"position_{axis}") for axis in machine.axes]
         feedback = np.zeros((len(s), axes), dtype=complex)
         for k, controller in enumerate(machine.controllers):
             upper, lower = (polyval(later, part.T) for part in np.split(controller.position_sections, 2, axis=1))
             feedback[:, k] = np.prod(upper / lower, axis=0)
         loop = np.eye(axes) + feedback[:, :, None] * from_drive[:, rows] * hold
-        command = -np.linalg.solve(loop, feedback[:, :, None] * from_effort[:, rows])
-    outputs = from_effort + (from_drive * hold) @ command
+        command = -np.linalg.solve(loop, feedback[:, :, None] * seen[:, rows])
+    outputs = seen + (from_drive * hold) @ command
     measured = command * later[:, None, None]
     columns = []
     for name in channels:

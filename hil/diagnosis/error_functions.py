@@ -17,7 +17,7 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
 from hil.diagnosis.through_the_loop import from_rest
-from virtual_bus.effects.effect import CALIBRATION, CLOCK, COUPLING, ELASTIC, FRICTION, LAG, LIMIT, TRANSMISSION
+from virtual_bus.effects.effect import CALIBRATION, CLOCK, COUPLING, ELASTIC, ENCODER_ERROR, FRICTION, LAG, LIMIT, TRANSMISSION
 from virtual_bus.effects.places import imu_channel_names, joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual, joined
@@ -64,7 +64,7 @@ class Function:
     Attributes
     ----------
     efforts : tuple of (int, (N,) array)
-        Joints' numbers and the efforts on them, all of one size.
+        Joints' numbers and the efforts on them, all of one size; or the numbers that stand for encoders, and what these read too much.
     readings : tuple of (int, (N,) array)
         Channels' numbers and what is added to what they read, whatever the machine does.
     """
@@ -84,7 +84,7 @@ def can_err(effect: EffectAt) -> bool:
         return False
     if _is_friction(name) or kind in (ELASTIC, COUPLING, LAG, LIMIT, CALIBRATION, CLOCK):
         return True
-    return name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION, *OVER_TIME, *OF_ACCELERATION)
+    return kind is ENCODER_ERROR or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION, *OVER_TIME, *OF_ACCELERATION)
 
 
 def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, number: int) -> list[list[Function]]:
@@ -108,6 +108,8 @@ def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, n
         return _of_readings(runs, name, trial, number, effect.at)
     found = runs.sets[name]
     motions = [Motion(runs.machine, tuning.values, group, found.channels) for group in found.groups]
+    if kind is ENCODER_ERROR:
+        return _of_an_encoder(motions, effect.at, fitted.values[number])
     if kind is COUPLING:
         return _inertias_between_axes(runs, name, trial, effect, motions)
     joint = joint_at(effect.at, plant)
@@ -179,6 +181,31 @@ def _of_a_drive(motions: Sequence[Motion], axis: str, lags: bool) -> list[list[F
             efforts = _hats(given, KNOTS, np.linspace(-top, top, KNOTS))
         channel = motion.channels.index(current) if current in motion.channels else None
         found.append([Function(((joint, own),), () if channel is None else ((channel, own / gain),)) for own in efforts])
+    return found
+
+
+def _of_an_encoder(motions: Sequence[Motion], channel: str, values: np.ndarray) -> list[list[Function]]:
+    """Per group, other functions of position that an encoder may read too much, the loop with it where it reads that one: from the start
+    on, where an incremental one's error is none. Waves of its lines where these err.
+    """
+    machine = motions[0].machine
+    axis = channel.removeprefix("link_").removeprefix("position_")
+    parts = [motion.residual(axis) for motion in motions]
+    position = joined(parts).position
+    functions = _hats(position, KNOTS)
+    _, _, by_line, lines = values
+    if by_line > 0.0:
+        waves = [wave(order * lines * position) for order in HARMONICS for wave in (np.cos, np.sin)]
+        functions += [*waves, *(wave * hat for wave in waves[:2] for hat in _hats(position, SLOW_KNOTS))]
+    ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
+    found = []
+    for a, b in pairwise(ends):
+        errors = [function[a:b] - function[a] for function in functions]
+        if channel.startswith("link_"):
+            found.append([Function(readings=((motions[0].channels.index(channel), own),)) for own in errors])
+        else:
+            encoder = len(machine.plant.tree.joints) + machine.axis_index(axis)
+            found.append([Function(((encoder, own),)) for own in errors])
     return found
 
 

@@ -3,7 +3,8 @@
 Readings may have any offset from the lattice; each is then rounded once more to the encoder's own step, so that it lies within half of
 that of a lattice point. On any motion that has no lattice a distinct reading does so with a probability of at most the share of the
 lattice's step that these windows cover. A lattice of whole counts of the encoder has no such windows: an encoder that lost its last bit
-reads even counts alone. Only readings that the two before them did not foretell count as such: those of a constant speed are equally
+reads even counts alone; and where a lattice between counts was rounded to them, which counts are never read says so (`digital_line.py`).
+Only readings that the two before them did not foretell count as such: those of a constant speed are equally
 spaced, and the first few of them say where all others lie.
 """
 
@@ -14,14 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.diagnosis.digital_line import step_of
 from hil.diagnosis.result import READ_OFF, EffectAt, Estimate, Finding
 from hil.machine import Machine
 from virtual_bus.effects.places import is_prismatic
 from virtual_bus.settings import EffectSetting
 
 COARSER = 3.0
-"""A lattice that is not of whole counts is looked for from this many of the machine file's steps on: below, most readings lie near its
-points by chance."""
+"""Where readings are no whole counts, a lattice is looked for from this many of the machine file's steps on: below, most of them lie near
+its points by chance."""
 
 LEAST_STEPS = 20
 """Changes by one step, and distinct readings, without which nothing is said."""
@@ -76,8 +78,8 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     Returns
     -------
     Lattice or None
-        None where readings lie neither on several whole counts of `own_step` nor on steps that are COARSER than it, or where the rounding
-        is small against what repeats differ by.
+        None where readings lie neither on two counts of `own_step` or more nor, where they are no whole counts, on steps that are COARSER
+        than it, or where the rounding is small against what repeats differ by.
     """
     rows = [row[np.isfinite(row)] for repeats in measured for row in repeats]
     readings = np.unique(np.concatenate(rows)) if rows else np.empty(0)
@@ -117,19 +119,34 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
 
 
 def _whole_counts(measured: Sequence[np.ndarray], readings: np.ndarray, own_step: float) -> Lattice | None:
-    """The lattice of several of the encoder's own counts that distinct readings lie on; None where there is none."""
+    """The lattice, of several of the encoder's own counts or rounded to them, that distinct readings lie on; None where there is none."""
     written = WRITTEN * float(np.abs(readings).max())
     if own_step <= 4.0 * written:
         return None
     numbers = np.rint((readings - readings[0]) / own_step)
     if np.any(np.abs(readings - readings[0] - own_step * numbers) > 2.0 * written):
         return None
-    several = int(np.gcd.reduce(numbers.astype(np.int64)))
-    if several < 2 or (_unforeseen(measured, written) - 1) * np.log(several) < -np.log(CHANCE):
+    several, unforeseen = int(np.gcd.reduce(numbers.astype(np.int64))), _unforeseen(measured, written)
+    if several < 2:
+        return _between_counts(numbers, unforeseen, own_step)
+    if (unforeseen - 1) * np.log(several) < -np.log(CHANCE):
         return None
     step = several * own_step
     error = 2.0 * written * several / float(np.ptp(numbers))
     return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+
+
+def _between_counts(numbers: np.ndarray, unforeseen: int, own_step: float) -> Lattice | None:
+    """The lattice that whole counts were rounded from: of a step of two or more, that is no whole one.
+
+    Without one a reading lies on it with a probability of one over its step. As many lattices are tried as there are digital lines of that
+    length, fewer than its cube (Mignosi 1991, Theoret. Comput. Sci. 82, 71-84).
+    """
+    steps = step_of(numbers)
+    if steps is None or unforeseen * np.log(steps[0]) < 3.0 * np.log(np.ptp(numbers)) - np.log(CHANCE):
+        return None
+    low, high = own_step * steps[0], own_step * steps[1]
+    return Lattice(0.5 * (low + high), (low, high), len(numbers))
 
 
 def _unforeseen(measured: Sequence[np.ndarray], off: float) -> int:

@@ -244,9 +244,15 @@ class _Search:
         def is_there_beside(one: Contender, part: Contender) -> bool:
             return judgement.contenders(after(part), [one.fitted], tried, placebo, limits)[0].passed
 
+        def is_no_chance_beside_its_parts(one: Contender) -> bool:
+            """Of a pair that is judged against nothing: beside what either effect leaves, noise is as strong along the other as it is."""
+            parts = [part for part in judged if size == 0 and part.passed and set(part.fitted.effects) < set(one.fitted.effects)]
+            return all(judgement.by_chance(after(part), one.fitted, tried) < 1.0 for part in parts)
+
         def without_surplus(sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
             needed = [one for one in sets if has_no_surplus(one.fitted, stand, smaller, tried, len(residual))]
-            return [one for one in needed if not one.passed or all(is_there_beside(one, part) for part in closer_parts(one, way))]
+            needed = [one for one in needed if not one.passed or all(is_there_beside(one, part) for part in closer_parts(one, way))]
+            return [one for one in needed if not one.passed or is_no_chance_beside_its_parts(one)]
 
         needed = without_surplus(judged, way.smaller)
         smaller = (*way.smaller, *fits)
@@ -262,19 +268,19 @@ class _Search:
             return replace(end, unsure=tuple(one for one in larger if one.gate.shows and not one.gate.lost_form))
         rivals = [one for one in needed if one.passed or competes(one.gate, passed[0].gate if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
-            rivals += [one for one in judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits)) if one.passed]
+            also = judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits))
+            rivals += [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]
             known = not_told_apart_in_training(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(tuning, several, singles, first, there)
-            also = [fit for fit in refit(runs, tuning, measured, starts) if fit is not None]
-            also = polish(runs, tuning, measured, also)
-            more = judgement.contenders(stand, also, tried, placebo, limits, len(fits))
-            more = without_surplus(more, (*smaller, *also))
+            refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
+            more = judgement.contenders(stand, refitted, tried, placebo, limits, len(fits))
+            more = without_surplus(more, (*smaller, *refitted))
             rivals += [one for one in more if one.passed]
-            end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *also))
+            end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *refitted))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
         return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
 

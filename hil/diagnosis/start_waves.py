@@ -19,7 +19,7 @@ ORDERS_AROUND = 10.0
 """Cycles per travel around an order whose median power is what noise has there: a wave is two wide."""
 
 MOST_ORDERS = 8000
-HIGHEST_ORDER_Hz = 20.0
+HIGHEST_ORDER_Hz = 40.0
 """Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through."""
 
 ONE_HARMONIC = 0.5

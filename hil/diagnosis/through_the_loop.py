@@ -1,4 +1,4 @@
-"""Efforts on joints sent through the linear closed loop to recordings in units of noise, and back.
+"""Efforts on joints, and errors of what the loop reads, sent through the linear closed loop to recordings in units of noise, and back.
 
 Back is the adjoint: products of one whitened record with the responses of any number of efforts are products of the efforts with it taken
 back (Kailath, Sayed, Hassibi 2000, ch. 3), so a matched filter over many laws asks for one pass and not for one each.
@@ -33,10 +33,11 @@ class _Loop:
 
     Attributes
     ----------
-    lines : (L, C, joints) complex array
+    lines : (L, C, joints + axes) complex array
+        To an effort on every joint, and to what every axis' own encoder reads too much, which stands for a joint after the others.
     grown : (N,) array
         exp(growth t).
-    standing : (C, joints) array
+    standing : (C, joints + axes) array
         Where the channels stand under constant efforts; zero for joints that nothing holds.
     """
 
@@ -54,7 +55,7 @@ class _Loop:
         return self.grown[:, None] * np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + self.standing[:, joint] * before
 
     def back(self, channels: np.ndarray) -> np.ndarray:
-        """(N, joints) whose product with efforts is that of their responses with `channels` (N, C)."""
+        """(N, joints + axes) whose product with efforts is that of their responses with `channels` (N, C)."""
         rows = len(channels)
         lines = np.fft.rfft(self.grown[:, None] * channels, 2 * rows, axis=0)
         efforts = np.fft.irfft((self.lines.conj() * lines[:, :, None]).sum(axis=1), 2 * rows, axis=0)[:rows] / self.grown[:, None]
@@ -90,7 +91,7 @@ class ThroughTheLoop:
         return np.stack([self.runs.joined(rows, self.name) for rows in zip(*answers, strict=True)])
 
     def efforts_behind(self, whitened: np.ndarray) -> list[np.ndarray]:
-        """(N, joints) per group, whose product with efforts on the joints is that of their whitened responses with `whitened` (M,)."""
+        """(N, joints + axes) per group, whose product with efforts is that of their whitened responses with `whitened` (M,)."""
         rows = self.runs.taken_back(whitened, self.name)
         return [loop.back(own) for loop, own in zip(self.loops, rows, strict=True)]
 
@@ -101,7 +102,7 @@ def from_rest(effort: np.ndarray) -> np.ndarray:
 
 
 def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
-    """(C, joints)"""
+    """(C, joints + axes)"""
     slow, slower = loop_response(machine, pose, channels, np.array([2.0 * LOWEST_Hz, LOWEST_Hz]), values)
     held = np.linalg.norm(slower, axis=0) < RUNS_AWAY * np.linalg.norm(slow, axis=0)
     return np.where(held, slower.real, 0.0)

@@ -175,20 +175,56 @@ def test_an_imus_second_pole_lags_by_its_time_constant(machines):
     assert -(after - before) @ slope / (slope @ slope) == pytest.approx(lag_s, rel=0.05)
 
 
-def test_the_oracle_knows_that_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines):
-    """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
-    from concealed.truth.build import Chosen, Workshop, _apart
-    from concealed.truth.catalogue import KINDS
-    from concealed.truth.draw import Hidden, draw
+def a_shop(machines, name):
+    """Of a case that hides nothing, with noise of a hundredth of every channel."""
+    from concealed.truth.build import Workshop
+    from concealed.truth.draw import draw
     from concealed.truth.oracle import NoiseUnits
 
-    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == "tilted_arm" and not case.hidden)
-    shop = Workshop(case, machines["tilted_arm"])
+    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == name and not case.hidden)
+    shop = Workshop(case, machines[name])
     base = shop.matrix(shop.setup(()), shop.training)
-    units = NoiseUnits(
-        np.random.default_rng(0).normal(size=(3, *base.shape)) * np.where(base.std(axis=0) > 1e-9, 0.01 * base.std(axis=0), 1.0)
-    )
-    pole = Chosen(Hidden(KINDS["imu_bandwidth"], "imu", {}, 1.0), 5e-4)
-    found = _apart(shop, (pole,), 0, base, units, [])
+    size = np.where(base.std(axis=0) > 1e-9, 0.01 * base.std(axis=0), 1.0)
+    return shop, NoiseUnits(np.random.default_rng(0).normal(size=(3, *base.shape)) * size)
+
+
+def test_the_oracle_knows_that_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines):
+    """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
+    from concealed.truth.build import Chosen, _apart
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden
+
+    shop, units = a_shop(machines, "tilted_arm")
+    found = _apart(shop, (Chosen(Hidden(KINDS["imu_bandwidth"], "imu", {}, 1.0), 5e-4),), 0, units, [])
     assert found["detectability"] > 50.0
     assert min(found["distances"].values()) < 0.05 * found["detectability"]
+
+
+def test_the_oracle_gives_an_imitator_the_strength_that_imitates_best(machines):
+    """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
+    from concealed.truth.build import Chosen, _apart
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden
+
+    shop, units = a_shop(machines, "slider")
+    kind = KINDS["asymmetric_friction"]
+    weak = 0.05 * kind.typical(shop.machine, "carriage")
+    found = _apart(shop, (Chosen(Hidden(kind, "carriage", {"ratio": 0.999}, 1.0), weak),), 0, units, [])
+    assert found["distances"]["coulomb_friction"] < 0.02 * found["detectability"]
+
+
+def test_the_oracle_asks_for_what_an_effect_does_beside_the_others(machines):
+    """A joint that a drag slows down visits less of what depends on its speed."""
+    from concealed.truth.build import Chosen, _apart
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden
+    from concealed.truth.oracle import left_over
+
+    shop, units = a_shop(machines, "slider")
+    hidden = [Hidden(KINDS[name], "carriage", KINDS[name].draw(np.random.default_rng(0), shop.machine, "carriage"), 1.0)
+              for name in ("quadratic_friction", "coulomb_friction")]  # fmt: skip
+    chosen = tuple(Chosen(each, each.kind.typical(shop.machine, each.place)) for each in hidden)
+    both, first = (shop.matrix(shop.setup(some), shop.training) for some in (chosen, chosen[:1]))
+    found = _apart(shop, chosen, 1, units, [])
+    assert found["detectability"] <= left_over(units(both - first), []) * (1.0 + 1e-9)
+    assert found["detectability"] > 0.1 * left_over(units(both - first), [])

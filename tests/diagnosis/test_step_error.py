@@ -38,18 +38,33 @@ def cost_of(runs: FreeRuns, tuning: Tuning) -> float:
     return float(left @ left + tuning.offset @ tuning.offset)
 
 
+def of_finer_steps(runs: FreeRuns, trial: Trial, finer: int) -> np.ndarray:
+    (group,) = runs.sets[TRAIN].groups
+    found = Simulator(smooth(MACHINE, finer)).run(group.inputs, trial.values, trial.effects)
+    return runs.joined([group.fold(simulated_matrix(MACHINE, found, runs.sets[TRAIN].channels))])
+
+
 REMOVED = 1e10  # in units of noise
 
 SPRING = EffectAt("cable_spring", "carriage"), [2e5, 0.0, 0.0]
+
+
+def test_a_corrected_run_is_that_of_steps_without_end(runs):
+    """And not of steps a few times finer, whose error is a sixteenth."""
+    tuning = retune(runs)
+    trial = Trial(tuning.values, beside(*SPRING, tuning, 0.0).chosen.settings)
+    expected = of_finer_steps(runs, trial, 16 * FINE_STEPS)
+    before = float(np.linalg.norm(runs.run_one(trial) - expected))
+    runs.correct(trial)
+    assert before > 0.1  # in units of noise
+    assert float(np.linalg.norm(runs.run_one(trial) - expected)) < 0.01 * before
 
 
 def test_beside_a_spring_a_run_is_that_of_much_finer_steps(runs):
     tuning = retune(runs)
     selection = beside(*SPRING, tuning, cost_of(runs, tuning))
     trial = Trial(tuning.values, selection.chosen.settings)
-    (group,) = runs.sets[TRAIN].groups
-    finest = Simulator(smooth(MACHINE, 16 * FINER * FINE_STEPS)).run(group.inputs, trial.values, trial.effects)
-    expected = runs.joined([group.fold(simulated_matrix(MACHINE, finest, runs.sets[TRAIN].channels))])
+    expected = of_finer_steps(runs, trial, 16 * FINER * FINE_STEPS)
     before = float(np.sum((runs.run_one(trial) - expected) ** 2))
     again = with_finer_steps(runs, tuning, selection)
     assert float(np.sum((runs.run_one(trial) - expected) ** 2)) < 0.01 * before

@@ -14,7 +14,8 @@ from concealed.truth.catalogue import INSIDE, KINDS
 from concealed.truth.disturbances import disturbance, with_noise
 from concealed.truth.draw import Case, Hidden, numbers
 from concealed.truth.experiments import plan
-from concealed.truth.oracle import NoiseUnits, left_over, location
+from concealed.truth.kinds import Kind, Shape
+from concealed.truth.oracle import NoiseUnits, coefficients, left_over, location
 from concealed.truth.plant import IMU_CHANNELS, Answer, Drive, Machine, Plant, Setup
 from concealed.truth.sensor_kinds import loses, read, with_losses
 from concealed.truth.writing import write_recording
@@ -34,8 +35,8 @@ NEIGHBOUR_VARIANTS = 3
 SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 """Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
 
-LAGS = ("imu_bandwidth", "clock_offset")
-"""Kinds whose strength is a lag [s] in what a sensor reads: one as long is what imitates it, and not three milliseconds."""
+LIKENESS_STEPS, ALIKE = 4, 0.05
+"""Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
 
 
 @dataclass(frozen=True)
@@ -217,23 +218,20 @@ def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: l
     answer["held_out_raw_detectability"] = float(np.linalg.norm(NoiseUnits(held_noise[None])(clean["held_out"] - base["held_out"])))
     positions = shop.answer(setup, shop.training).q[:, [Plant(machine, setup).dof(machine.joint_of[axis]) for axis in machine.axes]]
     answer["location"] = location(effect, units, machine.rate_Hz, positions, list(case.channels), machine.axes)
-    answer["each"] = [_apart(shop, chosen, index, base["train"], units, columns) for index in range(len(chosen))]
+    answer["each"] = [_apart(shop, chosen, index, units, columns) for index in range(len(chosen))]
     return answer
 
 
-def _apart(
-    shop: Workshop, chosen: tuple[Chosen, ...], index: int, base: np.ndarray, units: NoiseUnits, columns: list[np.ndarray]
-) -> dict[str, object]:
-    """How far one of the effects stands from nothing, and from each neighbour, with everything else refitted."""
-    one = chosen[index]
-    alone = shop.matrix(shop.setup((one,)), shop.training)
-    effect = units((base if alone is None else alone) - base)
-    others = [
-        units(each - base)
-        for other in chosen
-        if other is not one and (each := shop.matrix(shop.setup((other,)), shop.training)) is not None
-    ]
-    columns = columns + others
+def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseUnits, columns: list[np.ndarray]) -> dict[str, object]:
+    """How far one of the effects, beside the others, stands from nothing, and from each neighbour, with everything else refitted."""
+    one, others = chosen[index], (*chosen[:index], *chosen[index + 1 :])
+    base, whole = (shop.matrix(shop.setup(beside), shop.training) for beside in (others, chosen))
+    assert whole is not None
+    if base is None:  # the others run away by themselves: what is there without any of them stands for it
+        others, base = (), shop.matrix(shop.setup(()), shop.training)
+    assert base is not None
+    effect = units(whole - base)
+    columns = columns + [units(change) for other in others if (change := _by_strength(shop, chosen, other, whole)) is not None]
     kind, distances = one.hidden.kind, {}
     names = kind.neighbours if kind.accepted else tuple(INSIDE)
     for name in names:
@@ -244,8 +242,9 @@ def _apart(
             place = name.split(":")[1]
         if place is None or set(neighbour.accepted) & set(kind.accepted):
             continue
-        alike = [units(signal) for signal in _variants(shop, one, Hidden(neighbour, place, {}, 1.0), base)]
-        distances[name] = left_over(effect, columns + alike)
+        shapes = _shapes(shop, one, neighbour, place)
+        alike = [_most_alike(shop, others, Hidden(neighbour, place, shape, 1.0), base, effect, units, columns) for shape in shapes]
+        distances[name] = min(left_over(effect, columns if signal is None else [*columns, signal]) for signal in alike)
     return {
         "detectability": left_over(effect, columns),
         "distances": distances,
@@ -253,26 +252,54 @@ def _apart(
     }
 
 
-def _variants(shop: Workshop, one: Chosen, like: Hidden, base: np.ndarray) -> list[np.ndarray]:
-    """Signals of a neighbour in a few shapes, at its kind's typical strength; beside a lag as long as the truth's."""
+def _by_strength(shop: Workshop, chosen: tuple[Chosen, ...], other: Chosen, whole: np.ndarray) -> np.ndarray | None:
+    """Derivative (N, C) by one effect's strength, beside all of them, per share of it."""
+    stronger = tuple(replace(each, strength=each.strength * (1.0 + DERIVATIVE_STEP)) if each is other else each for each in chosen)
+    answer = shop.matrix(shop.setup(stronger), shop.training)
+    return None if answer is None else (answer - whole) / DERIVATIVE_STEP
+
+
+def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Shape]:
+    """A few shapes of a neighbour, with what it can have of the truth's."""
     rng = np.random.default_rng([shop.case.seed, 7])
-    signals = []
-    lags = one.hidden.kind.name in LAGS and like.kind.name in LAGS
-    strength = one.strength if lags else like.kind.typical(shop.machine, like.place)
-    variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and like.kind.draw(rng, shop.machine, like.place) else 1
+    variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and neighbour.draw(rng, shop.machine, place) else 1
+    shapes = []
     for variant in range(variants):
-        shape = like.kind.draw(rng, shop.machine, like.place)
+        shape = neighbour.draw(rng, shop.machine, place)
         shape |= {key: one.hidden.shape[key] for key in SHARED_SHAPE if key in shape and key in one.hidden.shape}
         if "k" in one.hidden.shape and "Np" in shape:
             shape["Np"] = one.hidden.shape["k"]
         if "Np" in one.hidden.shape and "k" in shape:
             shape["k"] = one.hidden.shape["Np"]
-        shape |= {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape}
-        hidden = Hidden(like.kind, like.place, shape, 1.0)
-        answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), shop.training)
-        if answer is not None:
-            signals.append(answer - base)
-    return signals
+        shapes.append(shape | {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape})
+    return shapes
+
+
+def _most_alike(
+    shop: Workshop,
+    others: tuple[Chosen, ...],
+    like: Hidden,
+    base: np.ndarray,
+    effect: np.ndarray,
+    units: NoiseUnits,
+    columns: list[np.ndarray],
+) -> np.ndarray | None:
+    """Whitened signal of a neighbour beside the others, as strong as imitates the truth best.
+
+    A stronger friction is no multiple of a weaker one: a joint sticks longer under it.
+    """
+    strength, signal = like.kind.typical(shop.machine, like.place), None
+    for _ in range(LIKENESS_STEPS):
+        answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training)
+        if answer is None:
+            strength *= 0.1
+            continue
+        signal = units(answer - base)
+        share = abs(float(coefficients(effect, [*columns, signal])[-1]))
+        if abs(share - 1.0) < ALIKE or share == 0.0:
+            break
+        strength = min(strength * float(np.clip(share, 0.02, 30.0)), like.kind.largest(shop.machine, like.place))
+    return signal
 
 
 # ---- what is written --------------------------------------------------------------------------------

@@ -71,7 +71,7 @@ def run(
     applied[:] = standing
     qvel[:] = 0.0
     forward(address, model, data, 0)
-    passed, middle_before = np.zeros((2, 6)), np.zeros(6)
+    passed, middle_before, slopes, bends = np.zeros((2, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     if with_imu:
         passed[0, :], passed[1, :] = sensor, sensor
     a[:] = 0.0
@@ -151,11 +151,14 @@ def run(
                 q[joint] += 0.5 * h * (v[joint] + v[joint] - h * a[joint])
             if with_imu and stage > 0:
                 for c in range(6):
-                    slope = (sensor[c] - middle_before[c]) / h if k + stage > 1 else 0.0
+                    if stage > 2:  # efforts jump where rows begin; within a row slopes and bends are known
+                        bends[c] = (sensor[c] - middle_before[c]) / h - slopes[c] if stage > 3 else 0.0
+                        slopes[c] = (sensor[c] - middle_before[c]) / h
+                    slope = slopes[c] + 0.5 * bends[c]
                     middle_before[c] = sensor[c]
                     pole = imu_poles[0] if c < 3 else imu_poles[1]
                     begun = passed[0, c]
-                    passed[0, c] = low_pass(begun, sensor[c], slope, pole, h)
+                    passed[0, c] = low_pass(begun, sensor[c] + bends[c] * h / 24.0, slope, pole, h)
                     if imu_poles[2] > 0.0:
                         passed[1, c] = low_pass(passed[1, c], 0.5 * (begun + passed[0, c]), (passed[0, c] - begun) / h, imu_poles[2], h)
     return -1
