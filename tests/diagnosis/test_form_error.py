@@ -159,7 +159,7 @@ def test_what_moves_with_the_machine_or_at_another_frequency_is_no_error_of_a_fl
 def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(carriage):
     runs, tuning = carriage
     assert can_err(EffectAt("cogging", "carriage"))
-    assert not can_err(EffectAt("encoder_eccentricity", "position_carriage"))
+    assert not can_err(EffectAt("constant_load", "carriage"))
     assert form_error(runs, TRAIN, tuning, fitted(runs, tuning, ("torque_constant", [1.05]))) is NO_ERROR
 
 
@@ -305,6 +305,20 @@ def test_another_function_of_the_same_reading_is_an_error_of_a_sensor_s(head, fo
     assert float(left @ left) < 0.1 * float(answer @ answer)
 
 
+@pytest.mark.parametrize(
+    ("found", "other"),
+    [([1e-3, 0.3, 0.0, 1.0], [1e-3, 1.9, 0.0, 1.0]), ([0.0, 0.0, 1e-4, 40.0], [0.0, 0.0, 1e-4, 80.0])],
+    ids=["a scale off its axis another way", "half a line"],
+)
+@pytest.mark.parametrize(("machine", "at"), [("head", "position_pan"), ("rider", "link_position_cart")], ids=["in the loop", "out of it"])
+def test_another_error_over_position_is_an_error_of_an_encoder_s(machine, at, found, other, request):
+    """As the free run has it: a loop that reads an error follows it."""
+    errors, answer = of_a_sensor(request.getfixturevalue(machine), *(("encoder_eccentricity", at, values) for values in (found, other)))
+    left = answer - np.linalg.lstsq(errors.responses.T, answer, rcond=1e-8)[0] @ errors.responses
+    assert answer @ answer > 50.0
+    assert float(left @ left) < 0.15 * float(answer @ answer)
+
+
 def test_another_lateness_counts_where_it_is_more_than_an_error_of_the_first(head):
     """Both stand out of the noise by far, alone: a lateness that grows by 0.03 and by 1 ms a second, beside one of 4 ms."""
     for growth_per_s, counts in ((3e-5, False), (1e-3, True)):
@@ -314,14 +328,16 @@ def test_another_lateness_counts_where_it_is_more_than_an_error_of_the_first(hea
         assert (errors.gain(answer, answer) < 1.0) is not counts
 
 
-@pytest.mark.parametrize("found", [SCALE, LATE], ids=["scale", "clock"])
-def test_what_moves_the_machine_is_no_error_of_a_sensor_that_the_loop_does_not_read(head, found):
+@pytest.mark.parametrize(
+    "found", [SCALE, LATE, ("encoder_eccentricity", "position_pan", [1e-3, 0.3, 0.0, 1.0])], ids=["scale", "clock", "encoder"]
+)
+def test_what_moves_the_machine_is_no_error_of_a_sensor(head, found):
     errors, answer = of_a_sensor(head, found, ("coulomb_friction", "pan", [0.02]))
     assert len(errors.responses)
     assert errors.gain(answer, answer) > 0.8 * float(answer @ answer)
 
 
-def test_of_a_sensor_that_the_loop_reads_the_general_rule_is_kept(head):
+def test_of_a_clock_of_what_the_loop_reads_the_general_rule_is_kept(head):
     assert of_a_sensor(head, ("clock_offset", "position_pan", [0.002, 0.0]), LATE)[0] is NO_ERROR
 
 

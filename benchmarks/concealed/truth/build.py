@@ -31,7 +31,7 @@ LOSSES = 1
 
 SEARCH_STEPS = 4
 DERIVATIVE_STEP = 0.01
-NEIGHBOUR_VARIANTS = 3
+NEIGHBOUR_VARIANTS = 4
 SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 """Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
 
