@@ -113,8 +113,9 @@ def loop_response(
     """(L, C, joints + axes) response of the channels to an effort on every joint, and to what every axis' own encoder reads too much, the
     controllers closing the loop.
 
-    y = P_d d + P_u H u and u = -C_y (y + e) with H the hold and the row of delay between command and effort (docs/notation.md); without
-    controllers u does not answer. At s = growth_per_s + 2 pi j f: of efforts that grow so, a free joint's response is finite at 0 Hz too.
+    y = P_d d + P_u H u + e and u = -C_y y with H the hold and the row of delay between command and effort (docs/notation.md); without
+    controllers u does not answer. An axis without an encoder of its own answers to no error of it. At s = growth_per_s + 2 pi j f: of
+    efforts that grow so, a free joint's response is finite at 0 Hz too.
     """
     plant = compile_plant(machine.plant)
     model = plant.model(values)
@@ -129,11 +130,10 @@ def loop_response(
     from_drive = from_effort[:, :, list(plant.joint_of_axis().values())] * plant.drive_gains(model, equilibrium(plant, model, pose))
     labels = list(system.output_labels)
     command = np.zeros((len(s), axes, plant.joints + axes), dtype=complex)
-    rows = [labels.index(f"position_{axis}") for axis in machine.axes]
-    read = np.zeros((len(labels), axes))
-    read[rows, np.arange(axes)] = 1.0
-    seen = np.concatenate([from_effort, np.broadcast_to(read.astype(complex), (len(s), *read.shape))], axis=2)
+    read = np.array([[label == f"position_{axis}" for axis in machine.axes] for label in labels], dtype=complex)
+    seen = np.concatenate([from_effort, np.broadcast_to(read, (len(s), *read.shape))], axis=2)
     if machine.controllers:
+        rows = [labels.index(f"position_{axis}") for axis in machine.axes]
         feedback = np.zeros((len(s), axes), dtype=complex)
         for k, controller in enumerate(machine.controllers):
             upper, lower = (polyval(later, part.T) for part in np.split(controller.position_sections, 2, axis=1))

@@ -16,7 +16,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.start_waves import TURNING_WITH_THE_MOTOR
-from hil.diagnosis.through_the_loop import from_rest
+from hil.diagnosis.through_the_loop import from_rest, number_of_encoder
 from virtual_bus.effects.effect import CALIBRATION, CLOCK, COUPLING, ELASTIC, ENCODER_ERROR, FRICTION, LAG, LIMIT, TRANSMISSION
 from virtual_bus.effects.places import imu_channel_names, joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effects
@@ -109,7 +109,7 @@ def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, n
     found = runs.sets[name]
     motions = [Motion(runs.machine, tuning.values, group, found.channels) for group in found.groups]
     if kind is ENCODER_ERROR:
-        return _of_an_encoder(motions, effect.at, fitted.values[number])
+        return _of_an_encoder(motions, effect, fitted.values[number])
     if kind is COUPLING:
         return _inertias_between_axes(runs, name, trial, effect, motions)
     joint = joint_at(effect.at, plant)
@@ -184,28 +184,32 @@ def _of_a_drive(motions: Sequence[Motion], axis: str, lags: bool) -> list[list[F
     return found
 
 
-def _of_an_encoder(motions: Sequence[Motion], channel: str, values: np.ndarray) -> list[list[Function]]:
-    """Per group, other functions of position that an encoder may read too much, the loop with it where it reads that one: from the start
-    on, where an incremental one's error is none. Waves of its lines where these err.
+def _of_an_encoder(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) -> list[list[Function]]:
+    """Per group, other functions of position that an encoder may read too much, the loop with it where it reads that one: of an incremental
+    one none at the start of a run, where it begins to count. Waves of its lines where these err.
     """
-    machine = motions[0].machine
-    axis = channel.removeprefix("link_").removeprefix("position_")
-    parts = [motion.residual(axis) for motion in motions]
-    position = joined(parts).position
+    machine, channels = motions[0].machine, motions[0].channels
+    axis, is_link = effect.at.removeprefix("link_").removeprefix("position_"), effect.at.startswith("link_")
+    if effect.at not in channels:
+        return []
+    column = channels.index(effect.at)
+    counts_from_the_start = not next(one.absolute for one in machine.plant.encoders if one.channel == effect.at)
+    each = [motion.group.mean[:, column] if is_link else motion.residual(axis).position for motion in motions]
+    position = np.concatenate(each)
     functions = _hats(position, KNOTS)
-    _, _, by_line, lines = values
-    if by_line > 0.0:
-        waves = [wave(order * lines * position) for order in HARMONICS for wave in (np.cos, np.sin)]
+    named = dict(zip((parameter.name for parameter in effects()[effect.effect].parameters), values, strict=True))
+    if named["b"] > 0.0:
+        waves = [turn(order * named["Nl"] * position) for order in HARMONICS for turn in (np.cos, np.sin)]
         functions += [*waves, *(wave * hat for wave in waves[:2] for hat in _hats(position, SLOW_KNOTS))]
-    ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
+    ends = np.cumsum([0, *(len(own) for own in each)])
     found = []
-    for a, b in pairwise(ends):
-        errors = [function[a:b] - function[a] for function in functions]
-        if channel.startswith("link_"):
-            found.append([Function(readings=((motions[0].channels.index(channel), own),)) for own in errors])
+    for motion, (a, b) in zip(motions, pairwise(ends), strict=True):
+        is_none_at_first = counts_from_the_start and not motion.group.windows[0].start
+        errors = [function[a:b] - (function[a] if is_none_at_first else 0.0) for function in functions]
+        if is_link:
+            found.append([Function(readings=((column, own),)) for own in errors])
         else:
-            encoder = len(machine.plant.tree.joints) + machine.axis_index(axis)
-            found.append([Function(((encoder, own),)) for own in errors])
+            found.append([Function(((number_of_encoder(machine, axis), own),)) for own in errors])
     return found
 
 

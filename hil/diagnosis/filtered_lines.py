@@ -64,7 +64,7 @@ def line_starts(
         A base motion.
     motions : sequence of Motion
         Of every training group, beside what was found.
-    behind : sequence of (N, joints) arrays
+    behind : sequence of (N, joints + axes) arrays
         The residual taken back through the loop (`ThroughTheLoop.efforts_behind`).
     left : (M + F,) array
         The residual with re-tuning taken out.

@@ -35,7 +35,7 @@ mode stands out of the noise of four repeats at 1.6 kHz still."""
 
 TO_NO_STEP = FINE_STEPS**2 / (FINE_STEPS**2 - 1.0)
 """Of that difference, what steps without end would change: a second-order error is a sixteenth in the finer steps (Richardson's
-extrapolation). That sixteenth made IMUs late by 4 microseconds, three deviations of some nulls' clock offsets."""
+extrapolation), which made IMUs late by 4 microseconds."""
 
 WORTH_A_BATCH = 4
 """Trials that are begun with before anybody waits, and from which on another thread takes some of them: LANES of them take hardly longer

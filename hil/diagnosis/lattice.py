@@ -85,9 +85,11 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     readings = np.unique(np.concatenate(rows)) if rows else np.empty(0)
     if len(readings) < LEAST_STEPS:
         return None
-    counts = _whole_counts(measured, readings, own_step)
-    if counts is not None:
-        return counts if counts.step / np.sqrt(12.0) > MATTERS * _fast_spread(measured) else None
+    written = WRITTEN * float(np.abs(readings).max())
+    numbers = np.rint((readings - readings[0]) / own_step) if own_step > 4.0 * written else np.empty(0)
+    if numbers.size and np.all(np.abs(readings - readings[0] - own_step * numbers) <= 2.0 * written):
+        counts = _of_counts(measured, np.unique(numbers), own_step, written)
+        return counts if counts is not None and counts.step / np.sqrt(12.0) > MATTERS * _fast_spread(measured) else None
     off = 0.5 * own_step + WRITTEN * float(np.abs(readings).max())
     changes = np.concatenate([np.abs(np.diff(row)) for row in rows])
     changes = changes[changes > 2.0 * off]
@@ -118,22 +120,18 @@ def coarser_lattice(measured: Sequence[np.ndarray], own_step: float) -> Lattice 
     return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
 
 
-def _whole_counts(measured: Sequence[np.ndarray], readings: np.ndarray, own_step: float) -> Lattice | None:
-    """The lattice, of several of the encoder's own counts or rounded to them, that distinct readings lie on; None where there is none."""
-    written = WRITTEN * float(np.abs(readings).max())
-    if own_step <= 4.0 * written:
-        return None
-    numbers = np.rint((readings - readings[0]) / own_step)
-    if np.any(np.abs(readings - readings[0] - own_step * numbers) > 2.0 * written):
-        return None
-    several, unforeseen = int(np.gcd.reduce(numbers.astype(np.int64))), _unforeseen(measured, written)
+def _of_counts(measured: Sequence[np.ndarray], numbers: np.ndarray, own_step: float, written: float) -> Lattice | None:
+    """The lattice, of several of the encoder's own counts or rounded to them, that distinct numbers of counts lie on; None where there is
+    none.
+    """
+    several, unforeseen = int(np.gcd.reduce(numbers.astype(np.int64))), _unforeseen(measured, written, own_step)
     if several < 2:
         return _between_counts(numbers, unforeseen, own_step)
     if (unforeseen - 1) * np.log(several) < -np.log(CHANCE):
         return None
     step = several * own_step
     error = 2.0 * written * several / float(np.ptp(numbers))
-    return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(readings))
+    return Lattice(step, (step - 1.96 * error, step + 1.96 * error), len(numbers))
 
 
 def _between_counts(numbers: np.ndarray, unforeseen: int, own_step: float) -> Lattice | None:
@@ -149,10 +147,13 @@ def _between_counts(numbers: np.ndarray, unforeseen: int, own_step: float) -> La
     return Lattice(0.5 * (low + high), (low, high), len(numbers))
 
 
-def _unforeseen(measured: Sequence[np.ndarray], off: float) -> int:
-    """How many distinct readings, each within `off` of what was meant, were not reached at the speed of the two samples before them."""
+def _unforeseen(measured: Sequence[np.ndarray], off: float, own_step: float = 0.0) -> int:
+    """How many distinct readings, each within `off` of what was meant, were not reached at the speed of the two samples before them. Counts
+    are distinct as such.
+    """
     came = [(row[2:], np.abs(np.diff(row, 2)) > 4.0 * off) for repeats in measured for row in repeats]
-    return len(np.unique(np.concatenate([reading[is_new] for reading, is_new in came])))
+    readings = np.concatenate([reading[is_new] for reading, is_new in came])
+    return len(np.unique(np.rint((readings - readings[:1]) / own_step) if own_step else readings))
 
 
 def _fast_spread(measured: Sequence[np.ndarray]) -> float:

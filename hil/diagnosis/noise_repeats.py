@@ -38,7 +38,7 @@ ON_LATTICE = 0.02
 """Of a count, by which steps may miss the lattice: other channels have none."""
 
 AT_ONE_VALUE = 0.5
-"""Share of runs at one value from which on it is a limit or a dead band."""
+"""Share of runs at one value, or at both ends of the range, above which it is a dead band, or the ends are limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +138,11 @@ def _windows(small: np.ndarray, length: int) -> int:
 
 
 def _is_at_one_value(measured: np.ndarray, runs: np.ndarray) -> bool:
-    """Whether runs, long or short, hold one value as often as a limit or a dead band does."""
+    """Whether runs, long or short, hold one value, or either end of the range, as often as a dead band or limits do."""
     values = measured[runs[:, 0], runs[:, 1]]
-    ends = (values == measured.max()) | (values == measured.min())
+    at_ends = int(np.sum((values == measured.max()) | (values == measured.min())))
     most = int(np.unique(values, return_counts=True)[1].max())
-    return bool(ends.any()) or most > max(2, AT_ONE_VALUE * len(values))
+    return max(at_ends, most) > max(2, AT_ONE_VALUE * len(values))
 
 
 def _runs(same: np.ndarray) -> np.ndarray:

@@ -245,8 +245,7 @@ class _Search:
             return judgement.contenders(after(part), [one.fitted], tried, placebo, limits)[0].passed
 
         def is_no_chance_beside_its_parts(one: Contender) -> bool:
-            """Of a pair that is judged against nothing: beside what either effect leaves, noise is as strong along the other as it is."""
-            parts = [part for part in judged if size == 0 and part.passed and set(part.fitted.effects) < set(one.fitted.effects)]
+            parts = parts_that_passed(one, judged) if size == 0 else []
             return all(judgement.by_chance(after(part), one.fitted, tried) < 1.0 for part in parts)
 
         def without_surplus(sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
@@ -371,6 +370,13 @@ def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: 
             if part.cost - fit.cost < needed_gain(tried.sets(added), max(fit.freedom - part.freedom, 1), fit.cost, entries):
                 return False
     return True
+
+
+def parts_that_passed(one: Contender, singles: Sequence[Contender]) -> list[Contender]:
+    """Smaller sets that are there for certain. A pair is judged against nothing, and beside such a part of it the other effect must gain
+    more than chance, too: along its response noise may be stronger than the model says, which a pair's whole response hides.
+    """
+    return [part for part in singles if part.passed and set(part.fitted.effects) < set(one.fitted.effects)]
 
 
 def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:

@@ -19,8 +19,9 @@ ORDERS_AROUND = 10.0
 """Cycles per travel around an order whose median power is what noise has there: a wave is two wide."""
 
 MOST_ORDERS = 8000
-HIGHEST_ORDER_Hz = 40.0
-"""Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through."""
+HIGHEST_ORDER_Hz, HIGHEST_MISSING_Hz = 40.0, 20.0
+"""Orders that pass faster than this at the usual speed are not looked for: the loop and the drive do not let them through. In what is
+missing at a joint, which is known up to some 30 Hz, they are looked for no further than the second."""
 
 ONE_HARMONIC = 0.5
 TWO_HARMONICS = 0.75 * np.sqrt(2.5)
@@ -66,10 +67,10 @@ def wave_orders(
     return find
 
 
-def range_of_orders(residual: Residual, typical: Typical) -> tuple[float, float]:
+def range_of_orders(residual: Residual, typical: Typical, highest_Hz: float = HIGHEST_ORDER_Hz) -> tuple[float, float]:
     """Radians per radian (or metre) of the joint between which orders are looked for."""
     usual_speed = max(float(np.sqrt(np.mean(residual.speed**2))), 1e-6)
-    return 2.0 * np.pi / typical.travel * 0.75, 2.0 * np.pi * highest_seen_Hz(HIGHEST_ORDER_Hz, 1.0 / typical.sample_s) / usual_speed
+    return 2.0 * np.pi / typical.travel * 0.75, 2.0 * np.pi * highest_seen_Hz(highest_Hz, 1.0 / typical.sample_s) / usual_speed
 
 
 def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, count: int) -> list[float]:
@@ -78,7 +79,7 @@ def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, 
     As many (`count`) that stand out most of the orders around them, and as many of the largest power: what is missing is an effort, and
     noise of positions grows in it with the square of frequency, so the largest power is that of noise at high orders.
     """
-    lowest, highest = range_of_orders(residual, typical)
+    lowest, highest = range_of_orders(residual, typical, HIGHEST_MISSING_Hz)
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     every = max(1, len(values) // 3000)

@@ -96,6 +96,11 @@ class ThroughTheLoop:
         return [loop.back(own) for loop, own in zip(self.loops, rows, strict=True)]
 
 
+def number_of_encoder(machine: Machine, axis: str) -> int:
+    """Stands for a joint's number where what acts is what an axis' own encoder reads too much."""
+    return len(machine.plant.tree.joints) + machine.axis_index(axis)
+
+
 def from_rest(effort: np.ndarray) -> np.ndarray:
     """An effort (N,) that begins with the record: on its first row it is not there yet, and the machine does not stand under it."""
     return np.concatenate([[0.0], effort[1:]])

@@ -78,7 +78,7 @@ def smooth(random: np.random.Generator, rows: int) -> np.ndarray:
 def test_efforts_behind_a_record_have_its_products_with_their_responses(machine, request):
     runs, tuning = request.getfixturevalue(machine)
     loop, random = ThroughTheLoop(runs, TRAIN, tuning), np.random.default_rng(1)
-    joints = [joint for joint in range(len(runs.machine.plant.tree.joints)) for _ in range(3)]
+    joints = [joint for joint in range(len(runs.machine.plant.tree.joints) + len(runs.machine.axes)) for _ in range(3)]
     efforts = [[(joint, smooth(random, len(group.time_s))) for joint in joints] for group in runs.sets[TRAIN].groups]
     responses, record = loop.responses(efforts), random.standard_normal(len(tuning.predicted))
     behind = loop.efforts_behind(record)

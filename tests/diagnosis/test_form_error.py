@@ -12,6 +12,7 @@ from carriage import MACHINE, repeats
 
 from hil.diagnosis.align import aligned
 from hil.diagnosis.candidates import setting_of
+from hil.diagnosis.disturbance import loop_response
 from hil.diagnosis.error_functions import can_err, since_reversal
 from hil.diagnosis.form_error import NO_ERROR, FormError, form_error
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
@@ -20,6 +21,7 @@ from hil.diagnosis.motion import Motion
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import retune
+from hil.diagnosis.through_the_loop import ThroughTheLoop, number_of_encoder
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
@@ -317,6 +319,32 @@ def test_another_error_over_position_is_an_error_of_an_encoder_s(machine, at, fo
     left = answer - np.linalg.lstsq(errors.responses.T, answer, rcond=1e-8)[0] @ errors.responses
     assert answer @ answer > 50.0
     assert float(left @ left) < 0.15 * float(answer @ answer)
+
+
+@pytest.mark.parametrize(("machine", "axis", "share"), [("head", "pan", 0.1), ("rider", "cart", 1e-6)], ids=["closed loop", "open loop"])
+def test_the_loop_answers_to_what_an_encoder_reads_too_much_as_the_free_run_does(machine, axis, share, request):
+    """A scale a little off its axis, but for the IMU, which turns in gravity. The inertia about pan, and its loop, change with tilt."""
+    runs, tuning = request.getfixturevalue(machine)
+    setting = setting_of(EffectAt("encoder_eccentricity", f"position_{axis}"), np.array([1e-4, 0.3, 0.0, 1.0]))
+    shown = runs.run_one(Trial(tuning.values, (setting,))) - tuning.predicted
+    found, number = runs.sets[TRAIN], runs.machine.axis_index(axis)
+    errors = [1e-4 * np.cos(group.position[:, number] + 0.3) for group in found.groups]
+    absolute = next(encoder.absolute for encoder in runs.machine.plant.encoders if encoder.channel == f"position_{axis}")
+    each = [[(number_of_encoder(runs.machine, axis), error if absolute else error - error[0])] for error in errors]
+    (answer,) = ThroughTheLoop(runs, TRAIN, tuning).responses(each)
+    kept = [not name.startswith(("imu_", "gyro_")) for name in found.channels]
+    answer, shown = (np.concatenate([rows[:, kept].ravel() for rows in runs.by_group(one)]) for one in (answer, shown))
+    assert shown @ shown > 50.0
+    assert np.sum((answer - shown) ** 2) < share * (shown @ shown)
+
+
+def test_an_axis_without_an_encoder_of_its_own_answers_to_no_error_of_it():
+    machine = load_machine("coupled_electric_drives")
+    lines = loop_response(machine, np.zeros(1), ("speed_motors",), np.array([0.5, 5.0]))
+    joints = len(machine.plant.tree.joints)
+    assert lines.shape == (2, 1, joints + 1)
+    assert np.all(lines[:, :, joints] == 0.0)
+    assert np.any(lines[:, :, :joints] != 0.0)
 
 
 def test_another_lateness_counts_where_it_is_more_than_an_error_of_the_first(head):

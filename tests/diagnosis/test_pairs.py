@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
-from hil.diagnosis.selection import has_no_surplus
+from hil.diagnosis.selection import has_no_surplus, parts_that_passed
 from virtual_bus.effects import presliding_hysteresis
 from virtual_bus.effects.motion import ReactionState
 
@@ -199,3 +200,12 @@ def test_what_was_found_beside_an_effect_is_tried_beside_its_rivals_too():
     assert beside_rivals(rivals, fitted(friction), both, [{warming}]) == [start]
     assert beside_rivals(rivals, fitted(friction), both, [{mode, warming}]) == []
     assert beside_rivals([fitted(mode, warming)], fitted(warming, mode), fitted(warming, mode, friction)) == []  # itself, in another order
+
+
+def test_a_pair_is_asked_about_beside_those_of_its_parts_that_are_there():
+    def contender(names: str, passed: bool) -> SimpleNamespace:
+        return SimpleNamespace(fitted=SimpleNamespace(effects=tuple(EffectAt(name, "arm") for name in names.split())), passed=passed)
+
+    there, refused, another = contender("cogging", True), contender("delay", False), contender("payload", True)
+    pair = contender("cogging delay", True)
+    assert parts_that_passed(pair, [there, refused, another, pair]) == [there]

@@ -35,8 +35,9 @@ NEIGHBOUR_VARIANTS = 4
 SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 """Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
 
-LIKENESS_STEPS, ALIKE = 4, 0.05
-"""Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
+LIKENESS_STEPS, ALIKE, NOTHING = 4, 0.05, 1e-9
+"""Times at most that a neighbour's strength is scaled to what imitates the truth best, how near to that it ends, and what counts as none of
+its signal, in deviations."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
             strength = safe
             continue
         found = left_over(units(answer - base), nominal)
-        if found < 1e-9:  # nothing yet: a gap, a stop or a limit that is not reached
+        if found < NOTHING:  # nothing yet: a gap, a stop or a limit that is not reached
             strength = min(4.0 * strength, safe)
             continue
         strength = min(strength * float(np.clip(wanted / found, 0.02, 30.0)), safe)
@@ -225,11 +226,11 @@ def _oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: l
 def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseUnits, columns: list[np.ndarray]) -> dict[str, object]:
     """How far one of the effects, beside the others, stands from nothing, and from each neighbour, with everything else refitted."""
     one, others = chosen[index], (*chosen[:index], *chosen[index + 1 :])
-    base, whole = (shop.matrix(shop.setup(beside), shop.training) for beside in (others, chosen))
-    assert whole is not None
-    if base is None:  # the others run away by themselves: what is there without any of them stands for it
-        others, base = (), shop.matrix(shop.setup(()), shop.training)
-    assert base is not None
+    base = shop.matrix(shop.setup(others), shop.training)
+    if base is None:  # the others run away by themselves: it is judged alone
+        others, chosen, base = (), (one,), shop.matrix(shop.setup(()), shop.training)
+    whole = shop.matrix(shop.setup(chosen), shop.training)
+    assert base is not None and whole is not None, f"case {shop.case.number}: the plant runs away"
     effect = units(whole - base)
     columns = columns + [units(change) for other in others if (change := _by_strength(shop, chosen, other, whole)) is not None]
     kind, distances = one.hidden.kind, {}
@@ -253,10 +254,10 @@ def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseU
 
 
 def _by_strength(shop: Workshop, chosen: tuple[Chosen, ...], other: Chosen, whole: np.ndarray) -> np.ndarray | None:
-    """Derivative (N, C) by one effect's strength, beside all of them, per share of it."""
-    stronger = tuple(replace(each, strength=each.strength * (1.0 + DERIVATIVE_STEP)) if each is other else each for each in chosen)
-    answer = shop.matrix(shop.setup(stronger), shop.training)
-    return None if answer is None else (answer - whole) / DERIVATIVE_STEP
+    """Derivative (N, C) by one effect's strength, beside all of them, per share of it: towards none, some are as strong as can be."""
+    weaker = tuple(replace(each, strength=each.strength * (1.0 - DERIVATIVE_STEP)) if each is other else each for each in chosen)
+    answer = shop.matrix(shop.setup(weaker), shop.training)
+    return None if answer is None else (whole - answer) / DERIVATIVE_STEP
 
 
 def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Shape]:
@@ -286,20 +287,25 @@ def _most_alike(
 ) -> np.ndarray | None:
     """Whitened signal of a neighbour beside the others, as strong as imitates the truth best.
 
-    A stronger friction is no multiple of a weaker one: a joint sticks longer under it.
+    A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well,
+    at the same strength: springs and loads may pull the other way.
     """
-    strength, signal = like.kind.typical(shop.machine, like.place), None
-    for _ in range(LIKENESS_STEPS):
+    largest = like.kind.largest(shop.machine, like.place)
+    strength = largest if like.kind.fixed else min(like.kind.typical(shop.machine, like.place), largest)
+    tried: list[tuple[float, np.ndarray]] = []
+    for _ in range(1 if like.kind.fixed else LIKENESS_STEPS):
         answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training)
         if answer is None:
             strength *= 0.1
             continue
         signal = units(answer - base)
+        tried.append((left_over(effect, [*columns, signal]), signal))
         share = abs(float(coefficients(effect, [*columns, signal])[-1]))
-        if abs(share - 1.0) < ALIKE or share == 0.0:
+        if abs(share - 1.0) < ALIKE:
             break
-        strength = min(strength * float(np.clip(share, 0.02, 30.0)), like.kind.largest(shop.machine, like.place))
-    return signal
+        does_nothing = float(np.linalg.norm(signal)) < NOTHING  # a gap, a stop or a limit that is not reached
+        strength = min(strength * (4.0 if does_nothing else float(np.clip(share, 0.02, 30.0))), largest)
+    return min(tried, key=lambda each: each[0])[1] if tried else None
 
 
 # ---- what is written --------------------------------------------------------------------------------

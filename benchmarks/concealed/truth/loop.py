@@ -151,7 +151,7 @@ def run(
                 q[joint] += 0.5 * h * (v[joint] + v[joint] - h * a[joint])
             if with_imu and stage > 0:
                 for c in range(6):
-                    if stage > 2:  # efforts jump where rows begin; within a row slopes and bends are known
+                    if stage > 2:  # efforts jump where rows begin: slopes and bends of middles further on, kept until then
                         bends[c] = (sensor[c] - middle_before[c]) / h - slopes[c] if stage > 3 else 0.0
                         slopes[c] = (sensor[c] - middle_before[c]) / h
                     slope = slopes[c] + 0.5 * bends[c]
