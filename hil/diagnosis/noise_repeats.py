@@ -31,6 +31,9 @@ LARGEST_CHANCE = 0.2
 LONGEST = 8
 """Repeats in a row that are asked for at most."""
 
+AMONG_THEM = 0.25
+"""Share of runs that may be by chance where many are seen."""
+
 ROUNDING = 1e-12
 """Of the largest reading, by which two of one value may differ."""
 
@@ -48,7 +51,7 @@ class Repeated:
     Attributes
     ----------
     rows : (R, N) bool array
-        Readings that are lost for certain: in runs so long that chance makes fewer than one.
+        Readings that are lost: in runs so long that chance makes fewer than one, or few of them.
     runs : int
         Such runs.
     least : int
@@ -92,7 +95,7 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     counts = steps / float(moved.min())
     if np.mean(np.abs(counts - np.rint(counts)) > ON_LATTICE) > ON_LATTICE:
         return None
-    chance = SAFETY * _chance(counts)
+    chance, by_others = (SAFETY * each for each in _chances(counts))
     telling = chance <= LARGEST_CHANCE
     still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
     runs, chance = _runs(still), chance[telling]
@@ -101,12 +104,14 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     by_chance = np.array([np.sum(chance**k) for k in lengths]) + quiet
     seen = np.array([np.sum(runs[:, 2] >= k) for k in lengths])
     unlikely = (LONGEST - 1) * float(np.min(scipy.stats.poisson.sf(seen[1:] - 1, by_chance[1:])))
-    least = 1 + int(np.sum(by_chance >= 1.0))
+    certain = by_chance < np.maximum(1.0, AMONG_THEM * seen)
+    least = 1 + int(np.argmax(certain)) if certain.any() else LONGEST + 1
     long = runs[runs[:, 2] >= least]
     if unlikely > largest_chance or least > LONGEST or not len(long) or _is_at_one_value(measured, runs):
         return None
-    lost = max(float(runs[:, 2].sum()) - float(chance.sum()) / SAFETY, float(long[:, 2].sum()))
-    return _losses(long, least, lost, chance.size, measured.shape)
+    lively = by_others <= LARGEST_CHANCE  # where the other repeats say so: in a burst's own rows nothing moves
+    lost = float(np.sum(counts[lively] == 0.0)) - float(by_others[lively].sum()) / SAFETY
+    return _losses(long, least, max(lost, float(long[:, 2].sum())), max(int(lively.sum()), chance.size), measured.shape)
 
 
 def _losses(long: np.ndarray, least: int, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
@@ -122,14 +127,17 @@ def _losses(long: np.ndarray, least: int, lost: float, telling: int, shape: tupl
     return Repeated(rows, len(long), least, share, (float(low * share), float(min(high * share, 1.0))), length)
 
 
-def _chance(counts: np.ndarray) -> np.ndarray:
-    """(R, N - 1) probability of a repeat by the smallest of what says how strong the noise is, from steps in counts."""
+def _chances(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(R, N - 1) probabilities of a repeat, from steps in counts: by the smallest of what says how strong the noise is, and by the other
+    repeats alone.
+    """
     third = np.pad(np.abs(np.diff(counts, n=2, axis=1)), ((0, 0), (1, 1)), mode="edge") / np.sqrt(10.0)  # as strong as white noise's steps
     sizes = np.abs(counts)
     spreads = [scipy.ndimage.median_filter(third, size=(1, rows), mode="nearest") for rows in AROUND]
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(sizes, ((0, 0), (OTHERS // 2, OTHERS // 2)), mode="edge"), OTHERS, axis=1)
-    spreads.append(np.stack([np.median(np.delete(windows, r, axis=0), axis=(0, 2)) for r in range(len(counts))]))
-    return DENSITY / np.maximum(np.min(spreads, axis=0) / 0.6745, 1e-9)
+    others = np.stack([np.median(np.delete(windows, r, axis=0), axis=(0, 2)) for r in range(len(counts))])
+    least, others = (DENSITY / np.maximum(spread / 0.6745, 1e-9) for spread in (np.min([*spreads, others], axis=0), others))
+    return least, others
 
 
 def _windows(small: np.ndarray, length: int) -> int:

@@ -91,16 +91,20 @@ def test_few_losses_show_in_noise_that_repeats_no_reading_so_often_in_a_row():
     assert np.isnan(kept).sum() <= 20 + 3
 
 
-@pytest.mark.parametrize("share", [0.1, 0.4])
-def test_many_losses_of_a_channel_that_does_not_move_are_measured(share):
+@pytest.mark.parametrize(("share", "count"), [(0.1, 0.05), (0.1, 0.1), (0.4, 0.05), (0.4, 0.15)])
+def test_many_bursts_of_losses_of_a_channel_that_does_not_move_are_measured(share, count):
     """The largest reading of all among them."""
     random = np.random.default_rng(2)
-    measured, simulated = in_noise()
-    for r, k in zip(*np.nonzero(random.random((3, 3000)) < share), strict=True):
-        measured[r, k, 1] = measured[r, max(k - 1, 0), 1]
+    measured, simulated = in_noise(count=count)
+    lost = np.zeros((3, 3000), dtype=bool)
+    for r in range(3):
+        for k in range(1, 3000):
+            lost[r, k] = random.random() < (0.75 if lost[r, k - 1] else 0.25 * share / (1.0 - share))
+            if lost[r, k]:
+                measured[r, k, 1] = measured[r, k - 1, 1]
     measured[0, 1000:1003, 1] = measured[:, :, 1].max()
     found = without_lost_samples(measured, simulated, CHANNELS)[1]["imu_x"]
-    assert found.share == pytest.approx(share, rel=0.1)
+    assert found.share == pytest.approx(lost.mean(), rel=0.15)
 
 
 @pytest.mark.parametrize(("radius", "angle"), [(0.0, 0.0), (0.9, 0.0), (0.9, 1.0), (0.95, 2.7), (0.98, 2.9), (0.9, np.pi)])
