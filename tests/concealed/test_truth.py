@@ -229,7 +229,7 @@ def test_the_oracle_gives_an_imitator_the_strength_that_imitates_best(machines):
 
 
 def test_the_oracle_asks_for_what_an_effect_does_beside_the_others(machines):
-    """A joint that a drag slows down visits less of what depends on its speed."""
+    """A joint that a friction slows down passes its cogs otherwise."""
     from concealed.truth.build import Chosen, _apart
     from concealed.truth.catalogue import KINDS
     from concealed.truth.draw import Hidden
@@ -237,9 +237,13 @@ def test_the_oracle_asks_for_what_an_effect_does_beside_the_others(machines):
 
     shop, units = a_shop(machines, "slider")
     hidden = [Hidden(KINDS[name], "carriage", KINDS[name].draw(np.random.default_rng(0), shop.machine, "carriage"), 1.0)
-              for name in ("quadratic_friction", "coulomb_friction")]  # fmt: skip
-    chosen = tuple(Chosen(each, each.kind.typical(shop.machine, each.place)) for each in hidden)
-    both, first = (shop.matrix(shop.setup(some), shop.training) for some in (chosen, chosen[:1]))
-    found = _apart(shop, chosen, 1, units, [])
-    assert found["detectability"] <= left_over(units(both - first), []) * (1.0 + 1e-9)
-    assert found["detectability"] > 0.1 * left_over(units(both - first), [])
+              for name in ("stribeck_friction", "cogging")]  # fmt: skip
+    each = zip(hidden, (4.0, 0.3), strict=True)
+    chosen = tuple(Chosen(one, times * one.kind.typical(shop.machine, one.place)) for one, times in each)
+    stronger = (Chosen(hidden[0], 1.01 * chosen[0].strength), chosen[1])
+    nothing, both, first, second, more = (
+        units(shop.matrix(shop.setup(some), shop.training)) for some in ((), chosen, chosen[:1], chosen[1:], stronger)
+    )
+    found = _apart(shop, chosen, 1, units, [])["detectability"]
+    assert found == pytest.approx(left_over(both - first, [more - both]), rel=0.02)
+    assert found != pytest.approx(left_over(second - nothing, [first - nothing]), rel=0.1)
