@@ -1,4 +1,4 @@
-"""What a diagnosis says, as frozen values, and the JSON that carries it."""
+"""What a diagnosis says, as frozen values, and the JSON that carries it: docs/formats.md has every key."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Diagnosis:
     seconds: float
 
     def document(self) -> dict[str, Any]:
-        """Plain values, as docs/diagnosis.md and the report's readers expect them."""
+        """Plain values, as docs/formats.md lays them out."""
         return {
             "verdict": self.verdict,
             "reason": self.reason,
