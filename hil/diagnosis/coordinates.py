@@ -12,7 +12,7 @@ from hil.diagnosis.free_run import Trial
 from hil.diagnosis.information import Free
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning
-from hil.diagnosis.start_frequencies import LIGHT
+from hil.diagnosis.start_frequencies import LIGHTEST
 from hil.diagnosis.visited import RANGE_AS_DEVIATION, Visited
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
@@ -53,7 +53,7 @@ ORDER_UNIT = "cycles/turn"
 FREQUENCY_UNIT = "Hz"
 """Of an effect that has a phase too it turns that by as much as the recording is long: a hundredth of 10 Hz is six radians after 10 s."""
 
-OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHT * RANGE_AS_DEVIATION}
+OF_A_MODE = {("structural_mode", "f"): 2.0 * LIGHTEST * RANGE_AS_DEVIATION}
 """Deviation, over itself, of a frequency beforehand whose search counts modes a bandwidth apart (`starts.shapes_of`): it is within one."""
 
 PHASE_STEP = 0.02

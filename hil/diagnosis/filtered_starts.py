@@ -1,4 +1,4 @@
-"""Starts by the matched filter: the residual goes back through the linear closed loop once, for waves over position and over time alike."""
+"""Starts by the matched filter: the residual goes back through the linear closed loop once, for waves over position and over time and for modes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import numpy as np
 
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.filtered_lines import line_starts
+from hil.diagnosis.filtered_modes import mode_starts
 from hil.diagnosis.filtered_orders import order_starts
 from hil.diagnosis.harmonics import FIRST_AND_SECOND
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.through_the_loop import ThroughTheLoop
 
-STARTS = {**dict.fromkeys(FIRST_AND_SECOND, order_starts), "base_motion": line_starts}
-"""Of every effect that is a wave."""
+STARTS = {**dict.fromkeys(FIRST_AND_SECOND, order_starts), "base_motion": line_starts, "structural_mode": mode_starts}
+"""Of every effect that is a wave, or swings."""
 
 
 def with_filtered_starts(
     loop: ThroughTheLoop, found: Sequence[Candidate], motions: Sequence[Motion], residual: np.ndarray
 ) -> list[Candidate]:
-    """Candidates whose waves start, before all else, at the orders and frequencies that the matched filter finds.
+    """Candidates whose waves and modes start, before all else, at the orders and frequencies that the matched filter finds.
 
     Parameters
     ----------

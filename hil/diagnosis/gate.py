@@ -116,6 +116,11 @@ class Gate:
     seen: float | None = None  # how far the held-out recordings go along it, in the same
 
     @property
+    def beyond_errors(self) -> float:
+        """Of the gain, what no error of equations found before explains."""
+        return self.gain if self.beyond is None else self.beyond
+
+    @property
     def certain_gain(self) -> float:
         """The gain less what chance gains more where the strength scatters more than the noise model says; it is never worth less than in
         units of that scatter.

@@ -87,6 +87,7 @@ class Contender:
     searched: float = 0.0  # what its search costs in log evidence, see `Tried`
     moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
     narrowed: Narrowed | None = None  # what that costs
+    known: float = 0.0  # energy that was removed in training before its last step by effects that it is known of how their equations err
 
     @property
     def gate(self) -> Gate:
@@ -96,6 +97,11 @@ class Contender:
     @property
     def passed(self) -> bool:
         return self.gate.passed  # those before did, or there were no further step
+
+    @property
+    def uncharged(self) -> float:
+        """What it gained, of its last step with what chance gains and without what errors of equations found before explain."""
+        return self.gained + self.gate.beyond_errors - self.gate.certain_gain
 
     @property
     def by_numbers(self) -> tuple[float, float]:
@@ -149,6 +155,13 @@ class Stand:
     def steps(self, *, numbers: bool) -> list[Gate]:
         """Gates of the steps that added nothing but effects of which numbers alone are unknown, or of the others."""
         return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
+
+    @property
+    def known_energy(self) -> float:
+        """That its effects removed in training of which it is known how they err; of what numbers alone are unknown nothing."""
+        numbers = numbers_of(self.fitted)
+        each = _each(self.effects, self.gates, lambda gate: gate.gain)
+        return sum(energy for effect, energy in each if effect in self.errors.effects and effect not in numbers)
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
         """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
@@ -291,6 +304,7 @@ class Judgement:
                     left,
                     (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),
                     tried.searched_for(fitted),
+                    known=before.known_energy,
                 )
             )
         return found
@@ -373,11 +387,11 @@ class Judgement:
         return max(scatter, seen) + form_variance(found, added, erring, 0.0), of_simulator
 
     def _beyond_held_out(self, before: Stand, after: Followed | None, fall: float) -> float:
-        """Of a held-out fall, what errors of the equations found before do not explain."""
+        """Of a held-out fall, what errors of the equations found before do not explain: more of it where what is added makes up for them."""
         if self._judge is None or before.held_out is None or after is None or not len(before.held_out_errors.responses):
             return fall
         taken = [before.held_out_errors.taken_by(self._judge.measured - run.predicted) for run in (before.held_out, after)]
-        return min(fall, fall - taken[0] + taken[1])
+        return fall - taken[0] + taken[1]
 
     def _agreement(self, before: Stand, after: Followed | None, fall: float, variance: float) -> tuple[float | None, float | None]:
         """Length of a held-out change and how far the recordings go along it, in standard deviations of the noise along it.

@@ -169,6 +169,9 @@ class Weighed:
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
+    apart: tuple[float, float] = (0.0, 0.0)  # of its misfits, in training and held out, what it leaves more than the set it is compared with
+    scatter: float = 1.0  # variance of the noise along the difference of both, in units of the noise model's
+    known: float = 0.0  # energy that effects removed in training which both have, and of which it is known how they err
 
     @property
     def misfit(self) -> float:
@@ -191,13 +194,24 @@ class Weighed:
         simpler = tuple((form.loss, tuple(form.information.tolist())) for form in fitted.simpler)
         return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
-    def in_units(self, train: float, held_out: float) -> Weighed:
-        """With misfits and information in units of these levels."""
+    def in_units(self, train: float, held_out: float, form_error: float = 0.0) -> Weighed:
+        """With misfits and information in units of these levels. What two sets have in common errs alike in both: where it is known how
+        (`form_error.py`), what tells them apart is taken beside that, and this share of what they have in common does not count.
+        """
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
         narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
-        in_units = replace(self, train=self.train / train, held_out=self.held_out / held_out)
+        shared = form_error * self.known, 0.0
+        in_train, in_held_out = (self._in_units(part, level, shared[part]) for part, level in enumerate((train, held_out)))
+        in_units = replace(self, train=in_train, held_out=in_held_out, apart=(0.0, 0.0), scatter=1.0)
         return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
+
+    def _in_units(self, part: int, level: float, shared: float) -> float:
+        """A misfit, in training or held out. Where noise varies more along what tells a set from another than the noise model says, so much
+        more of it counts there beside what equations err by.
+        """
+        whole, apart = (self.train, self.held_out)[part], self.apart[part]
+        return (whole - apart) / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +324,7 @@ def weighed(
 def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, weights: Weights) -> list[float]:
     """Of every set and, last, of nothing."""
     train, held_out = tempers_of(hypotheses, base, entries, weights)
-    *tempered, nothing = (h.in_units(train, held_out) for h in (*hypotheses, base))
+    *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
     best = min(hypotheses, key=lambda h: h.misfit)
     left = best.in_units(train, held_out).misfit
     evidence = _evidence(tempered, nothing, tried)

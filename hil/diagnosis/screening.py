@@ -32,6 +32,12 @@ LARGEST_RESCALE = 30.0
 ROUNDS = 3
 """Times a strength is tried: what first shows a thousandth of the noise is found by two factors of LARGEST_RESCALE."""
 
+SURE_TO_BE_SMALL = 100.0
+"""Energy of a response, in units of noise, that a strength is tried with again where its response is larger and no way of the residual. What
+swings along, or turns with another axis, is in proportion to its strength only while that is small: at a tenth of an arm's inertia a mass
+on a spring scored 0.0 where the one that was hidden, a thousandth of it, gains 190 (2975, spent).
+"""
+
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them. What a stop does is, as long as
 it is softer than the loop that pushes into it."""
@@ -119,6 +125,8 @@ def screen(
                 again.append((candidate, _rescaled(candidate.effect, values, amplitude)))
             elif amplitude < 0.0 and (flipped := _flipped(candidate.effect, values, -amplitude)) is not None:
                 again.append((candidate, flipped))
+            elif amplitude <= 0.0 and energy > SURE_TO_BE_SMALL:
+                again.append((candidate, _rescaled(candidate.effect, values, float(np.sqrt(SURE_TO_BE_SMALL / energy)))))
         if number == 0:
             again += [(parts[0][0], _mixture(parts, left)) for parts in singles.values()]
         tries = [(candidate, values) for candidate, values in again if values is not None]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from hil.diagnosis.motion import Motion
-from hil.diagnosis.start_frequencies import LIGHT, LOWEST_MODE_Hz, highest_mode_Hz, lines, modes
+from hil.diagnosis.start_frequencies import LIGHTEST, LOWEST_MODE_Hz, highest_mode_Hz, lines, modes
 from hil.diagnosis.start_waves import ONE_HARMONIC, WAVES, encoder_orders, position_friction, range_of_orders, wave_orders
 from hil.diagnosis.typical import Start, Typical
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
@@ -69,10 +69,10 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
         return max(WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
     if name == "base_motion":
         return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)
-    if name == "cable_spring":
-        return 1.0  # wherever it starts: a load and a spring, both in proportion, which a fit counts as its parameters
+    if name in ("cable_spring", "pose_dependent_dynamics"):
+        return 1.0  # wherever it starts: a load and a spring, or a sine and a cosine, in proportion, which a fit counts as its parameters
     if name == "structural_mode":
-        return float(max(starts, np.log(highest_mode_Hz(typical) / LOWEST_MODE_Hz) / (2.0 * LIGHT)))
+        return float(max(starts, np.log(highest_mode_Hz(typical) / LOWEST_MODE_Hz) / (2.0 * LIGHTEST)))
     return float(max(starts, 1))
 
 
@@ -148,6 +148,11 @@ def _warming(first: Start, residual: Residual, typical: Typical) -> list[Start]:
     return [{**start, "tau": share * typical.duration_s} for start in (first, warm) for share in (0.1, 1.0)]
 
 
+def _quarters(first: Start, residual: Residual, typical: Typical) -> list[Start]:
+    """The other three quarters of a turn: beside what was found, what is missing at a joint shows no inertia of a thousandth."""
+    return [{**first, "phi": float((first["phi"] + turn + np.pi) % (2.0 * np.pi) - np.pi)} for turn in (0.5 * np.pi, np.pi, 1.5 * np.pi)]
+
+
 def _ratio(residual: Residual) -> float:
     return residual.ratio
 
@@ -181,6 +186,7 @@ _OTHERS: dict[str, Callable[[Start, Residual, Typical], list[Start]]] = {
     "cable_spring": _slack,
     "base_motion": lines,
     "structural_mode": modes,
+    "pose_dependent_dynamics": _quarters,
     "backlash": lambda f, r, t: [{"b": share * t.deflection, "flank": share * t.deflection} for share in (0.0015, 0.006, 0.025, 0.1, 0.4)],
     "nonlinear_stiffness": _springs,
     "current_saturation": _several("imax", lambda f, r, t: [0.9 * t.current, 0.7 * t.current]),

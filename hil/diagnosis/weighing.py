@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.free_run import FreeRuns
-from hil.diagnosis.gate import needed_gain
+from hil.diagnosis.gate import Scatter, needed_gain
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.judgement import Contender, Stand
 from hil.diagnosis.naming import CAP_ASSUMED, Evidence, Weighed, are_of_the_file, not_told_apart, rarity_of
+from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.retune import Tuning
 
@@ -49,11 +50,22 @@ def evidence_of(
     )
     held_out = min((c.left_held_out for c in contenders), default=0.0) + max((c.gained_held_out for c in contenders), default=0.0)
 
+    best = max(contenders, key=lambda c: c.gained + c.gained_held_out, default=None)
+    scatter, projection = Scatter(runs), Projection.of(tuning)
+
     def weighing(c: Contender) -> Weighed:
+        left, apart, along, known = (train - c.gained, held_out - c.gained_held_out), (0.0, 0.0), 1.0, 0.0
+        if best is not None and c is not best and _are_of_one_step(c, best):
+            apart = best.uncharged - c.uncharged, best.gained_held_out - c.gained_held_out
+            left = train - best.gained + apart[0], left[1]
+            along = scatter.along(projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)])
+            known = c.known
         return Weighed(
             None,
-            train - c.gained,
-            held_out - c.gained_held_out,
+            *left,
+            apart=apart,
+            scatter=along,
+            known=known,
             searched=c.searched,
             passed=c.passed,
             by_numbers=c.by_numbers,
@@ -72,6 +84,12 @@ def evidence_of(
         cap=cap_of(runs),
         formless=tuple(weighing(c) for c in formless),
     )
+
+
+def _are_of_one_step(one: Contender, other: Contender) -> bool:
+    """Whether two sets of as many effects were added to the same set: what chance gains is taken off both alike."""
+    before = [[id(gate) for gate in each.gates if gate is not each.gate] for each in (one, other)]
+    return before[0] == before[1] and len(one.fitted.effects) == len(other.fitted.effects)
 
 
 def cap_of(runs: FreeRuns) -> float:
