@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,17 @@ from hil.simulation.simulate import RATE_TOLERANCE
 
 HELD = ("reference_", "excitation_", "feedforward_", "damping_", "command_")
 """Channels that keep their value until the next row; the others are taken linearly between rows."""
+
+HELD_AT = 0.499
+"""So far behind a sample time, in the shorter of both sample periods, the row in force is the sample's: in the middle, for a row stamped
+late belongs to its tick; of rows that come faster than samples, the one where the sample begins, for measured values are taken there too.
+A hair less than half: a row that begins in the very middle leaves the sample to the one before it."""
+
+WHOLE = 1e-6
+"""So far, relatively, from a whole number of the machine's rows a period may be."""
+
+PERIOD_KEYS = ("period_samples", "settle_periods", "periods")
+"""Of the experiment's metadata: what makes a recording a periodic one."""
 
 LONGEST_GAP = 4.0
 """Rows of the machine's sample period over which measured values are interpolated; across longer gaps they are missing."""
@@ -42,7 +55,7 @@ def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, 
     Warns
     -----
     RecordingWarning
-        Where rows were not equally spaced, or not at the machine's rate, and have been resampled.
+        Where rows were not equally spaced, or not at the machine's rate, and have been resampled; where that leaves no whole periods.
     """
     return with_every_tick({label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()})
 
@@ -59,22 +72,36 @@ def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Record
             return recording
         reason = f"{rate:g} rows a second; {machine.name} runs at {machine.sample_rate_Hz:g} Hz"
     warnings.warn(f"{label}: {reason}; resampled to {machine.sample_rate_Hz:g} Hz", RecordingWarning, stacklevel=4)
-    return resampled(recording, machine.sample_rate_Hz)
+    return resampled(recording, machine.sample_rate_Hz, label)
 
 
-def resampled(recording: Recording, rate_Hz: float) -> Recording:
-    """A recording on equally spaced rows from its first to its last time."""
+def resampled(recording: Recording, rate_Hz: float, label: str = "the recording") -> Recording:
+    """A recording on equally spaced rows from its first to its last time, and what its metadata count in rows counted in these.
+
+    Parameters
+    ----------
+    recording : Recording
+    rate_Hz : float
+    label : str
+        What a warning calls it.
+
+    Warns
+    -----
+    RecordingWarning
+        Where its period is no whole number of the new rows: it is no periodic recording then.
+    """
     time = recording.time
     count = int(np.floor((time[-1] - time[0]) * rate_Hz + 1e-6)) + 1
     even = time[0] + np.arange(count) / rate_Hz
-    before = np.clip(np.searchsorted(time, even + 1e-9, side="right") - 1, 0, len(time) - 1)
+    middle = even + HELD_AT * min(1.0 / rate_Hz, float(np.median(np.diff(time))))
+    in_force = np.clip(np.searchsorted(time, middle, side="right") - 1, 0, len(time) - 1)
     channels = {"time": Channel("s", even)}
     for name, channel in recording.channels.items():
         if name == "time":
             continue
         values = channel.values
         if name.startswith(HELD) or is_whole(name):
-            channels[name] = Channel(channel.unit, values[before])
+            channels[name] = Channel(channel.unit, values[in_force])
             continue
         there = np.flatnonzero(np.isfinite(values))
         if there.size < 2:
@@ -84,7 +111,33 @@ def resampled(recording: Recording, rate_Hz: float) -> Recording:
         after = np.clip(np.searchsorted(time[there], even), 0, len(there) - 1)
         width = time[there][after] - time[there][np.maximum(after - 1, 0)]
         channels[name] = Channel(channel.unit, np.where(width * rate_Hz > LONGEST_GAP, np.nan, taken))
-    return Recording(channels, recording.metadata)
+    counted = {"experiment": _counted_in_new_rows(recording, rate_Hz, label)} if recording.experiment else {}
+    return Recording(channels, {**recording.metadata, **counted})
+
+
+def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> dict[str, Any]:
+    """The experiment's metadata; settling rows are rounded up. Lines, amplitudes and numbers of periods stay what they are."""
+    experiment = recording.experiment
+    ratio = _new_rows_per_row(recording, rate_Hz)
+    if isinstance(settle := experiment.get("settle_rows"), int):
+        experiment["settle_rows"] = ceil(settle * ratio * (1.0 - WHOLE))
+    if isinstance(samples := experiment.get("period_samples"), int):
+        period = samples * ratio
+        if abs(period - round(period)) <= WHOLE * period:
+            experiment["period_samples"] = round(period)
+        else:
+            words = f"{label}: its period of {samples} rows is {period:.6g} rows at {rate_Hz:g} Hz, no whole number; not split into periods"
+            warnings.warn(words, RecordingWarning, stacklevel=5)
+            experiment = {key: value for key, value in experiment.items() if key not in PERIOD_KEYS}
+    return experiment
+
+
+def _new_rows_per_row(recording: Recording, rate_Hz: float) -> float:
+    """1 where the recorder's rows, lost ones counted, stay within half a row of the new ones to the end: its stamps tell no better."""
+    steps, span = np.diff(recording.time), float(recording.time[-1] - recording.time[0])
+    rows = float(np.rint(steps / np.median(steps)).sum())
+    ratio = span * rate_Hz / rows
+    return 1.0 if abs(ratio - 1.0) <= RATE_TOLERANCE and abs(span * rate_Hz - rows) < 0.5 else ratio
 
 
 def suspicions(found: Mismatch) -> tuple[str, ...]:

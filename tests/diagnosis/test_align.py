@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.diagnosis.align import aligned, suspicions
+from hil.diagnosis.align import aligned, resampled, suspicions
 from hil.diagnosis.mismatch import mismatch
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
@@ -44,6 +44,56 @@ def test_another_rate_is_resampled():
     slow = np.arange(400) / 500.0
     with pytest.warns(RecordingWarning, match="500 rows a second"):
         assert aligned(MOTOR, {"rec": recording(slow, command_rotor=slow, position_rotor=slow)})["rec"].rows == 799
+
+
+@pytest.mark.parametrize(
+    ("stamps", "rate_Hz"),
+    [
+        (TIME / 0.9999, 1000.0),  # a clock of 999.9 Hz
+        (np.round(np.arange(ROWS) / 256.0, 6), 256.0),  # to the microsecond
+        (TIME + np.random.default_rng(1).uniform(-4e-4, 4e-4, ROWS), 1000.0),
+    ],
+)
+def test_an_input_stays_with_its_tick_however_late_its_row_is_stamped(stamps, rate_Hz):
+    kept = np.delete(np.arange(ROWS), [100, 700])
+    held = resampled(recording(stamps[kept], command_rotor=1.0 * kept), rate_Hz)["command_rotor"]
+    expected = np.arange(ROWS)[: len(held)]
+    expected[[100, 700]] -= 1  # lost: the row before holds
+    np.testing.assert_array_equal(held, expected)
+
+
+@pytest.mark.parametrize("rate_Hz", [400.0, 500.0, 1000.0, 2000.0, 5000.0])
+def test_at_another_rate_a_sample_has_the_input_in_force_when_it_begins(rate_Hz):
+    command = np.arange(800)
+    found = resampled(recording(command / rate_Hz, command_rotor=command), 1000.0)["command_rotor"]
+    np.testing.assert_array_equal(found, np.floor(np.arange(len(found)) * rate_Hz / 1000.0 + 1e-9))
+
+
+def of_periods(rate_Hz: float, **experiment) -> Recording:
+    time = np.arange(900) / rate_Hz
+    moved = recording(time, command_rotor=np.sin(time), position_rotor=np.sin(time))
+    return moved.with_metadata(experiment={"period_samples": 200, "settle_periods": 1, "periods": 3, "excited_lines": [3]} | experiment)
+
+
+def test_what_is_counted_in_rows_is_counted_in_the_machines():
+    with pytest.warns(RecordingWarning, match="500 rows a second"):
+        even = aligned(MOTOR, {"rec": of_periods(500.0, settle_rows=31)})["rec"]
+    assert even.experiment == {"period_samples": 400, "settle_periods": 1, "periods": 3, "excited_lines": [3], "settle_rows": 62}
+    assert [part.start for part in even.period_slices] == [400, 800, 1200]
+
+
+def test_periods_of_no_whole_number_of_rows_are_none():
+    with pytest.warns(RecordingWarning, match=r"rec: its period of 200 rows is 666\.667 rows at 1000 Hz.*not split"):
+        even = aligned(MOTOR, {"rec": of_periods(300.0, settle_rows=31)})["rec"]
+    assert even.experiment == {"excited_lines": [3], "settle_rows": 104}
+
+
+def test_lost_rows_leave_the_periods_as_they_are():
+    whole = of_periods(1000.0, settle_rows=31)
+    late = Recording({**whole.channels, "time": Channel("s", np.round(whole.time * 1.0001, 5))}, whole.metadata)
+    with pytest.warns(RecordingWarning, match="not equally spaced"):
+        even = aligned(MOTOR, {"rec": late.part(np.arange(900) != 450)})["rec"]
+    assert even.experiment == whole.experiment
 
 
 @pytest.mark.parametrize(
