@@ -23,11 +23,12 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     """Simulate what a machine would have recorded.
 
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
-    Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at the first position, with
-    the controller states of the recording's metadata, else with integrators at the holding effort. Where the metadata say how far from the
-    start pose the machine stood (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording
-    begins in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the
-    excitation: the simulation runs with that loop open.
+    Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at each axis' first
+    measured position (of its motor, else of its link; 0 where there is none), with the controller states of the recording's metadata, else
+    with integrators at the holding effort. Where the metadata say how far from the start pose the machine stood
+    (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording begins in motion, are the
+    axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the excitation: the simulation runs with
+    that loop open.
 
     Parameters
     ----------
@@ -144,7 +145,18 @@ def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | 
         return pose
     if reference is not None:
         return reference[0].copy()
-    return _complete(machine, recording, "position", np.zeros((1, len(machine.axes))))[0]
+    pose = np.zeros(len(machine.axes))
+    for i, axis in enumerate(machine.axes):
+        if (name := position_channel(recording, axis)) is not None:
+            values = recording[name]
+            pose[i] = values[np.isfinite(values)][0]
+    return pose
+
+
+def position_channel(recording: Recording, axis: str) -> str | None:
+    """Where an axis' measured position is read: motor encoder, else link encoder; None where neither has a reading."""
+    names = (f"position_{axis}", f"link_position_{axis}")
+    return next((name for name in names if name in recording and np.isfinite(recording[name]).any()), None)
 
 
 def _per_axis(machine: Machine, values: Sequence[float] | None, key: str) -> np.ndarray | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import one_mass
 import pytest
@@ -172,6 +174,25 @@ def test_an_open_loop_machine_is_driven_by_its_command():
     time_s, mass, damping, force = (np.arange(300) - 1) * 1e-3, 95.1089, 203.5034, 35.15065
     exact = force / damping * (time_s - mass / damping * (1.0 - np.exp(-damping / mass * time_s)))
     np.testing.assert_allclose(position[1:300], exact[1:], atol=0.5e-7)
+
+
+@pytest.mark.parametrize(
+    ("encoders", "start"),
+    [
+        ({"position": [0.02, 0.03], "link_position": [0.05, 0.06]}, 0.02),
+        ({"position": [np.nan, 0.03], "link_position": [0.05, 0.06]}, 0.03),
+        ({"position": [np.nan, np.nan], "link_position": [0.05, 0.06]}, 0.05),
+        ({"link_position": [0.05, 0.06]}, 0.05),
+        ({"position": [0.02, np.nan]}, 0.02),
+        ({}, 0.0),
+    ],
+)
+def test_an_open_loop_starts_at_the_first_reading_of_each_axis(encoders, start):
+    open_loop = replace(CARM, controllers=())
+    time = Channel("s", np.arange(2) / open_loop.sample_rate_Hz)
+    channels = {"time": time} | {f"command_{axis}": Channel("A", np.zeros(2)) for axis in open_loop.axes}
+    channels |= {f"{name}_roll": Channel("rad", np.array(values)) for name, values in encoders.items()}
+    np.testing.assert_array_equal(inputs_of(open_loop, Recording(channels, {})).start_pose, [0.0, start])
 
 
 def test_an_unstable_loop_is_reported_with_its_time():
