@@ -7,7 +7,7 @@ a finding of its own.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from math import ceil
 from typing import Any
 
@@ -21,7 +21,8 @@ from hil.recording import Channel, Recording, RecordingWarning
 from hil.recording.channels import is_whole
 from hil.simulation.simulate import RATE_TOLERANCE
 
-HELD = ("reference_", "excitation_", "feedforward_", "damping_", "command_")
+INPUTS = ("reference_", "excitation_", "feedforward_")
+HELD = (*INPUTS, "damping_", "command_")
 """Channels that keep their value until the next row; the others are taken linearly between rows."""
 
 HELD_AT = 0.499
@@ -57,7 +58,9 @@ def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, 
     RecordingWarning
         Where rows were not equally spaced, or not at the machine's rate, and have been resampled; where that leaves no whole periods.
     """
-    return with_every_tick({label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()})
+    even = {label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()}
+    moved = {label for label, recording in recordings.items() if even[label] is not recording}
+    return _equally_long(machine, with_every_tick(even), moved)
 
 
 def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Recording:
@@ -138,6 +141,36 @@ def _new_rows_per_row(recording: Recording, rate_Hz: float) -> float:
     rows = float(np.rint(steps / np.median(steps)).sum())
     ratio = span * rate_Hz / rows
     return 1.0 if abs(ratio - 1.0) <= RATE_TOLERANCE and abs(span * rate_Hz - rows) < 0.5 else ratio
+
+
+def _equally_long(machine: Machine, recordings: Mapping[str, Recording], moved: Set[str]) -> dict[str, Recording]:
+    """Repeats that resampling left a row apart, cut to the shortest: a last time a hair before its tick costs a row."""
+    groups: list[list[str]] = []
+    for label, recording in recordings.items():
+        for group in groups:
+            if all(_repeat_but_for_a_row(machine, recording, recordings[other]) for other in group):
+                group.append(label)
+                break
+        else:
+            groups.append([label])
+    cut = dict(recordings)
+    for group in groups:
+        shortest = min(recordings[label].rows for label in group)
+        for label in group if not moved.isdisjoint(group) else ():
+            if recordings[label].rows > shortest:
+                cut[label] = recordings[label].part(slice(shortest))
+    return cut
+
+
+def _repeat_but_for_a_row(machine: Machine, one: Recording, other: Recording) -> bool:
+    if abs(one.rows - other.rows) > 1 or one.machine_hash != other.machine_hash:
+        return False
+    if one.experiment.get("start_pose") != other.experiment.get("start_pose"):
+        return False
+    inputs = INPUTS if machine.controllers else (*INPUTS, "command_")
+    rows = min(one.rows, other.rows)
+    driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
+    return all(name in one and name in other and np.array_equal(one[name][:rows], other[name][:rows], equal_nan=True) for name in driven)
 
 
 def suspicions(found: Mismatch) -> tuple[str, ...]:

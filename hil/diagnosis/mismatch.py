@@ -1,8 +1,8 @@
 """Recordings beside their free-run simulation: repeats grouped, channels chosen, residuals.
 
 Repeats are recordings of the same reference, excitation (or command) and start pose, whatever an observer's damping added and however near
-to that pose they stood: one simulation answers all of them. A periodic recording without repeats is split into its periods instead, and its
-simulation is averaged over them.
+to that pose they stood; where none was asked for, their first readings are near each other. One simulation answers all of them. A periodic
+recording without repeats is split into its periods instead, and its simulation is averaged over them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from hil.diagnosis.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.lattice import Lattice, coarser_lattices, with_lattices
 from hil.diagnosis.loop_lattices import loop_lattices
 from hil.diagnosis.noise import NoiseModel, noise_model
+from hil.diagnosis.repeated import Member, are_repeats, from_mean_start, why_no_repeats
 from hil.diagnosis.simulated import channel_outputs
 from hil.diagnosis.spectra import FILTER_ORDER
 from hil.errors import MachineFileError, RecordingError
@@ -172,7 +173,8 @@ def mismatch(
     Warns
     -----
     RecordingWarning
-        Where a channel is left out because some of the recordings lack it.
+        Where a channel is left out because some of the recordings lack it, and where a recording is no repeat of another because of few
+        rows of its inputs.
     """
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
@@ -199,34 +201,13 @@ def mismatch(
     return Mismatch(machine, channels, units, made, noise, by_sensor(lost), lattices)
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    """One recording of a group.
-
-    `planned` are its inputs as the experiment asked for them, `inputs` with what an observer's damping added; `damped` is what the
-    simulation makes of that beyond the group's mean, by channel.
-    """
-
-    label: str
-    recording: Recording
-    machine: Machine
-    inputs: Inputs
-    planned: Inputs
-    damped: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-    def measured(self, channels: Sequence[str]) -> np.ndarray:
-        """(N, C) as they would be under the group's mean damping."""
-        rows = self.recording.matrix(channels)
-        return rows - np.column_stack([self.damped[name] for name in channels]) if self.damped else rows
-
-
-def _drawn(group: list[_Member], effects: Sequence[EffectSetting] | None) -> tuple[list[_Member], dict[str, np.ndarray]]:
+def _drawn(group: list[Member], effects: Sequence[EffectSetting] | None) -> tuple[list[Member], dict[str, np.ndarray]]:
     """The group and its simulated channels, from where its runs stood on average.
 
     An observer's damping answers to each run's own noise: repeats differ in it. The group is simulated under its mean, and what its
     deviation does to a repeat, by the nominal simulation, is taken out of that repeat.
     """
-    machine, first = group[0].machine, _from_mean_start([member.inputs for member in group])
+    machine, first = group[0].machine, from_mean_start(group)
     simulator = Simulator(machine)
     if all(member.inputs is member.planned for member in group) or len(group) == 1:
         return [replace(member, inputs=first) for member in group], channel_outputs(machine, simulator.run(first, effects=effects))
@@ -239,43 +220,40 @@ def _drawn(group: list[_Member], effects: Sequence[EffectSetting] | None) -> tup
     return under_own, mean
 
 
-def _from_mean_start(runs: Sequence[Inputs]) -> Inputs:
-    """The inputs of repeats, from the mean of where they stood and of the controller states they stood with; as they are if all alike."""
-    first = runs[0]
-    deviations = [np.zeros_like(first.start_pose) if run.deviation is None else run.deviation for run in runs]
-    if all(np.array_equal(one, deviations[0]) for one in deviations[1:]):
-        return first
-    states = [run.controller_states for run in runs if run.controller_states is not None]
-    if len(states) == len(runs):
-        mean = {axis: {name: np.mean([run[axis][name] for run in states], axis=0) for name in states[0][axis]} for axis in states[0]}
-        first = replace(first, controller_states=mean)
-    return replace(first, deviation=np.mean(deviations, axis=0))
-
-
 def _undamped(recording: Recording) -> Recording:
     """Without the channels of an observer's damping; itself where it has none."""
     kept = {name: channel for name, channel in recording.channels.items() if not name.startswith("damping_")}
     return recording if len(kept) == len(recording.channels) else Recording(kept, recording.metadata)
 
 
-def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[_Member]]:
+def _grouped(machine: Machine, recordings: Mapping[str, Recording]) -> list[list[Member]]:
     """Recordings of the same experiment together, in the order given."""
     machines = {machine.hash: machine, "": machine}
-    groups: list[list[_Member]] = []
+    groups: list[list[Member]] = []
     for label, recording in recordings.items():
         own = machines.setdefault(recording.machine_hash, _with_controller_of(machine, recording))
         try:
             inputs, plain = inputs_of(own, recording), _undamped(recording)
-            member = _Member(label, recording, own, inputs, inputs if plain is recording else inputs_of(own, plain))
+            member = Member(label, recording, own, inputs, inputs if plain is recording else inputs_of(own, plain))
         except RecordingError as problem:
             raise RecordingError(f"{label}: {problem}") from None
         for group in groups:
-            if group[0].machine is own and _same_inputs(group[0].planned, member.planned):
+            if group[0].machine is own and are_repeats(group[0], member):
                 group.append(member)
                 break
         else:
+            _warn_of_near_repeats(member, groups)
             groups.append([member])
     return groups
+
+
+def _warn_of_near_repeats(member: Member, groups: list[list[Member]]) -> None:
+    """Of a recording that opens a group of its own, in a line: few rows alone keep it from being a repeat."""
+    for group in groups:
+        if why := why_no_repeats(member, group[0]):
+            words = f"{member.label}: no repeat of {group[0].label}: {why}; taken for another experiment, they show no noise together"
+            warnings.warn(words, RecordingWarning, stacklevel=4)
+            return
 
 
 def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
@@ -289,13 +267,6 @@ def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
     if own.axes != machine.axes or bool(own.controllers) != bool(machine.controllers):
         return machine
     return replace(machine, controllers=own.controllers)
-
-
-def _same_inputs(one: Inputs, other: Inputs) -> bool:
-    """Whether both ask for the same motion: how far from its start pose a machine stood is its own affair."""
-    pairs = [(one.reference, other.reference), (one.command, other.command), (one.excitation, other.excitation)]
-    pairs += [(one.feedforward, other.feedforward), (one.start_pose, other.start_pose), (one.start_speed, other.start_speed)]
-    return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
 def _channels(machine: Machine, drawn: Sequence[tuple[str, Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
@@ -325,7 +296,7 @@ def _channels(machine: Machine, drawn: Sequence[tuple[str, Recording, Mapping[st
     return tuple(chosen)
 
 
-def _check(member: _Member, channels: Sequence[str]) -> None:
+def _check(member: Member, channels: Sequence[str]) -> None:
     """RecordingError where a channel that the others are judged by is absent, mostly missing or holds what no sensor reads."""
     if member.recording.rows < LEAST_ROWS:
         raise RecordingError(f"{member.label}: {member.recording.rows} rows; {LEAST_ROWS} at least, and seconds of motion, are needed")
@@ -351,7 +322,7 @@ def _is_silent(values: np.ndarray) -> bool:
     return values.size == 0 or bool(np.ptp(values) <= SILENT * max(np.abs(values).max(), 1e-300))
 
 
-def _group(members: Sequence[_Member], simulated: Mapping[str, np.ndarray], channels: tuple[str, ...]) -> RepeatGroup:
+def _group(members: Sequence[Member], simulated: Mapping[str, np.ndarray], channels: tuple[str, ...]) -> RepeatGroup:
     machine, inputs, recording = members[0].machine, members[0].inputs, members[0].recording
     measured = np.stack([member.measured(channels) for member in members])
     rows = np.column_stack([simulated[name] for name in channels])
@@ -399,7 +370,7 @@ def _whole_periods(recording: Recording) -> tuple[slice, ...]:
         return ()
 
 
-def _bins(members: Sequence[_Member], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]) -> np.ndarray:
+def _bins(members: Sequence[Member], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]) -> np.ndarray:
     """(N, len(names)) mean over repeats and windows of what was measured; simulated where it was not or where samples are missing."""
     columns = []
     for name in names:

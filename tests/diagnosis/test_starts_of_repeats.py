@@ -11,7 +11,9 @@ from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.location import locate_outcome
 from hil.diagnosis.mismatch import mismatch
-from hil.recording import Recording
+from hil.machine import load_machine
+from hil.recording import Channel, Recording, recording_metadata
+from hil.simulation import simulate
 from virtual_bus.settings import EffectSetting
 
 TIME_s = np.arange(400) / RAIL.sample_rate_Hz
@@ -35,6 +37,42 @@ def test_they_are_one_group_that_starts_at_the_mean():
 def test_the_simulation_beside_them_starts_there_too():
     found = mismatch(RAIL, {"a": stood(1e-5, 0.0, 1), "b": stood(3e-5, 0.0, 2)})
     assert found.groups[0].simulated[0, found.channels.index("position_carriage")] == 2e-5
+
+
+OPEN = load_machine("laas_anti_cogging")
+COUNT = OPEN.plant.encoders[0].resolution
+
+
+def driven(start: float, seed: int, noise: float = 0.0, **experiment: object) -> Recording:
+    """A run without a loop, its start known from its encoder alone."""
+    time_s = np.arange(400) / OPEN.sample_rate_Hz
+    channels = {"time": Channel("s", time_s), "command_rotor": Channel("A", 0.3 * np.sin(2.0 * np.pi * 3.0 * time_s))}
+    at_start = {"position_rotor": Channel("rad", np.full(400, start))}
+    position = simulate(OPEN, Recording(channels | at_start, recording_metadata(OPEN)))["position_rotor"]
+    read = position + noise * np.random.default_rng(seed).standard_normal(400)
+    return Recording(channels | {"position_rotor": Channel("rad", read)}, recording_metadata(OPEN, experiment=experiment))
+
+
+def test_first_readings_without_a_loop_differ_by_counts_and_are_averaged():
+    (group,) = mismatch(OPEN, {"a": driven(0.0, 1), "b": driven(6.0 * COUNT, 2), "c": driven(-3.0 * COUNT, 3)}).groups
+    assert group.repeats == 3
+    np.testing.assert_allclose(group.inputs.standing_pose, [COUNT], rtol=1e-9)
+
+
+def test_first_readings_without_a_loop_differ_by_noise():
+    noise = 100.0 * COUNT
+    runs = {f"run {seed}": driven(0.5, seed, noise) for seed in range(4)}
+    (group,) = mismatch(OPEN, runs).groups
+    assert group.repeats == 4
+    np.testing.assert_allclose(group.inputs.standing_pose, [np.mean([run["position_rotor"][0] for run in runs.values()])], rtol=1e-12)
+
+
+def test_another_pose_without_a_loop_is_another_experiment():
+    noise = 100.0 * COUNT
+    groups = mismatch(OPEN, {"a": driven(0.5, 1, noise), "b": driven(0.5 + 20.0 * noise, 2, noise)}).groups
+    assert [group.labels for group in groups] == [("a",), ("b",)]
+    asked = mismatch(OPEN, {"a": driven(0.0, 1, start_pose=[0.0]), "b": driven(COUNT, 2, start_pose=[COUNT])}).groups
+    assert len(asked) == 2
 
 
 def test_a_load_that_the_loop_holds_is_in_the_command_alone():
