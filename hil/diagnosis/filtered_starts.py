@@ -1,4 +1,4 @@
-"""Starts by the matched filter: the residual goes back through the linear closed loop once, for waves over position and over time and for modes."""
+"""Starts by the matched filter: the residual goes back through the linear loop once, for waves over position or time and for modes."""
 
 from __future__ import annotations
 

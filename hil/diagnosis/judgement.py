@@ -387,7 +387,7 @@ class Judgement:
         return max(scatter, seen) + form_variance(found, added, erring, 0.0), of_simulator
 
     def _beyond_held_out(self, before: Stand, after: Followed | None, fall: float) -> float:
-        """Of a held-out fall, what errors of the equations found before do not explain: more of it where what is added makes up for them."""
+        """Of a held-out fall, what errors of the equations found before do not explain: more, where what is added works against them."""
         if self._judge is None or before.held_out is None or after is None or not len(before.held_out_errors.responses):
             return fall
         taken = [before.held_out_errors.taken_by(self._judge.measured - run.predicted) for run in (before.held_out, after)]

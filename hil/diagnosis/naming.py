@@ -169,7 +169,10 @@ class Weighed:
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
-    apart: tuple[float, float] = (0.0, 0.0)  # of its misfits, in training and held out, what it leaves more than the set it is compared with
+    apart: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # of its misfits, in training and held out, what it leaves more than the set it is compared with
     scatter: float = 1.0  # variance of the noise along the difference of both, in units of the noise model's
     known: float = 0.0  # energy that effects removed in training which both have, and of which it is known how they err
 

@@ -33,10 +33,9 @@ ROUNDS = 3
 """Times a strength is tried: what first shows a thousandth of the noise is found by two factors of LARGEST_RESCALE."""
 
 SURE_TO_BE_SMALL = 100.0
-"""Energy of a response, in units of noise, that a strength is tried with again where its response is larger and no way of the residual. What
-swings along, or turns with another axis, is in proportion to its strength only while that is small: at a tenth of an arm's inertia a mass
-on a spring scored 0.0 where the one that was hidden, a thousandth of it, gains 190 (2975, spent).
-"""
+"""Energy of a response, in units of noise, that a strength is tried with again where its response is larger and none of the residual's way.
+What turns with another axis is in proportion to its strength only while that is small: an inertia over pose of a tenth of its axis' own
+scored 0.0 where the one that was hidden, a twentieth of it, gains 140 (3178, spent)."""
 
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them. What a stop does is, as long as

@@ -1,4 +1,4 @@
-"""Orders of waves and frequencies of base motions by the matched filter, on an arm whose gear errs by less than its encoders count."""
+"""Orders of waves and frequencies of base motions and modes by the matched filter, on an arm whose gear errs by less than it counts."""
 
 from __future__ import annotations
 
@@ -57,6 +57,16 @@ def arm():
     time_s = np.arange(ROWS) / ARM.sample_rate_Hz
     way = 0.5 * np.sin(2.0 * np.pi * 0.25 * time_s) * np.minimum(time_s, 1.0) + 0.1 * np.sin(2.0 * np.pi * 0.9 * time_s)
     found = runs_of(ARM, reference_arm=Channel("rad", way), excitation_arm=Channel("A", np.zeros(ROWS)))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    """The arm under noise up to 40 Hz, a fifth of an ampere."""
+    lines = np.fft.rfft(np.random.default_rng(4).standard_normal(ROWS)) * (np.fft.rfftfreq(ROWS, 1.0 / ARM.sample_rate_Hz) < 40.0)
+    noise = np.fft.irfft(lines, ROWS)
+    found = runs_of(ARM, reference_arm=Channel("rad", np.zeros(ROWS)), excitation_arm=Channel("A", 0.2 * noise / noise.std()))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         yield runs, retune(runs)
 
@@ -158,6 +168,19 @@ def test_a_load_that_is_missing_too_does_not_hide_a_base_motion(arm, load):
     weak = np.array([SHAKES[0] * 15.0 / np.sqrt(energy), *SHAKES[1:]])
     starts, _ = offered(arm, "base_motion", weak, load=load)
     assert abs(starts[0][1] - SHAKES[1]) < 0.3 * LINE_Hz
+
+
+@pytest.mark.parametrize("damping", [0.003, 0.03])
+@pytest.mark.parametrize("deviations", [30.0, 10.0])
+def test_a_light_mode_starts_at_its_frequency_and_mass(shaken, deviations, damping):
+    """The free run's own mode, with its loop, against a filter that takes the motion as it was recorded."""
+    swings = np.array([1e-4, 12.37, damping])
+    _, energy = offered(shaken, "structural_mode", swings)
+    mass = swings[0] * deviations / np.sqrt(energy)
+    starts, left = offered(shaken, "structural_mode", np.array([mass, *swings[1:]]))
+    assert left == pytest.approx(deviations**2, rel=0.2)
+    assert starts[0][1] == pytest.approx(swings[1], rel=max(0.5 * damping, 0.005))
+    assert starts[0][0] == pytest.approx(mass, rel=0.5)
 
 
 def test_nothing_is_added_to_what_is_no_wave(arm):

@@ -45,9 +45,13 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     repeats = [noise + scattered * a * directions[COULOMB] for a in (1.0, 0.0, -1.0)] if scattered else [noise]
     group = SimpleNamespace(time_s=np.zeros(ENTRIES))
-    sets, layout = {"train": SimpleNamespace(channels=("a",), groups=[group])}, SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
+    one, layout = SimpleNamespace(channels=("a",), groups=[group]), SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
+    sets = {"train": one, "held_out": one}
     runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [repeats], sets=sets, noise=layout)
-    equations = None if errors is None else lambda name, tuning, fitted: FormError(6.0 * directions[errors][None, :], fitted.effects)
+
+    def equations(name: str, tuning: Tuning, fitted: Fitted) -> FormError:
+        along = directions[errors] if name == "train" or not isinstance(held_out, OtherMotion) else held_out.error
+        return FormError(6.0 * along[None, :], fitted.effects)
 
     def fitted(*effects: EffectAt) -> Fitted:
         predicted = sum((measured @ directions[e]) * directions[e] for e in effects)
@@ -57,7 +61,7 @@ def bench(friction: float = 30.0, found: EffectAt = COULOMB, *, apart: bool = Fa
             effects, ((np.ones(1),) * len(effects)), np.zeros(0), predicted, cost, free, np.zeros((ENTRIES, len(effects))), np.ones(1)
         )
 
-    return Judgement(runs, tuning, held_out, float(ENTRIES), equations), fitted
+    return Judgement(runs, tuning, held_out, float(ENTRIES), None if errors is None else equations), fitted
 
 
 def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 30.0, apart: bool = False) -> Contender:
@@ -153,9 +157,11 @@ def test_what_was_searched_for_an_effect_found_before_is_kept():
 
 
 class OtherMotion:
-    """A recording of another motion: what fits of friction and load say of it, and what is in it besides."""
+    """A recording of another motion: what fits of friction and load say of it, and what is in it besides: noise, and an error of the
+    friction's equation, half of which looks like a load turned round.
+    """
 
-    def __init__(self, noise: float = 1.0, **strengths: float) -> None:
+    def __init__(self, noise: float = 1.0, errs: float = 0.0, **strengths: float) -> None:
         random = np.random.default_rng(7)
         directions = np.linalg.qr(random.standard_normal((ENTRIES, 3)))[0].T
         self._said = {
@@ -164,7 +170,8 @@ class OtherMotion:
         drawn = random.standard_normal(ENTRIES)
         drawn -= sum((drawn @ d) * d for d in directions)
         drawn *= noise * math.sqrt(ENTRIES) / np.linalg.norm(drawn)
-        self.measured = drawn + sum(self._said.values())
+        self.error = (directions[2] - directions[1]) / math.sqrt(2.0)
+        self.measured = drawn + sum(self._said.values()) + errs * self.error
 
     def follow(self, offset, settings):
         predicted = sum((self._said[setting.name] for setting in settings), np.zeros(ENTRIES))
@@ -205,6 +212,20 @@ def test_beside_a_large_effect_a_held_out_fall_must_exceed_what_its_equation_may
     assert chances[0] == pytest.approx(followed(64.0, 1.0), rel=0.5)
     assert chances[1] > 10.0 * chances[0]
     assert found.gate.predicted == pytest.approx(found.gate.seen) and found.gate.predicted < 8.0  # of 8, beyond that error
+
+
+def test_a_held_out_fall_counts_without_what_errors_of_the_equations_found_before_do_there():
+    """An error of 12, where it may be 6, hides a load of 8 from the misfit as it is. Against the matched filter in such noise."""
+    motion = OtherMotion(errs=12.0, coulomb_friction=60.0, constant_load=8.0)
+    judgement, fitted = bench(60.0, held_out=motion, errors=VISCOUS)
+    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), 0.0, {})[0])
+    (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), 0.0, {})
+    assert found.gate.held_out_gain < -70.0
+    load, left = motion._said["constant_load"], motion.measured - motion._said["coulomb_friction"]
+    weighed = load - motion.error * (36.0 / 37.0) * (motion.error @ load)  # (1 + 36 e e')^-1
+    assert found.gate.predicted == pytest.approx(math.sqrt(weighed @ load), rel=0.1)
+    assert found.gate.seen == pytest.approx(weighed @ left / math.sqrt(weighed @ load), rel=0.1)
+    assert found.gate.followed < 1e-3
 
 
 def test_what_training_hardly_shows_may_be_more_than_the_simulator_s_error_in_another_motion():

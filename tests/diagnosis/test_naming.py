@@ -55,6 +55,25 @@ def test_a_set_that_alone_removes_what_is_there_is_certain():
     assert wrong < 0.01
 
 
+@pytest.mark.parametrize(("scatter", "stands_alone"), [(1.0, True), (30.0, False)])
+def test_names_are_told_apart_in_units_of_the_noise_along_their_difference(scatter, stands_alone):
+    """Disturbances at reversals are ten times the noise model's along every friction."""
+    first = Weighed(None, ENTRIES, 0.0, (400.0,))
+    second = Weighed(None, ENTRIES + 40.0, 0.0, (400.0,), apart=(40.0, 0.0), scatter=scatter)
+    ranked, _ = weighed([first, second], Weighed(None, ENTRIES + 400.0, 0.0), (ENTRIES, 0.0), TRIED)
+    assert (ranked[0].confidence > ALONE) is stands_alone
+    assert ranked[0].misfit == first.misfit
+
+
+@pytest.mark.parametrize(("known", "stands_alone"), [(0.0, False), (26000.0, True)])
+def test_what_two_sets_have_in_common_errs_alike_in_both(known, stands_alone):
+    """Beside an inertia that removes 26 000 two errors of a gear differ by 250: of it is known how the inertia errs."""
+    entries, one = 27000.0, Weighed(None, 27000.0, 0.0, (26000.0, 1100.0))
+    other = Weighed(None, entries + 250.0, 0.0, (26000.0, 850.0), apart=(250.0, 0.0), known=known)
+    ranked, _ = weighed([one, other], Weighed(None, entries + 27100.0, 0.0), (entries, 0.0), TRIED)
+    assert (ranked[1].confidence < 0.02 * ranked[0].confidence) is stands_alone
+
+
 def test_sets_that_fit_alike_share_the_confidence():
     assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5 * CERTAIN, 0.5 * CERTAIN], abs=0.02)
 

@@ -64,6 +64,26 @@ def test_a_stop_softer_than_its_start_is_found():
     assert found["boom"].score == pytest.approx(hidden @ hidden, rel=1e-2)
 
 
+def test_what_swings_along_is_found_though_it_starts_a_thousand_times_too_heavy():
+    """An inertia over pose moves the recordings another way than the residual's until it is small."""
+
+    class Rotating(Linear):
+        def begin(self, trials):
+            def answer(J: float) -> np.ndarray:
+                return 100.0 * J * (np.cos(50.0 * J) * self.columns[:, 0] + np.sin(50.0 * J) * self.columns[:, 1])
+
+            return lambda: [sum(answer(one.parameters["dJ"]) for one in trial.effects) for trial in trials]
+
+    runs, hidden = Rotating("pose_dependent_dynamics"), 1e-4
+    wanted = 100.0 * hidden * runs.columns[:, 0]
+    noise = np.random.default_rng(3).standard_normal(ENTRIES) * 1e-6
+    tuning = Tuning((), np.zeros(0, dtype=int), np.ones(1), np.zeros(1), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 1)), np.eye(1))
+    guess = Candidate(EffectAt("pose_dependent_dynamics", "pan"), (np.array([0.06, 0.0]),))
+    assert np.cos(50.0 * 0.06) < 0.0
+    (found,) = screen(runs, tuning, [guess], wanted + noise)
+    assert found.values[0] == pytest.approx(hidden, rel=0.1)
+
+
 def test_many_alike_leave_a_fit_to_what_is_unlike_them():
     """Nine of one response and one across it: the best three are fitted, and the tenth."""
     friction, wave = np.eye(ENTRIES)[:2].astype(np.float32)
