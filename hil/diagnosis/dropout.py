@@ -30,7 +30,16 @@ BY_ITSELF = 1e-3
 CHANCE = 1e-6
 """Largest probability of as many repeated readings by themselves."""
 
-NOISY = ("imu_", "gyro_", "current_")
+COUNTS = 3.0
+"""White noise of a step, in smallest steps, from which it changes nearly every reading: what repeats is lost then, in motion or not."""
+
+MEETING = 2
+"""Bursts that may follow each other without a reading between them: what repeats for longer, out of motion, is at rest."""
+
+OF_IMU = ("imu_", "gyro_")
+"""Channels of the IMU."""
+
+NOISY = (*OF_IMU, "current_")
 """Channels that noise never leaves still; a joint that sticks between two motions repeats its encoder's reading."""
 
 
@@ -72,7 +81,8 @@ def without_lost_samples(
     Returns
     -------
     measured : (R, N, C) array
-        NaN where a reading of a channel that loses samples repeats the one before, or is held.
+        NaN where a sample is lost: a reading repeats the one before while the channel moves, or where noise would have changed it, or is
+        held. A reading that repeats at rest is right, and stays.
     lost : mapping of str to Dropout
         By channel.
     """
@@ -81,9 +91,12 @@ def without_lost_samples(
     for c, channel in enumerate(channels):
         steps = np.diff(measured[:, :, c], axis=1)
         same = steps == 0.0
-        least = MOVES_BY * _white_noise(steps[~same & np.isfinite(steps)], steps - np.diff(simulated[:, c]))
-        moving = _moves_around(steps, same, least)
-        count, repeated = int(moving.sum()), int((same & moving).sum())
+        changes = steps[~same & np.isfinite(steps)]
+        noise = _white_noise(changes, steps - np.diff(simulated[:, c]))
+        last, following = _changes_around(same)
+        moving = _moves_around(steps, last, following, MOVES_BY * noise)
+        in_motion = same & moving
+        count, repeated = int(moving.sum()), int(in_motion.sum())
         if count < LEAST_STEPS or scipy.stats.binom.sf(repeated - 1, count, BY_ITSELF) > CHANCE:
             found = _without_motion(measured[:, :, c], channel)
             if found is not None:
@@ -93,8 +106,12 @@ def without_lost_samples(
         share = repeated / count
         interval = scipy.stats.binomtest(repeated, count).proportion_ci(0.95)
         seen = f"{repeated} of {count} readings repeat the last one exactly while the channel moves"
-        lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(same), seen, float(count))
-        kept[:, 1:, c][same] = np.nan
+        lost[channel] = Dropout(share, (float(interval.low), float(interval.high)), _mean_length(in_motion), seen, float(count))
+        gone = in_motion
+        if noise > COUNTS * np.abs(changes).min():
+            length = following - last - 1
+            gone = in_motion | (same & (length <= MEETING * length[in_motion].max()))
+        kept[:, 1:, c][gone] = np.nan
     return kept, lost
 
 
@@ -113,16 +130,22 @@ def _without_motion(measured: np.ndarray, channel: str) -> tuple[Dropout, np.nda
     return Dropout(held.share, held.ci95, held.length, seen, held.evidence), held.rows
 
 
-def _moves_around(steps: np.ndarray, same: np.ndarray, least: float) -> np.ndarray:
-    """(R, N - 1) steps whose last and next change are both larger than `least` and the same way: a joint that sticks does not look so."""
-    rows = np.arange(steps.shape[1])
+def _changes_around(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(R, N - 1) columns of the last step before each one and of the next one after it that change the reading; -1 and N - 1 for none."""
+    rows = np.arange(same.shape[1])
     last = np.maximum.accumulate(np.where(same, -1, rows), axis=1)
     following = np.minimum.accumulate(np.where(same, len(rows), rows)[:, ::-1], axis=1)[:, ::-1]
-    last = np.concatenate([np.full((len(steps), 1), -1), last[:, :-1]], axis=1)  # before the step itself
-    following = np.concatenate([following[:, 1:], np.full((len(steps), 1), len(rows))], axis=1)
-    inside = (last >= 0) & (following < len(rows))
-    before = np.take_along_axis(steps, np.clip(last, 0, len(rows) - 1), axis=1)
-    after = np.take_along_axis(steps, np.clip(following, 0, len(rows) - 1), axis=1)
+    last = np.concatenate([np.full((len(same), 1), -1), last[:, :-1]], axis=1)
+    following = np.concatenate([following[:, 1:], np.full((len(same), 1), len(rows))], axis=1)
+    return last, following
+
+
+def _moves_around(steps: np.ndarray, last: np.ndarray, following: np.ndarray, least: float) -> np.ndarray:
+    """(R, N - 1) steps whose last and next change are both larger than `least` and the same way: a joint that sticks does not look so."""
+    end = steps.shape[1]
+    inside = (last >= 0) & (following < end)
+    before = np.take_along_axis(steps, np.clip(last, 0, end - 1), axis=1)
+    after = np.take_along_axis(steps, np.clip(following, 0, end - 1), axis=1)
     return inside & (np.abs(before) > least) & (np.abs(after) > least) & (before * after > 0.0)
 
 
@@ -142,7 +165,7 @@ def _mean_length(same: np.ndarray) -> float:
 
 def by_sensor(lost: Mapping[str, Dropout]) -> dict[str, Dropout]:
     """The same, with an IMU named once where several of its channels lose samples."""
-    imu = {name: found for name, found in lost.items() if name.startswith(("imu_", "gyro_"))}
+    imu = {name: found for name, found in lost.items() if name.startswith(OF_IMU)}
     if len(imu) < 2:
         return dict(lost)
     others = {name: found for name, found in lost.items() if name not in imu}

@@ -43,6 +43,27 @@ def test_bursts_have_their_length():
     assert lost["imu_x"].length == pytest.approx(4.0, rel=0.3)
 
 
+def test_what_an_encoder_repeats_at_rest_is_neither_lost_nor_part_of_a_burst():
+    """To and fro on a lattice, at rest for a fifth of the time."""
+    random = np.random.default_rng(0)
+    phase = np.arange(ROWS) / 800.0 % 1.0
+    way = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.clip(phase / 0.8, 0.0, 1.0))
+    simulated = np.repeat(way[:, None], 3, axis=1)
+    measured = np.round(np.stack([simulated] * 3) / 1e-5) * 1e-5
+    drawn = random.random((3, ROWS)) < 0.005
+    drawn[:, 0] = False
+    for repeat, row in np.argwhere(drawn):
+        measured[repeat, row, 0] = measured[repeat, row - 1, 0]
+    kept, lost = without_lost_samples(measured, simulated, CHANNELS)
+    found = lost["link_position_arm"]
+    assert found.ci95[0] < 0.005 < found.ci95[1]
+    assert found.length == pytest.approx(1.0, abs=0.1)
+    at_rest = np.broadcast_to(phase > 0.81, drawn.shape)
+    assert np.isfinite(kept[:, :, 0][at_rest]).all()
+    blank = np.isnan(kept[:, :, 0])
+    assert not np.any(blank & ~drawn) and blank.sum() > 0.9 * (drawn & ~at_rest).sum()
+
+
 def test_an_imu_that_loses_samples_is_named_once():
     _, lost = without_lost_samples(*recorded(0.05, 1, [1, 2]), CHANNELS)
     assert set(by_sensor(lost)) == {"imu"}
