@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.diagnosis.dropout import OF_IMU
 from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.result import Location, Span
 from hil.diagnosis.whitened import InNoiseUnits, in_noise_units
@@ -71,7 +72,9 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     )
 
 
-def locate_outcome(found: Mismatch, retuned: Sequence[np.ndarray], change: Sequence[np.ndarray] | None, *, named: bool) -> Location:
+def locate_outcome(
+    found: Mismatch, retuned: Sequence[np.ndarray], change: Sequence[np.ndarray] | None, *, named: bool, unknown: bool = False
+) -> Location:
     """Where the named effects act, or, where none is named, where the re-tuned simulation is off.
 
     Parameters
@@ -82,12 +85,24 @@ def locate_outcome(found: Mismatch, retuned: Sequence[np.ndarray], change: Seque
     change : sequence of (N, C) arrays or None
         What the named effects add to the simulation; nothing where they were read off the recordings, which is in their channels then.
     named : bool
+    unknown : bool
+        Whether physics is left that no effect explains: beside what was read off alone, that is what is located.
     """
-    if not named or change is None:
+    adds = change is not None and any(np.any(rows) for rows in change)
+    if not named or change is None or (unknown and not adds):
         return locate(found.with_simulated(retuned))
-    if found.read_off and not any(np.any(rows) for rows in change):
-        return Location(channels={name: float(name in dict(found.read_off)) / len(dict(found.read_off)) for name in found.channels})
-    return locate(found, change)
+    return locate(found, change) if adds or not found.read_off else Location(channels=_read_off_shares(found))
+
+
+def _read_off_shares(found: Mismatch) -> dict[str, float]:
+    """Shares of the channels that something was read off, the IMU's spread over those of its channels that are recorded."""
+    places = dict(found.read_off)
+    shares = dict.fromkeys(found.channels, 0.0)
+    for at in places:
+        own = [name for name in found.channels if name == at] or [name for name in found.channels if name.startswith(OF_IMU)]
+        for name in own:
+            shares[name] += 1.0 / (len(places) * len(own))
+    return shares
 
 
 def _smooth(power: np.ndarray, width: int) -> np.ndarray:
@@ -99,16 +114,18 @@ def _smooth(power: np.ndarray, width: int) -> np.ndarray:
 
 
 def _times(found: Mismatch, powers: Sequence[np.ndarray]) -> dict[str, tuple[Span, ...]]:
-    """Intervals per recording; empty when they cover nearly everything or nothing."""
+    """Intervals per recording, or period of one in its own time; empty when they cover nearly everything or nothing."""
     spans: dict[str, tuple[Span, ...]] = {}
     marked = rows = 0
     width = max(1, round(TIME_WINDOW_s * found.noise.rate_Hz))
     for group, power in zip(found.groups, powers, strict=True):
         is_on = _joined(np.any(_smooth(power, width) > 1.0, axis=1), width // 2)
         marked, rows = marked + int(is_on.sum()), rows + len(is_on)
-        found_here = tuple((float(group.time_s[a]), float(group.time_s[b - 1])) for a, b in _runs(is_on))
-        for label in group.labels:
-            spans[label] = found_here
+        found_here = [(float(group.time_s[a]), float(group.time_s[b - 1])) for a, b in _runs(is_on)]
+        windows = group.windows if len(group.windows) == len(group.labels) else group.windows[:1] * len(group.labels)
+        for label, window in zip(group.labels, windows, strict=True):
+            later = (window.start - windows[0].start) / found.noise.rate_Hz
+            spans[label] = tuple((begin + later, end + later) for begin, end in found_here)
     return {} if not 0 < marked < EVERYWHERE * rows else {label: found_here for label, found_here in spans.items() if found_here}
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hil.diagnosis.location import locate
+from hil.diagnosis.dropout import Dropout
+from hil.diagnosis.location import locate, locate_outcome
 from hil.diagnosis.mismatch import Mismatch, mismatch
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
@@ -92,3 +95,33 @@ def test_what_an_effect_adds_is_located_without_the_noise():
     location = locate(found, [effect])
     assert location.channels == {"command_carriage": 0.0, "position_carriage": 1.0}
     assert overlap(location.time_s["repeat 3"], 2.0, 2.5) > 0.6
+
+
+def test_every_period_has_the_mismatch_at_its_own_time():
+    burst = np.where((TIME > 3.0) & (TIME < 4.0), 0.05 * np.sin(2.0 * np.pi * 40.0 * TIME), 0.0)
+    found = mismatch_of({"command_carriage": burst})
+    windows = tuple(slice(number * ROWS, (number + 1) * ROWS) for number in (0, 1, 3, 4))  # the third was lost
+    location = locate(replace(found, groups=(replace(found.groups[0], windows=windows),)))
+    for label, begins in zip(found.groups[0].labels, (0.0, 8.0, 24.0, 32.0), strict=True):
+        assert overlap(location.time_s[label], begins + 3.0, begins + 4.0) > 0.8, label
+
+
+LOST = Dropout(0.02, (0.01, 0.03), 1.0, "", 5.0)
+
+
+def test_what_an_imu_loses_is_in_its_channels():
+    names = ("position_carriage", "imu_x", "imu_z", "gyro_y")
+    found = replace(mismatch_of({}), channels=names, lost={"imu": LOST, "position_carriage": LOST})
+    said = locate_outcome(found, [], [np.zeros((ROWS, 4))], named=True)
+    assert said.channels == pytest.approx({"position_carriage": 0.5, "imu_x": 1 / 6, "imu_z": 1 / 6, "gyro_y": 1 / 6})
+
+
+def test_unknown_physics_beside_lost_samples_is_where_the_simulation_is_off():
+    """The lost samples are the encoder's, the unknown wave is in the command."""
+    wave = 0.05 * np.sin(2.0 * np.pi * 40.0 * TIME) * (TIME > 6.0)
+    found = replace(mismatch_of({"command_carriage": wave}), lost={"position_carriage": LOST})
+    simulated, nothing = found.groups[0].simulated, np.zeros((ROWS, 2))
+    said = locate_outcome(found, [simulated], [nothing], named=True, unknown=True)
+    assert said.channels["command_carriage"] > 0.99
+    assert overlap(said.time_s["repeat 0"], 6.0, 8.0) > 0.8
+    assert locate_outcome(found, [simulated], [nothing], named=True, unknown=False).channels["position_carriage"] == 1.0
