@@ -11,7 +11,7 @@ import scipy.signal
 
 from hil.diagnosis.mismatch import RepeatGroup
 from hil.machine import Machine
-from virtual_bus.effects.places import joint_at, next_axis, spring_at
+from virtual_bus.effects.places import next_axis, spring_at
 from virtual_bus.effects.residual import Residual, joined
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
 from virtual_bus.plant.linearise import LinearPlant, linearised
@@ -141,16 +141,21 @@ class Motion:
         return self.group.effort * self.gains
 
     def axis_of(self, at: str) -> int:
-        """The axis a place belongs to: its own, that of its channel, or the one whose motion is largest."""
-        axes = self.machine.axes
-        for k, axis in enumerate(axes):
-            if at == axis or at.endswith(f"_{axis}"):
-                return k
-        settings = self.machine.plant
-        if any(body.name == at and body.joint is not None for body in settings.tree.bodies):
-            for k, drive in enumerate(settings.drives):
-                if drive.joint == joint_at(at, settings) or spring_at(drive.axis, settings) == spring_at(at, settings):
-                    return k
+        """The axis a place belongs to: its own, that of its channel or of its joint or spring, or the one whose motion is largest."""
+        machine, settings = self.machine, self.machine.plant
+        if at in machine.axes:
+            return machine.axis_index(at)
+        body = next((body for body in settings.tree.bodies if body.name == at), None)
+        if body is None and (axis := machine.axis_of_channel(at)) is not None:
+            return machine.axis_index(axis)
+        if body is not None and body.joint is not None:
+            joints = [drive.joint for drive in settings.drives]
+            if body.joint.name in joints:
+                return joints.index(body.joint.name)
+            springs = [spring_at(axis, settings) for axis in machine.axes]
+            spring = spring_at(at, settings)
+            if spring is not None and spring in springs:
+                return springs.index(spring)
         return int(np.argmax(np.abs(self.missing_effort).sum(axis=0)))
 
     def _springs_of_axis(self, at: str, axis: int) -> bool:

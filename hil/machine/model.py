@@ -9,6 +9,7 @@ import numpy as np
 
 from controllers.settings import AxisController, AxisLimits
 from drivers.settings import BusSettings
+from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 
@@ -57,6 +58,14 @@ class Machine:
 
     def axis_index(self, axis: str) -> int:
         return self.axes.index(axis)
+
+    def axis_of_channel(self, name: str) -> str | None:
+        """The axis a channel is of: of `position_fine_z` the axis `fine_z` where there is one beside `z`. None for others, an IMU's among
+        them: its `imu_z` is not of an axis `z`.
+        """
+        if name in imu_channel_names(self.plant):
+            return None
+        return max((axis for axis in self.axes if name.endswith(f"_{axis}")), key=len, default=None)
 
     def with_effects(self, effects: tuple[EffectSetting, ...]) -> Machine:
         """The same machine with other physics added by name."""

@@ -19,6 +19,18 @@ if TYPE_CHECKING:
 EMPS_NAMES = {"t": "time", "qg": "reference", "qm": "position", "vir": "command", "pulses_N": "excitation"}
 """Variables of the Electro-Mechanical Positioning System benchmark (Janot, Gautier, Brunot 2019) and what they are here."""
 
+FIXED_UNITS = {
+    "time": "s",
+    **dict.fromkeys(("imu_x", "imu_y", "imu_z"), "m/s^2"),
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), "rad/s"),
+    "imu_time": "s",
+    "imu_counter": "",
+    "sync_lateness": "s",
+    "work_time": "s",
+    "exposure_id": "",
+}
+"""Of channels that no axis has."""
+
 _POSITIONS = ("reference", "position", "link_position")
 
 
@@ -81,16 +93,12 @@ def _vector(value: np.ndarray | None, name: str, path: Path) -> np.ndarray:
 
 def _unit(channel: str, machine: Machine, path: Path) -> str:
     """The unit a channel of this machine is kept in."""
-    if channel == "time":
-        return "s"
-    for units in machine.units:
-        if channel.endswith(f"_{units.axis}"):
-            quantity = channel.removesuffix(f"_{units.axis}")
-            if quantity in {"statusword", "temperature", "data_age"}:
-                return {"statusword": "", "temperature": "degC", "data_age": "s"}[quantity]
-            return units.position if quantity in _POSITIONS or quantity == "reference_raw" else units.effort
-    fixed = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "rad/s", "gyro_y": "rad/s", "gyro_z": "rad/s"}
-    fixed |= {"imu_time": "s", "imu_counter": "", "sync_lateness": "s", "work_time": "s", "exposure_id": ""}
-    if channel not in fixed:
+    if channel in FIXED_UNITS:
+        return FIXED_UNITS[channel]
+    axis = machine.axis_of_channel(channel)
+    if axis is None:
         raise RecordingError(f"{path}: {channel} is no channel of machine {machine.name} with axes {', '.join(machine.axes)}")
-    return fixed[channel]
+    units, quantity = machine.units[machine.axis_index(axis)], channel.removesuffix(f"_{axis}")
+    if quantity in {"statusword", "temperature", "data_age"}:
+        return {"statusword": "", "temperature": "degC", "data_age": "s"}[quantity]
+    return units.position if quantity in _POSITIONS or quantity == "reference_raw" else units.effort
