@@ -275,6 +275,8 @@ def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:
     least: dict[str, float] = {}
     for encoder in machine.plant.encoders:
         least[encoder.channel] = encoder.resolution
+    for speed in machine.plant.speeds:
+        least[speed.channel] = speed.resolution
     for current in machine.plant.currents:
         least[current.channel] = current.resolution
     for imu in machine.plant.imus:

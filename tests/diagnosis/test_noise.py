@@ -10,8 +10,9 @@ import scipy.signal
 from carriage import MACHINE, RATE_Hz
 
 from hil.diagnosis.mismatch import RepeatGroup
-from hil.diagnosis.noise import noise_model
+from hil.diagnosis.noise import noise_model, sensor_floor
 from hil.diagnosis.whitened import in_noise_units
+from hil.machine import load_machine
 from hil.simulation import Inputs
 
 CHANNELS = ("command_carriage", "position_carriage")
@@ -63,6 +64,14 @@ def test_what_rounding_adds_to_a_channel_counts_once():
     model = noise_model([group_of(read(4))], CHANNELS, MACHINE)
     power = np.mean([in_noise_units(model, fresh).power.mean(axis=0) for fresh in read(12)], axis=0)
     assert power == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_a_speed_sensor_is_no_better_than_its_resolution():
+    """Rounding is uniform over a step, of which the rms is a twelfth's root."""
+    machine = load_machine("laas_anti_cogging")
+    (speed,) = machine.plant.speeds
+    counted = replace(machine, plant=replace(machine.plant, speeds=(replace(speed, resolution=0.6),)))
+    assert sensor_floor((speed.channel,), counted) == pytest.approx([0.6 / np.sqrt(12.0)])
 
 
 def test_of_a_short_record_that_does_not_fade_nothing_goes_lost_at_its_ends():
