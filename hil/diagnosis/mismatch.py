@@ -114,8 +114,8 @@ class Mismatch:
 
     `noise` whitens residuals: `noise.of_mean(group.repeats).whiten(residual, group.imu)` takes (N, C) and gives numbers of unit variance
     for one repeat's noise.
-    `noise.std` (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings; `measured` is
-    without these. `lattices` are those of encoders that are coarser than the machine file's.
+    `noise.std` (C,) is the noise's rms per channel. `lost` says which channels (or the IMU as a whole) repeat readings, by the group that
+    shows it most clearly; `measured` is without these. `lattices` are those of encoders that are coarser than the machine file's.
     """
 
     machine: Machine
@@ -173,11 +173,12 @@ def mismatch(
     Warns
     -----
     RecordingWarning
-        Where a channel is left out because some of the recordings lack it, and where a recording is no repeat of another because of few
-        rows of its inputs.
+        Where a channel is left out because some of the recordings lack it, where a recording is no repeat of another because of few rows of
+        its inputs, and where a recording's own machine file gives no controller to simulate it under.
     """
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
+    _warn_of_controllers(machine, recordings)
     drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
     if channels is None:
         channels = _channels(machine, [(member.label, member.recording, simulated) for group, simulated in drawn for member in group])
@@ -190,7 +191,7 @@ def mismatch(
     lost: dict[str, Dropout] = {}
     for number, group in enumerate(made):
         kept, found = without_lost_samples(group.measured, group.simulated, channels)
-        lost |= found
+        lost |= {at: one for at, one in found.items() if at not in lost or one.clarity > lost[at].clarity}
         if found:
             made = (*made[:number], replace(group, measured=kept), *made[number + 1 :])
     first = next(iter(recordings.values()))
@@ -258,15 +259,37 @@ def _warn_of_near_repeats(member: Member, groups: list[list[Member]]) -> None:
 
 def _with_controller_of(machine: Machine, recording: Recording) -> Machine:
     """The diagnosed machine under the controller a recording was made with, as far as the recording carries it."""
+    own, _ = _own_machine(machine, recording)
+    return machine if own is None else replace(machine, controllers=own.controllers)
+
+
+def _own_machine(machine: Machine, recording: Recording) -> tuple[Machine | None, str]:
+    """The machine file in a recording, where it says with which controller of the diagnosed machine's axes it was made; else None, and
+    why the diagnosed machine's is used instead: "" where it is that machine, none is carried or none is used.
+    """
     if not recording.machine_text or recording.machine_hash == machine.hash:
-        return machine
+        return None, ""
     try:
-        own = machine_from_text(recording.machine_text, label="the recording's machine file")
-    except MachineFileError:
-        return machine
-    if own.axes != machine.axes or bool(own.controllers) != bool(machine.controllers):
-        return machine
-    return replace(machine, controllers=own.controllers)
+        own = machine_from_text(recording.machine_text, label="its own machine file")
+    except MachineFileError as problem:
+        return None, str(problem) if machine.controllers else ""
+    if own.axes == machine.axes and bool(own.controllers) == bool(machine.controllers):
+        return own, ""
+    if not machine.controllers:
+        return None, ""
+    lacks = f"its axes are {', '.join(own.axes)}" if own.axes != machine.axes else "it has no controller"
+    return None, f"its own machine file {own.name}: {lacks}"
+
+
+def _warn_of_controllers(machine: Machine, recordings: Mapping[str, Recording]) -> None:
+    """Say in a line which recordings are simulated under the diagnosed machine's controller for lack of their own."""
+    labels: dict[str, list[str]] = {}
+    for label, recording in recordings.items():
+        if why := _own_machine(machine, recording)[1]:
+            labels.setdefault(why, []).append(label)
+    for why, own in labels.items():
+        words = f"{', '.join(own)}: simulated under the controller of {machine.name}; {why}"
+        warnings.warn(words, RecordingWarning, stacklevel=3)
 
 
 def _channels(machine: Machine, drawn: Sequence[tuple[str, Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
@@ -338,12 +361,13 @@ def _group(members: Sequence[Member], simulated: Mapping[str, np.ndarray], chann
         windows = (slice(settle_rows, len(rows)),)
         measured = measured[:, settle_rows:]
     time_s = recording.time[windows[0]]
-    positions = _bins(members, windows, [f"position_{axis}" for axis in machine.axes], simulated)
+    places = [_position_channel(axis, members, simulated) for axis in machine.axes]
+    positions = _bins(members, windows, places, simulated)
     measures = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
     efforts = [name if name in recording or name in simulated else f"command_{name.split('_', 1)[1]}" for name in measures]
     window_rows = max(5, 2 * round(0.5 * SPEED_WINDOW_s * machine.sample_rate_Hz) + 1)
     speed = _bins(members, windows, [f"speed_{axis}" for axis in machine.axes], simulated)
-    encoded = np.array([f"position_{axis}" in simulated for axis in machine.axes])
+    encoded = np.array([name in simulated for name in places])
     if len(positions) > window_rows:
         slope = scipy.signal.savgol_filter(positions, window_rows, 2, deriv=1, delta=1.0 / machine.sample_rate_Hz, axis=0)
         speed = np.where(encoded, slope, speed)
@@ -368,6 +392,13 @@ def _whole_periods(recording: Recording) -> tuple[slice, ...]:
         return recording.period_slices
     except RecordingError:
         return ()
+
+
+def _position_channel(axis: str, members: Sequence[Member], simulated: Mapping[str, np.ndarray]) -> str:
+    """The encoder an axis's motion is taken from: the motor's, else the link's, and where neither is recorded the one that is simulated."""
+    names = (f"position_{axis}", f"link_position_{axis}")
+    recorded = (n for n in names if all(_missing_share(member.recording, n) <= LARGEST_MISSING_SHARE for member in members))
+    return next(recorded, None) or next((n for n in names if n in simulated), names[0])
 
 
 def _bins(members: Sequence[Member], windows: Sequence[slice], names: Sequence[str], simulated: Mapping[str, np.ndarray]) -> np.ndarray:
