@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numpy as np
+import scipy.optimize
 
 from hil.diagnosis.candidates import setting_of
 from hil.diagnosis.carried import CarriedImu, carried_imu
@@ -46,6 +47,9 @@ EFFECT_STEP = 0.02
 
 ROUNDS = 3
 """Gauss-Newton steps of a refit at most. One alone leaves some per cent of the distance that it goes."""
+
+LARGEST_STEP = 1.0
+"""Of a tuned number in one round, in units of its prior: sensitivities hold about there."""
 
 DECIDED = 2.0
 """Standard deviations from which a strength is not zero."""
@@ -96,16 +100,26 @@ class Model:
         return found
 
     def at(self, change: np.ndarray) -> Model:
-        """With its numbers changed: (P + F,) the tuned ones in units of their prior, the effects' in units of their size, within bounds."""
+        """With its numbers changed within `bounds`: (P + F,) tuned ones in units of their prior, the effects' in units of their size."""
         tuned = len(self.indices)
         values = self.values.copy()
-        values[self.indices] += np.clip(change[:tuned], -1.0, 1.0) * self.scale
+        values[self.indices] += change[:tuned] * self.scale
         changed = self.effects
         for (number, name), move in zip(self.free, change[tuned:], strict=True):
             parameter, size = _parameter(changed[number], name), _size(self.effects[number], name)
             value = np.clip(changed[number].parameters[name] + move * size, parameter.low, parameter.high)
             changed = _with(changed, number, name, float(value))
         return replace(self, values=values, effects=changed)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P + F,) each, least and largest change of its numbers in one round: LARGEST_STEP, and what an effect's parameter may be."""
+        least, most = [-LARGEST_STEP] * len(self.indices), [LARGEST_STEP] * len(self.indices)
+        for number, name in self.free:
+            parameter, size = _parameter(self.effects[number], name), _size(self.effects[number], name)
+            value = self.effects[number].parameters[name]
+            least.append((parameter.low - value) / size)
+            most.append((parameter.high - value) / size)
+        return np.array(least), np.array(most)
 
     def effect_moves(self, plan: Plan) -> list[tuple[_Task, float]]:
         """A run with each of the effects' free numbers moved, and by how much in units of its size."""
@@ -283,7 +297,7 @@ class Separation:
                 break
             columns = [(other - answer) / step for other, (_, step) in zip(others, moves, strict=True) if other is not None]
             far = float(np.sum((target - answer) ** 2) + offset @ offset)
-            square, change = _left_over(target - answer, np.column_stack([tuned, *columns]), offset)
+            square, change = _left_over(target - answer, np.column_stack([tuned, *columns]), offset, model.bounds())
             best = min(best, square)
             if far > before or square > (1.0 - SETTLED) * far:
                 break
@@ -344,8 +358,12 @@ def _needed(tuning: Tuning, fitted: Fitted) -> tuple[np.ndarray, list[np.ndarray
     return offset, own
 
 
-def _left_over(difference: np.ndarray, jacobian: np.ndarray, offset: np.ndarray) -> tuple[float, np.ndarray]:
-    """d^2 that remains after the best change of all numbers, and that change; the tuned ones, first, are `offset` off their mean."""
+def _left_over(
+    difference: np.ndarray, jacobian: np.ndarray, offset: np.ndarray, bounds: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[float, np.ndarray]:
+    """d^2 that remains after the best change of all numbers, within bounds if any, and that change; the tuned ones, first, are `offset` off
+    their mean.
+    """
     tuned = len(offset)
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     size[:tuned] = 1.0  # whose prior has the unit size
@@ -355,8 +373,25 @@ def _left_over(difference: np.ndarray, jacobian: np.ndarray, offset: np.ndarray)
     gradient = columns.T @ difference
     gradient[:tuned] -= offset
     change = np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0]
+    if bounds is not None:
+        change = _within(change, columns, difference, offset, (bounds[0] * size, bounds[1] * size))
     left = difference - columns @ change
     return float(left @ left + np.sum((offset + change[:tuned]) ** 2)), change / size
+
+
+def _within(
+    change: np.ndarray, columns: np.ndarray, difference: np.ndarray, offset: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The change itself where it is within bounds; else the best one that is: where one number may not go all its way, others that do the
+    same may not go all of theirs.
+    """
+    if np.all((change >= bounds[0]) & (change <= bounds[1])):
+        return change
+    prior = np.eye(len(offset), len(change))
+    whole = np.column_stack([np.vstack([columns, prior]), np.append(difference, -offset)])
+    triangle = np.asarray(np.linalg.qr(whole, mode="r"))
+    found: np.ndarray = scipy.optimize.lsq_linear(triangle[:, :-1], triangle[:, -1], bounds, method="bvls").x
+    return np.clip(found, *bounds)
 
 
 def _moved(settings: tuple[EffectSetting, ...], number: int, name: str) -> tuple[tuple[EffectSetting, ...], float]:

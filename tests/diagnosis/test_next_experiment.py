@@ -14,9 +14,11 @@ from hil.diagnosis.next_experiment import DRAWS, REFINEMENTS, REFITTED, propose
 from hil.diagnosis.noise import assumed_noise
 from hil.diagnosis.retune import tunable
 from hil.diagnosis.separation import EFFECT_STEP, ROUNDS, Model, Separation
+from hil.diagnosis.simulated import simulated_matrix, smooth
 from hil.experiments import Jog, JogOnly, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine
+from hil.simulation import Inputs, Simulator
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
@@ -141,3 +143,50 @@ def test_a_machine_that_cannot_be_run_gets_no_experiment(rivals, noise):
 def test_an_experiment_that_separates_little_is_not_said_to_tell_hypotheses_apart(proposal, rivals, separations, sentence):
     models = tuple(replace(rivals[0], name=name) for name in "abc")
     assert replace(proposal, models=models, separations=np.array(separations), seconds=24.0).said("next.toml") == sentence
+
+
+PLAIN = Simulator(smooth(RAIL))
+
+
+def answer(of: Model, noise, plan) -> np.ndarray:
+    """Whitened rows of a model's free run."""
+    inputs = Inputs(plan.reference, plan.excitation, np.zeros_like(plan.reference), None, plan.start_pose)
+    outputs = PLAIN.run(inputs, of.values, of.effects)
+    settled = plan.metadata["settle_periods"] * plan.metadata["period_samples"]
+    return noise.of_mean(1).whiten(simulated_matrix(RAIL, outputs, CHANNELS)[settled:])
+
+
+def with_number(of: Model, quantity: str, value: float) -> Model:
+    (number,) = (k for k, p in enumerate(compile_plant(RAIL.plant).parameters) if p.quantity == quantity)
+    values = of.values.copy()
+    values[number] = value
+    return replace(of, values=values)
+
+
+def with_tuned(of: Model, **priors: float) -> Model:
+    """With these numbers tuned, one unit of the prior each, and nothing of its effects."""
+    quantities = [p.quantity for p in compile_plant(RAIL.plant).parameters]
+    indices = np.array([quantities.index(name) for name in priors], dtype=int)
+    return replace(of, indices=indices, scale=np.array(list(priors.values())), free=())
+
+
+def test_a_refit_of_several_rounds_pays_for_the_way_it_goes(noise):
+    """A mass a fifth too large, two of its priors: the least distance of a fine scan of it."""
+    plan, priors = slow_jog(), np.linspace(-3.0, 0.0, 61)
+    light = with_number(with_tuned(model("quadratic_friction", "Fv2", 5.0), mass=2.0), "mass", 16.0)
+    rival = with_tuned(model("viscous_friction", "Fv", 0.5), mass=2.0)
+    target = answer(light, noise, plan)
+    answers = [answer(with_number(rival, "mass", 20.0 + 2.0 * p), noise, plan) for p in priors]
+    scanned = [np.hypot(np.linalg.norm(target - other), p) for p, other in zip(priors, answers, strict=True)]
+    assert priors[int(np.argmin(scanned))] == pytest.approx(-2.0, abs=0.1)
+    assert Separation(RAIL, [light, rival], noise, CHANNELS).of_plan(plan).separations[0, 0] == pytest.approx(min(scanned), rel=0.01)
+
+
+def test_a_refit_leaves_what_a_parameter_may_not_be(noise):
+    """Viscous friction follows a damper that is too strong, but not one that is too weak: it pushes nothing."""
+    plan = slow_jog()
+    weak = with_number(with_tuned(model("coulomb_friction", "Fc", 0.5)), "damping", 50.0)
+    rival = model("viscous_friction", "Fv", 4.0)
+    least = np.linalg.norm(answer(weak, noise, plan) - answer(replace(rival, effects=()), noise, plan))
+    untuned = replace(with_tuned(rival), free=rival.free)
+    assert Separation(RAIL, [weak, untuned], noise, CHANNELS).of_plan(plan).separations[0, 0] == pytest.approx(least, rel=0.01)
