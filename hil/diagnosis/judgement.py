@@ -87,7 +87,7 @@ class Contender:
     searched: float = 0.0  # what its search costs in log evidence, see `Tried`
     moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
     narrowed: Narrowed | None = None  # what that costs
-    known: float = 0.0  # energy that was removed in training before its last step by effects that it is known of how their equations err
+    known: tuple[float, float] = (0.0, 0.0)  # energies removed before its last step by effects that it is known of how their equations err
 
     @property
     def gate(self) -> Gate:
@@ -99,9 +99,11 @@ class Contender:
         return self.gate.passed  # those before did, or there were no further step
 
     @property
-    def uncharged(self) -> float:
+    def uncharged(self) -> tuple[float, float]:
         """What it gained, of its last step with what chance gains and without what errors of equations found before explain."""
-        return self.gained + self.gate.beyond_errors - self.gate.certain_gain
+        gate = self.gate
+        there = 0.0 if gate.held_out_beyond is None or gate.held_out_gain is None else gate.held_out_beyond - gate.held_out_gain
+        return self.gained + gate.beyond_errors - gate.certain_gain, self.gained_held_out + there
 
     @property
     def by_numbers(self) -> tuple[float, float]:
@@ -157,11 +159,12 @@ class Stand:
         return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
 
     @property
-    def known_energy(self) -> float:
-        """That its effects removed in training of which it is known how they err; of what numbers alone are unknown nothing."""
-        numbers = numbers_of(self.fitted)
-        each = _each(self.effects, self.gates, lambda gate: gate.gain)
-        return sum(energy for effect, energy in each if effect in self.errors.effects and effect not in numbers)
+    def known_energy(self) -> tuple[float, float]:
+        """Energies that effects removed in training and held out of which it is known how they err, and more than numbers is unknown."""
+        known = set(self.errors.effects) - numbers_of(self.fitted)
+        each = (_each(self.effects, self.gates, of) for of in (lambda gate: gate.gain, lambda gate: gate.held_out_gain or 0.0))
+        here, there = (sum(energy for effect, energy in energies if effect in known) for energies in each)
+        return here, there
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
         """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
@@ -344,7 +347,7 @@ class Judgement:
         trained = self._trained(before, fitted, tried)
         gain, scatter, level = trained.gain, trained.scatter, trained.level
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
-        deviations = fall = followed = None
+        deviations = fall = followed = there = None
         predicted = seen = None
         if self._judge is not None:
             deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
@@ -363,6 +366,7 @@ class Judgement:
             asked=asked,
             held_out_deviations=deviations,
             held_out_gain=fall,
+            held_out_beyond=there,
             followed=followed,
             predicted=predicted,
             seen=seen,

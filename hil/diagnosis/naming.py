@@ -90,10 +90,10 @@ HELD_OUT_COMMON = 0.012
 """Over x, the share of machines that hide nothing whose held-out misfit is above noise by more than the share x of it: of 31 development
 nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
 
-PLAUSIBLE = 0.04
+PLAUSIBLE = 0.02
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
-LISTED = 0.95
+LISTED = 0.98
 """Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
 until they do, so that the truth is among them as often as an interval of 95 % holds a parameter, if it is a known set at all."""
 
@@ -174,7 +174,7 @@ class Weighed:
         0.0,
     )  # of its misfits, in training and held out, what it leaves more than the set it is compared with
     scatter: float = 1.0  # variance of the noise along the difference of both, in units of the noise model's
-    known: float = 0.0  # energy that effects removed in training which both have, and of which it is known how they err
+    known: tuple[float, float] = (0.0, 0.0)  # energies that effects removed which both have, and of which it is known how they err
 
     @property
     def misfit(self) -> float:
@@ -204,8 +204,7 @@ class Weighed:
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
         narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
-        shared = form_error * self.known, 0.0
-        in_train, in_held_out = (self._in_units(part, level, shared[part]) for part, level in enumerate((train, held_out)))
+        in_train, in_held_out = (self._in_units(part, level, form_error * self.known[part]) for part, level in enumerate((train, held_out)))
         in_units = replace(self, train=in_train, held_out=in_held_out, apart=(0.0, 0.0), scatter=1.0)
         return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
 

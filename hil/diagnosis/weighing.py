@@ -54,10 +54,10 @@ def evidence_of(
     scatter, projection = Scatter(runs), Projection.of(tuning)
 
     def weighing(c: Contender) -> Weighed:
-        left, apart, along, known = (train - c.gained, held_out - c.gained_held_out), (0.0, 0.0), 1.0, 0.0
+        left, apart, along, known = (train - c.gained, held_out - c.gained_held_out), (0.0, 0.0), 1.0, (0.0, 0.0)
         if best is not None and c is not best and _are_of_one_step(c, best):
-            apart = best.uncharged - c.uncharged, best.gained_held_out - c.gained_held_out
-            left = train - best.gained + apart[0], left[1]
+            more = [own - others for own, others in zip(best.uncharged, c.uncharged, strict=True)]
+            apart, left = (more[0], more[1]), (train - best.gained + more[0], held_out - best.gained_held_out + more[1])
             along = scatter.along(projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)])
             known = c.known
         return Weighed(

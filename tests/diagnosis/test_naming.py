@@ -69,7 +69,7 @@ def test_names_are_told_apart_in_units_of_the_noise_along_their_difference(scatt
 def test_what_two_sets_have_in_common_errs_alike_in_both(known, stands_alone):
     """Beside an inertia that removes 26 000 two errors of a gear differ by 250: of it is known how the inertia errs."""
     entries, one = 27000.0, Weighed(None, 27000.0, 0.0, (26000.0, 1100.0))
-    other = Weighed(None, entries + 250.0, 0.0, (26000.0, 850.0), apart=(250.0, 0.0), known=known)
+    other = Weighed(None, entries + 250.0, 0.0, (26000.0, 850.0), apart=(250.0, 0.0), known=(known, 0.0))
     ranked, _ = weighed([one, other], Weighed(None, entries + 27100.0, 0.0), (entries, 0.0), TRIED)
     assert (ranked[1].confidence < 0.02 * ranked[0].confidence) is stands_alone
 
