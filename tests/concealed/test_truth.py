@@ -247,3 +247,21 @@ def test_the_oracle_asks_for_what_an_effect_does_beside_the_others(machines):
     found = _apart(shop, chosen, 1, units, [])["detectability"]
     assert found == pytest.approx(left_over(both - first, [more - both]), rel=0.02)
     assert found != pytest.approx(left_over(second - nothing, [first - nothing]), rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "hidden"), [("slider", "stribeck_friction"), ("tilted_arm", "nonlinear_stiffness")])
+def test_imitators_in_coarse_steps_stand_as_far_from_the_truth_as_in_its_own(machines, monkeypatch, name, hidden):
+    from concealed.truth import build
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden
+
+    shop, units = a_shop(machines, name)
+    kind = KINDS[hidden]
+    place = next(iter(kind.places(shop.machine)))
+    one = Hidden(kind, place, kind.draw(np.random.default_rng(0), shop.machine, place), 1.0)
+    chosen = (build.Chosen(one, 0.1 * kind.typical(shop.machine, place)),)
+    coarse = build._apart(shop, chosen, 0, units, [])
+    monkeypatch.setattr(build, "COARSE", 1)
+    fine = build._apart(shop, chosen, 0, units, [])
+    assert coarse["distances"] == pytest.approx(fine["distances"], rel=0.01, abs=0.2)
+    assert min(fine["distances"].values()) < 0.98 * fine["detectability"]

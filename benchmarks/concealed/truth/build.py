@@ -16,7 +16,7 @@ from concealed.truth.draw import Case, Hidden, numbers
 from concealed.truth.experiments import plan
 from concealed.truth.kinds import Kind, Shape
 from concealed.truth.oracle import NoiseUnits, coefficients, left_over, location
-from concealed.truth.plant import IMU_CHANNELS, Answer, Drive, Machine, Plant, Setup
+from concealed.truth.plant import COARSE, IMU_CHANNELS, STEP_S, Answer, Drive, Machine, Plant, Setup
 from concealed.truth.sensor_kinds import loses, read, with_losses
 from concealed.truth.writing import write_recording
 
@@ -77,15 +77,15 @@ class Workshop:
             each.hidden.kind.add(setup, self.machine, each.hidden.place, each.hidden.shape, each.strength)
         return setup
 
-    def answer(self, setup: Setup, drive: Drive, lattices: bool = False) -> Answer:
+    def answer(self, setup: Setup, drive: Drive, lattices: bool = False, longest_step_s: float = STEP_S) -> Answer:
         """One run."""
-        return Plant(self.under(drive), setup).run(drive, lattices)
+        return Plant(self.under(drive), setup).run(drive, lattices, longest_step_s)
 
-    def matrix(self, setup: Setup, drive: Drive) -> np.ndarray | None:
+    def matrix(self, setup: Setup, drive: Drive, longest_step_s: float = STEP_S) -> np.ndarray | None:
         """Noise-free readings (N, C) of the case's channels, the mean of its recordings where these lose samples each at its own times;
         None where the machine ran away.
         """
-        answer = self.answer(setup, drive)
+        answer = self.answer(setup, drive, longest_step_s=longest_step_s)
         if answer.failed:
             return None
         case = self.case
@@ -232,6 +232,7 @@ def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseU
     whole = shop.matrix(shop.setup(chosen), shop.training)
     assert base is not None and whole is not None, f"case {shop.case.number}: the plant runs away"
     effect = units(whole - base)
+    coarse = shop.matrix(shop.setup(others), shop.training, COARSE * STEP_S)
     columns = columns + [units(change) for other in others if (change := _by_strength(shop, chosen, other, whole)) is not None]
     kind, distances = one.hidden.kind, {}
     names = kind.neighbours if kind.accepted else tuple(INSIDE)
@@ -244,7 +245,8 @@ def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseU
         if place is None or set(neighbour.accepted) & set(kind.accepted):
             continue
         shapes = _shapes(shop, one, neighbour, place)
-        alike = [_most_alike(shop, others, Hidden(neighbour, place, shape, 1.0), base, effect, units, columns) for shape in shapes]
+        hidden = [Hidden(neighbour, place, shape, 1.0) for shape in shapes]
+        alike = [None if coarse is None else _most_alike(shop, others, like, coarse, effect, units, columns) for like in hidden]
         distances[name] = min(left_over(effect, columns if signal is None else [*columns, signal]) for signal in alike)
     return {
         "detectability": left_over(effect, columns),
@@ -285,7 +287,7 @@ def _most_alike(
     units: NoiseUnits,
     columns: list[np.ndarray],
 ) -> np.ndarray | None:
-    """Whitened signal of a neighbour beside the others, as strong as imitates the truth best.
+    """Whitened signal of a neighbour beside the others, as strong as imitates the truth best; `base` is without it, both in coarse steps.
 
     A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well,
     at the same strength: springs and loads may pull the other way.
@@ -294,7 +296,7 @@ def _most_alike(
     strength = largest if like.kind.fixed else min(like.kind.typical(shop.machine, like.place), largest)
     tried: list[tuple[float, np.ndarray]] = []
     for _ in range(1 if like.kind.fixed else LIKENESS_STEPS):
-        answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training)
+        answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training, COARSE * STEP_S)
         if answer is None:
             strength *= 0.1
             continue

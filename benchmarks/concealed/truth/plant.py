@@ -19,6 +19,9 @@ from concealed.truth.memory import forward_address
 STEP_S = 0.0003
 """Longest plant step. What a step a third as long changes then stays under 1.5 in the oracle's units (tests/concealed)."""
 
+COARSE = 3
+"""Times as long steps of what only is to be told from the truth: what that leaves out is alike with and without an imitator."""
+
 IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 
 
@@ -272,7 +275,7 @@ class Plant:
         standing[self.axes] += self.gear * held * (gain - 1.0)
         return q, held, standing
 
-    def run(self, drive: Drive, lattices: bool = True) -> Answer:
+    def run(self, drive: Drive, lattices: bool = True, longest_step_s: float = STEP_S) -> Answer:
         """Run once; without `lattices` nothing is rounded and no disturbance acts."""
         machine, table = self.machine, self.machine.table
         n, samples = len(machine.axes), len(drive.reference)
@@ -302,7 +305,7 @@ class Plant:
             self._imu_memory(), self.kinds, self.dofs, self.others, self.parameters, effect_states, self.drives, self.encoders, sections,
             rows, states, self.axes, see, link, self.gear, machine.limits, machine.target_steps() * lattices, machine.counts * lattices,
             np.ascontiguousarray(drive.reference), np.ascontiguousarray(drive.excitation), disturbance, drive.calm_speed, standing,
-            math.ceil(1.0 / (machine.rate_Hz * STEP_S)), 1.0 / machine.rate_Hz, self._imu_poles(), machine.closed, held, *outputs,
+            math.ceil(1.0 / (machine.rate_Hz * longest_step_s)), 1.0 / machine.rate_Hz, self._imu_poles(), machine.closed, held, *outputs,
         )  # fmt: skip
         self.model.dof_armature[:] = armature
         command, effort, position, links, imu, joints, speeds = outputs
