@@ -126,6 +126,9 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
         "of_the_file": h.of_the_file,
+        "apart": [round(energy, 3) for energy in h.apart],
+        "scatter": round(h.scatter, 3),
+        "known": [round(energy, 3) for energy in h.known],
     }
 
 
@@ -145,7 +148,9 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
         simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
-        return replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
+        known = replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
+        apart, common = tuple(numbers.get("apart", (0.0, 0.0))), tuple(numbers.get("known", (0.0, 0.0)))  # rows before did not tell
+        return replace(known, apart=apart, scatter=numbers.get("scatter", 1.0), known=common)
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 
