@@ -24,6 +24,7 @@ import scipy.special
 from concealed.judging import matches
 from concealed.making import Places, make, seal
 from concealed.running import JSON_KEPT, commit
+from hil.diagnosis.compared import Compared
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking, rarity_at
@@ -126,9 +127,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
         "of_the_file": h.of_the_file,
-        "apart": [round(energy, 3) for energy in h.apart],
-        "scatter": round(h.scatter, 3),
-        "known": [round(energy, 3) for energy in h.known],
+        "compared": None if h.compared is None else h.compared._asdict(),
     }
 
 
@@ -149,8 +148,8 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
         known = replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
-        apart, common = tuple(numbers.get("apart", (0.0, 0.0))), tuple(numbers.get("known", (0.0, 0.0)))  # rows before did not tell
-        return replace(known, apart=apart, scatter=numbers.get("scatter", 1.0), known=common)
+        compared = numbers.get("compared")  # rows before b7442b9 did not tell
+        return replace(known, compared=None if compared is None else Compared(**compared))
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
 

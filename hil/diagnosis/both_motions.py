@@ -95,10 +95,12 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
         at, followed = better
     if (at.cost - fitted.cost) / here + (followed.misfit - before.misfit) / there + price >= 0.0:
         return one
+    by_moving = fitted.cost - at.cost, before.misfit - followed.misfit
     return replace(
         one,
-        gained=one.gained - (at.cost - fitted.cost),
-        gained_held_out=one.gained_held_out + before.misfit - followed.misfit,
+        gained=one.gained + by_moving[0],
+        gained_held_out=one.gained_held_out + by_moving[1],
+        by_moving=by_moving,
         left_held_out=followed.misfit,
         moved=at,
         narrowed=narrowed,

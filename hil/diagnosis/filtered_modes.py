@@ -71,6 +71,8 @@ def mode_starts(
     accelerations = tuple(_acceleration(motion, joint) for motion in motions)
     mass = _Mass(loop, Projection.of(tuning), joint, accelerations, machine.sample_rate_Hz)
     lowest, highest = np.log(LOWEST_MODE_Hz), np.log(min(HIGHEST_MODE_Hz, HIGHEST_SHARE * machine.sample_rate_Hz))
+    if highest <= lowest:
+        return []
     tried, known = np.arange(lowest, highest, STEP), np.arange(lowest, highest + ENERGY_STEP, ENERGY_STEP)
     energies = [mass.answer(frequency, LIGHTEST) for frequency in np.exp(known)]
     energy = np.exp(np.interp(tried, known, [np.log(max(float(answer @ answer), 1e-300)) for answer in energies]))

@@ -117,9 +117,11 @@ class Gate:
     seen: float | None = None  # how far the held-out recordings go along it, in the same
 
     @property
-    def beyond_errors(self) -> float:
-        """Of the gain, what no error of equations found before explains."""
-        return self.gain if self.beyond is None else self.beyond
+    def explained(self) -> tuple[float, float]:
+        """Of the gains in training and held out, what errors of equations found before explain; held out it may be less than nothing."""
+        here = 0.0 if self.beyond is None else self.gain - self.beyond
+        there = 0.0 if self.held_out_beyond is None or self.held_out_gain is None else self.held_out_gain - self.held_out_beyond
+        return here, there
 
     @property
     def certain_gain(self) -> float:

@@ -87,6 +87,7 @@ class Contender:
     searched: float = 0.0  # what its search costs in log evidence, see `Tried`
     moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
     narrowed: Narrowed | None = None  # what that costs
+    by_moving: tuple[float, float] = (0.0, 0.0)  # of what it gained, what that changed
     known: tuple[float, float] = (0.0, 0.0)  # energies removed before its last step by effects that it is known of how their equations err
 
     @property
@@ -100,10 +101,14 @@ class Contender:
 
     @property
     def uncharged(self) -> tuple[float, float]:
-        """What it gained, of its last step with what chance gains and without what errors of equations found before explain."""
-        gate = self.gate
-        there = 0.0 if gate.held_out_beyond is None or gate.held_out_gain is None else gate.held_out_beyond - gate.held_out_gain
-        return self.gained + gate.beyond_errors - gate.certain_gain, self.gained_held_out + there
+        """What it gained with training's parameters, of its last step with what chance gains."""
+        return self.gained - self.by_moving[0] + self.gate.gain - self.gate.certain_gain, self.gained_held_out - self.by_moving[1]
+
+    @property
+    def beyond_errors(self) -> tuple[float, float]:
+        """The same without what errors of equations found before explain of its last step."""
+        explained = self.gate.explained
+        return self.uncharged[0] - explained[0], self.uncharged[1] - explained[1]
 
     @property
     def by_numbers(self) -> tuple[float, float]:

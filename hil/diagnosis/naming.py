@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.diagnosis.compared import Compared
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.information import Narrowed
 from hil.diagnosis.refit import Fitted
@@ -95,7 +96,7 @@ PLAUSIBLE = 0.02
 
 LISTED = 0.98
 """Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
-until they do, so that the truth is among them as often as an interval of 95 % holds a parameter, if it is a known set at all."""
+until they do, so that the truth is among them in 95 of 100 answers, if it is a known set at all and shares are a little too sure."""
 
 
 NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth", "rectified_sensor")
@@ -169,12 +170,7 @@ class Weighed:
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
-    apart: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # of its misfits, in training and held out, what it leaves more than the set it is compared with
-    scatter: float = 1.0  # variance of the noise along the difference of both, in units of the noise model's
-    known: tuple[float, float] = (0.0, 0.0)  # energies that effects removed which both have, and of which it is known how they err
+    compared: Compared | None = None  # with the set of its step that gains most; None of that set and of those of other steps
 
     @property
     def misfit(self) -> float:
@@ -198,22 +194,15 @@ class Weighed:
         return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
     def in_units(self, train: float, held_out: float, form_error: float = 0.0) -> Weighed:
-        """With misfits and information in units of these levels. What two sets have in common errs alike in both: where it is known how
-        (`form_error.py`), what tells them apart is taken beside that, and this share of what they have in common does not count.
-        """
+        """With misfits and information in units of these levels, in which is `form_error` of what effects removed."""
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
         narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
-        in_train, in_held_out = (self._in_units(part, level, form_error * self.known[part]) for part, level in enumerate((train, held_out)))
-        in_units = replace(self, train=in_train, held_out=in_held_out, apart=(0.0, 0.0), scatter=1.0)
+        misfits = self.train / train, self.held_out / held_out
+        if self.compared is not None:
+            misfits = self.compared.in_units(0, train, form_error), self.compared.in_units(1, held_out, form_error)
+        in_units = replace(self, train=misfits[0], held_out=misfits[1], compared=None)
         return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
-
-    def _in_units(self, part: int, level: float, shared: float) -> float:
-        """A misfit, in training or held out. Where noise varies more along what tells a set from another than the noise model says, so much
-        more of it counts there beside what equations err by.
-        """
-        whole, apart = (self.train, self.held_out)[part], self.apart[part]
-        return (whole - apart) / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +317,7 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     train, held_out = tempers_of(hypotheses, base, entries, weights)
     *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
     best = min(hypotheses, key=lambda h: h.misfit)
-    left = best.in_units(train, held_out).misfit
+    left = best.in_units(train, held_out, weights.form_error).misfit
     evidence = _evidence(tempered, nothing, tried)
     as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
     price = price_of_a_parameter(nothing.misfit - left, 1.0) * weights.unknown_freedom - float(np.log(as_often))

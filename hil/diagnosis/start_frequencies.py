@@ -12,7 +12,7 @@ LIGHT = 0.03
 """Damping ratio of a mode that a fit starts with, and steps between the logarithms of frequencies that are looked at."""
 
 LIGHTEST = 0.01
-"""Of jointed structures. Modes that far apart, a half-power bandwidth, are told from each other."""
+"""Of jointed structures. Modes twice as far apart, a half-power bandwidth, are told from each other."""
 
 LOWEST_MODE_Hz, HIGHEST_MODE_Hz = 1.5, 30.0
 """Between which modes are looked for."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.diagnosis.compared import Compared
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.gate import Scatter, needed_gain
 from hil.diagnosis.held_out import HeldOut
@@ -53,25 +54,31 @@ def evidence_of(
     best = max(contenders, key=lambda c: c.gained + c.gained_held_out, default=None)
     scatter, projection = Scatter(runs), Projection.of(tuning)
 
+    def compared(c: Contender) -> Compared | None:
+        if best is None or c is best or not _are_of_one_step(c, best):
+            return None
+        difference = projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)]
+        return Compared(
+            (train - best.gained, held_out - best.gained_held_out),
+            _less(best.uncharged, c.uncharged),
+            _less(best.beyond_errors, c.beyond_errors),
+            _less(best.by_moving, c.by_moving),
+            scatter.along(difference),
+            c.known,
+        )
+
     def weighing(c: Contender) -> Weighed:
-        left, apart, along, known = (train - c.gained, held_out - c.gained_held_out), (0.0, 0.0), 1.0, (0.0, 0.0)
-        if best is not None and c is not best and _are_of_one_step(c, best):
-            more = [own - others for own, others in zip(best.uncharged, c.uncharged, strict=True)]
-            apart, left = (more[0], more[1]), (train - best.gained + more[0], held_out - best.gained_held_out + more[1])
-            along = scatter.along(projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)])
-            known = c.known
         return Weighed(
             None,
-            *left,
-            apart=apart,
-            scatter=along,
-            known=known,
+            train - c.gained,
+            held_out - c.gained_held_out,
             searched=c.searched,
             passed=c.passed,
             by_numbers=c.by_numbers,
             of_the_file=are_of_the_file(c.fitted),
             rarity=rarity_of(c.fitted.effects, runs.machine.plant),
             narrowed=c.narrowed,
+            compared=compared(c),
         ).priced_as(c.fitted)
 
     return Evidence(
@@ -90,6 +97,10 @@ def _are_of_one_step(one: Contender, other: Contender) -> bool:
     """Whether two sets of as many effects were added to the same set: what chance gains is taken off both alike."""
     before = [[id(gate) for gate in each.gates if gate is not each.gate] for each in (one, other)]
     return before[0] == before[1] and len(one.fitted.effects) == len(other.fitted.effects)
+
+
+def _less(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return one[0] - other[0], one[1] - other[1]
 
 
 def cap_of(runs: FreeRuns) -> float:

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from carriage import MACHINE
 
 from hil.diagnosis import diagnose as diagnosing
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.gate import IN_SAMPLE, PRIOR_FREEDOM, PRIOR_VARIANCE, Gate
+from hil.diagnosis.judgement import Contender
+from hil.diagnosis.naming import Weighed
+from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.retune import Tuning
+from hil.diagnosis.weighing import evidence_of
 
 MODE, DELAY = (EffectAt(name, "carriage") for name in ("structural_mode", "delay"))
 NO_NAME = "it hardly slides"
@@ -52,3 +60,54 @@ def test_an_ambiguous_answer_says_what_may_act_too(answer):
     assert said.verdict == "ambiguous" and str(DELAY) in said.reason
     assert str(DELAY) not in answer(formless=[(MODE, 1e5)], unsure=[(DELAY, -1e5)]).reason
     assert str(DELAY) not in answer(unsure=[(DELAY, 0.0)]).reason  # nor where the name is certain
+
+
+ENTRIES = 500
+
+
+def gate(gain: float, beyond: float, needed: float, scatter: float = 1.0, held_out: tuple[float, float] = (0.0, 0.0)) -> Gate:
+    return Gate(
+        gain=gain, needed=needed, scatter=scatter, trained=1e-9, over_simulator=10.0, asked=1, held_out_deviations=0.0,
+        held_out_gain=held_out[0], held_out_beyond=held_out[1], followed=1e-3, placebo_gain=0.0, share=1.0, is_first=False, beyond=beyond,
+    )  # fmt: skip
+
+
+def weighed_together(*sets: tuple[tuple[Gate, ...], int], by_moving: tuple[float, float] = (0.0, 0.0)) -> list[Weighed]:
+    """Sets with their gates, each along a direction of its own, the last one moved. Repeats scatter by 5 along the first difference."""
+    directions = np.linalg.qr(np.random.default_rng(1).standard_normal((ENTRIES, len(sets))))[0].T
+    along = (directions[0] - directions[1]) / np.sqrt(2.0)
+    repeats = np.stack([np.sqrt(5.0) * sign * along for sign in (1.0, -1.0, 1.0, -1.0)])
+    runs = SimpleNamespace(repeats=lambda name: [repeats], machine=MACHINE, noise=SimpleNamespace(kind="repeats"))
+    nothing = np.zeros(0)
+    tuning = Tuning((), nothing.astype(int), nothing, nothing, nothing, np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.zeros((0, 0)))
+    contenders = []
+    for number, (gates, effects) in enumerate(sets):
+        names = tuple(EffectAt("cogging", "carriage", k) for k in range(effects))
+        fitted = Fitted(names, (nothing,) * effects, nothing, directions[number], 1000.0, (), np.zeros((ENTRIES, 0)), nothing)
+        moved = by_moving if number == len(sets) - 1 else (0.0, 0.0)
+        gains = sum(one.certain_gain for one in gates) + moved[0], sum(one.held_out_gain for one in gates) + moved[1]
+        contenders.append(Contender(fitted, gains[0], gains[1], 1000.0 - gains[1], gates, by_moving=moved, known=(7.0, 8.0)))
+    return list(evidence_of(runs, tuning, None, contenders, tried=50, found=True).sets)
+
+
+def test_sets_of_one_step_stand_apart_by_what_they_leave_beside_errors_of_what_both_have():
+    first = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 300.0))
+    chosen, rival = gate(500.0, 60.0, 10.0, held_out=(50.0, 40.0)), gate(460.0, 300.0, 20.0, scatter=3.0, held_out=(20.0, 90.0))
+    one, other = weighed_together(((first, chosen), 2), ((first, rival), 2), by_moving=(-30.0, 70.0))
+    assert one.compared is None
+    assert other.compared.reference == pytest.approx((one.train, one.held_out))
+    assert other.compared.apart == pytest.approx((500.0 - 460.0, 50.0 - 20.0))
+    assert other.compared.beyond == pytest.approx((60.0 - 300.0, 40.0 - 90.0))
+    assert other.compared.by_moving == pytest.approx((30.0, -70.0))
+    assert other.compared.known == (7.0, 8.0)
+    expected = (PRIOR_FREEDOM * PRIOR_VARIANCE + 4.0 * 5.0 / IN_SAMPLE) / (PRIOR_FREEDOM + 3.0 - 2.0)
+    assert other.compared.scatter == pytest.approx(expected)
+    assert other.train - one.train == pytest.approx(500.0 - (460.0 - 2.0 * 20.0) + 30.0)  # as misfits they are what they were
+
+
+@pytest.mark.parametrize("effects", [1, 2])
+def test_sets_of_another_step_are_compared_with_none(effects):
+    """Alone, or beside another first effect."""
+    chosen, rival = (gate(1000.0, 1000.0, 10.0), gate(500.0, 60.0, 10.0)), (gate(990.0, 990.0, 10.0), gate(400.0, 60.0, 10.0))
+    _, other = weighed_together((chosen, 2), (rival[:effects], effects))
+    assert other.compared is None

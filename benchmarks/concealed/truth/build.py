@@ -232,7 +232,10 @@ def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseU
     whole = shop.matrix(shop.setup(chosen), shop.training)
     assert base is not None and whole is not None, f"case {shop.case.number}: the plant runs away"
     effect = units(whole - base)
-    coarse = shop.matrix(shop.setup(others), shop.training, COARSE * STEP_S)
+    step_s = COARSE * STEP_S
+    beside = shop.matrix(shop.setup(others), shop.training, step_s)
+    if beside is None:  # in coarse steps alone
+        step_s, beside = STEP_S, base
     columns = columns + [units(change) for other in others if (change := _by_strength(shop, chosen, other, whole)) is not None]
     kind, distances = one.hidden.kind, {}
     names = kind.neighbours if kind.accepted else tuple(INSIDE)
@@ -246,7 +249,7 @@ def _apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, units: NoiseU
             continue
         shapes = _shapes(shop, one, neighbour, place)
         hidden = [Hidden(neighbour, place, shape, 1.0) for shape in shapes]
-        alike = [None if coarse is None else _most_alike(shop, others, like, coarse, effect, units, columns) for like in hidden]
+        alike = [_most_alike(shop, others, like, beside, step_s, effect, units, columns) for like in hidden]
         distances[name] = min(left_over(effect, columns if signal is None else [*columns, signal]) for signal in alike)
     return {
         "detectability": left_over(effect, columns),
@@ -283,11 +286,12 @@ def _most_alike(
     others: tuple[Chosen, ...],
     like: Hidden,
     base: np.ndarray,
+    step_s: float,
     effect: np.ndarray,
     units: NoiseUnits,
     columns: list[np.ndarray],
 ) -> np.ndarray | None:
-    """Whitened signal of a neighbour beside the others, as strong as imitates the truth best; `base` is without it, both in coarse steps.
+    """Whitened signal of a neighbour beside the others, as strong as imitates the truth best; `base` is without it.
 
     A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well,
     at the same strength: springs and loads may pull the other way.
@@ -296,7 +300,7 @@ def _most_alike(
     strength = largest if like.kind.fixed else min(like.kind.typical(shop.machine, like.place), largest)
     tried: list[tuple[float, np.ndarray]] = []
     for _ in range(1 if like.kind.fixed else LIKENESS_STEPS):
-        answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training, COARSE * STEP_S)
+        answer = shop.matrix(shop.setup((*others, Chosen(like, strength))), shop.training, step_s)
         if answer is None:
             strength *= 0.1
             continue

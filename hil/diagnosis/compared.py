@@ -1,0 +1,27 @@
+"""How a set of effects stands to another one that it is told apart from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Compared(NamedTuple):
+    """How a set stands to another one of as many effects, which were added to the same ones: in pairs, training and held out.
+
+    What chance gains is taken off neither. Where noise varies more along what tells them apart than the noise model says, so much more of
+    it counts there beside what equations err by. What both have in common errs alike in both: where it is known how (`form_error.py`), they
+    differ beside such errors, and what it removed does not count. Where equations are exact they have no errors.
+    """
+
+    reference: tuple[float, float]  # misfits of the other one
+    apart: tuple[float, float]  # what this one leaves more with training's parameters
+    beyond: tuple[float, float]  # the same beside errors of what both have
+    by_moving: tuple[float, float] = (0.0, 0.0)  # what it leaves more since both were moved to what both motions want
+    scatter: float = 1.0  # variance of the noise along their difference, in units of the noise model's
+    known: tuple[float, float] = (0.0, 0.0)  # energies that effects removed which both have, and of which it is known how they err
+
+    def in_units(self, part: int, level: float, form_error: float) -> float:
+        """Misfit in training (0) or held out (1)."""
+        shared = form_error * self.known[part]
+        apart = self.beyond[part] if form_error else self.apart[part]
+        return (self.reference[part] + self.by_moving[part]) / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
