@@ -148,7 +148,7 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
         known = replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
-        compared = numbers.get("compared")  # rows before b7442b9 did not tell
+        compared = numbers.get("compared")  # rows of earlier tools did not tell
         return replace(known, compared=None if compared is None else Compared(**compared))
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])
