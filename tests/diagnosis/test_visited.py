@@ -136,10 +136,10 @@ def test_a_fit_moves_a_place_that_starts_at_zero():
 
 
 def test_the_search_of_a_mode_s_frequency_is_paid_once():
-    """Modes a bandwidth of 6 % apart are counted; the frequency is what it is within one of them: a range of 0.06 of itself."""
+    """Modes a bandwidth of 2 % apart are counted; the frequency is what it is within one of them: a range of 0.02 of itself."""
     mode = described(EffectAt("structural_mode", "arm"), Visited(10.0, {"arm": Travel(-1.0, 1.0)}), J=1.0, f=8.0, zeta=0.03)[0]["f"]
     (information,) = information_of(np.diag([1.0, 1e6]), 1, [mode])  # known to a thousandth
-    assert 0.5 * np.log(information) == pytest.approx(np.log(0.06 / (np.sqrt(2.0 * np.pi) * 1e-3)))
+    assert 0.5 * np.log(information) == pytest.approx(np.log(0.02 / (np.sqrt(2.0 * np.pi) * 1e-3)))
 
 
 def fits(recordings: dict[str, Recording], *starts: tuple[EffectAt, list[float]]) -> tuple[list[Fitted], Visited]:
