@@ -197,19 +197,23 @@ def test_a_machine_file_of_the_same_name_is_not_overwritten(tmp_path):
     assert not (tmp_path / "carm.csv").exists()
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("written") / "run.mf4"
+    write_recording(example(), path)
+    return path.read_bytes()
+
+
 @FILES
 @given(cut=st.integers(1, 2400))
-def test_a_truncated_mf4_is_refused_or_whole(tmp_path, cut):
-    write_recording(example(), tmp_path / "run.mf4")
-    content = (tmp_path / "run.mf4").read_bytes()
-    read_or_refused(tmp_path / "cut.mf4", content[: max(len(content) - cut, 0)])
+def test_a_truncated_mf4_is_refused_or_whole(tmp_path, written, cut):
+    read_or_refused(tmp_path / "cut.mf4", written[: max(len(written) - cut, 0)])
 
 
 @FILES
 @given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
-def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path, place, bit):
-    write_recording(example(), tmp_path / "run.mf4")
-    content = bytearray((tmp_path / "run.mf4").read_bytes())
+def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path, written, place, bit):
+    content = bytearray(written)
     content[place % len(content)] ^= 1 << bit
     read_or_refused(tmp_path / "flipped.mf4", bytes(content))
 
