@@ -62,6 +62,10 @@ mean weighted by energy, and of the ninth tenth. Drawn with held samples it is 0
 with disturbances that the repeats do not share or sticking that ends at other times in each, one of the three is outside, or the recordings
 run backwards are as likely."""
 
+BY_ITSELF = 1e-3
+"""Probability with which bursts that come at any time are as close together as these: a motion's beginning that differs between repeats
+has several."""
+
 PROMISING = 12.0
 """Logarithm of the likelihood ratio of the clearest burst, below which all ways to place bursts are not added up."""
 
@@ -111,7 +115,7 @@ def held_samples(measured: np.ndarray) -> Held | None:
     if backwards is not None and evidence < RUN_BACKWARDS * _placed(backwards.logarithms(1.0)).max():
         return None
     held = _likeliest(bursts, TRIED[int(np.argmax(placed))], evidence)
-    return held if _stay(bursts, held.rows) else None
+    return held if _stay(bursts, held.rows) and not _close_together(bursts, held) else None
 
 
 def _stay(bursts: _Bursts, rows: np.ndarray) -> bool:
@@ -130,6 +134,19 @@ def _stay(bursts: _Bursts, rows: np.ndarray) -> bool:
     shares = np.array(along) / np.maximum(energy, 1e-300)
     middle, mean = float(np.median(shares)), float(np.sum(along) / np.sum(energy))
     return STAYS[0] <= middle <= STAYS[1] and STAYS[0] <= mean <= STAYS[1] and float(np.percentile(shares, 90.0)) <= STAYS_AT_MOST
+
+
+def _close_together(bursts: _Bursts, held: Held) -> bool:
+    """Whether the bursts of all repeats come at one time, of all times at which they would show."""
+    shows = bursts.energy[:, :, min(max(round(held.length), 1), LONGEST) - 1] >= LEAST_DISTANCE**2
+    before = np.concatenate([[0], np.cumsum(shows.sum(axis=0))]) / max(int(shows.sum()), 1)
+    begins = np.nonzero(np.diff(np.pad(held.rows.astype(int), ((0, 0), (1, 0))), axis=1) > 0)[1]
+    when = np.sort(before[np.clip(begins - 1, 0, len(before) - 1)])
+    count, smallest = len(when), 1.0
+    for more in range(1, count):
+        within = float(np.min(when[more:] - when[:-more])) + 1.0 / max(int(shows.sum()), 1)
+        smallest = min(smallest, count * float(scipy.stats.binom.sf(more - 1, count - 1, min(within, 1.0))))
+    return count * smallest < BY_ITSELF
 
 
 def _bursts(measured: np.ndarray) -> _Bursts | None:

@@ -83,6 +83,16 @@ def test_one_burst_is_enough():
     assert set(np.argwhere(found.rows)[:, 0]) == {0}
 
 
+@pytest.mark.parametrize(("between", "found"), [(130, True), (6, False)], ids=["over the recording", "at one time"])
+def test_samples_are_lost_at_any_time_and_not_all_at_one(between, found):
+    """A motion that begins differently in every repeat stays behind the others' there, and nowhere else."""
+    readings, _ = repeats(3, 0.0, repeats=4)
+    for burst in range(6):
+        row = 200 + between * burst
+        readings[burst % 4, row + 1 : row + 4] = readings[burst % 4, row]
+    assert (held_samples(readings) is not None) is found
+
+
 def test_readings_that_run_ahead_are_not_held():
     readings, _ = repeats(1, 0.05)
     assert held_samples(readings) is not None
