@@ -28,7 +28,7 @@ import numpy as np
 import scipy.optimize
 import scipy.stats
 from concealed import making
-from concealed.truth.build import Workshop
+from concealed.truth.workshop import Workshop
 
 from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.diagnose import diagnose

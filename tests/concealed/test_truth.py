@@ -126,9 +126,9 @@ def test_coulomb_friction_costs_its_level_in_each_direction(machines):
 @pytest.mark.parametrize("name", ["tilted_arm", "carm"])
 def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkeypatch, name):
     from concealed.truth import plant
-    from concealed.truth.build import Workshop
     from concealed.truth.draw import draw
     from concealed.truth.oracle import NoiseUnits
+    from concealed.truth.workshop import Workshop
 
     case = next(case for number in range(100) if (case := draw(number, 4, machines)).machine == name and case.training.kind == "mixed")
     shop = Workshop(case, machines[name])
@@ -142,9 +142,9 @@ def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkey
 
 def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
     """A lost reading repeats the last one, noise and all; the oracle's difference is where one of the case's recordings has such rows."""
-    from concealed.truth.build import Chosen, Workshop
     from concealed.truth.catalogue import KINDS
     from concealed.truth.draw import Hidden, draw
+    from concealed.truth.workshop import Chosen, Workshop
 
     case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == "tilted_arm" and not case.hidden)
     shop = Workshop(case, machines["tilted_arm"])
@@ -188,80 +188,3 @@ def test_an_imu_reads_what_it_does_in_much_finer_steps(machines, monkeypatch):
     for name in ("imu_x", "imu_z", "gyro_y"):
         error, whole = (np.diff(values, 2) for values in (coarse[name] - fine[name], fine[name]))
         assert np.linalg.norm(error) < 1.1e-4 * np.linalg.norm(whole), name
-
-
-def a_shop(machines, name):
-    """Of a case that hides nothing, with noise of a hundredth of every channel."""
-    from concealed.truth.build import Workshop
-    from concealed.truth.draw import draw
-    from concealed.truth.oracle import NoiseUnits
-
-    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == name and not case.hidden)
-    shop = Workshop(case, machines[name])
-    base = shop.matrix(shop.setup(()), shop.training)
-    size = np.where(base.std(axis=0) > 1e-9, 0.01 * base.std(axis=0), 1.0)
-    return shop, NoiseUnits(np.random.default_rng(0).normal(size=(3, *base.shape)) * size)
-
-
-def test_the_oracle_knows_that_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines):
-    """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
-    from concealed.truth.build import Chosen, _apart
-    from concealed.truth.catalogue import KINDS
-    from concealed.truth.draw import Hidden
-
-    shop, units = a_shop(machines, "tilted_arm")
-    found = _apart(shop, (Chosen(Hidden(KINDS["imu_bandwidth"], "imu", {}, 1.0), 5e-4),), 0, units, [])
-    assert found["detectability"] > 50.0
-    assert min(found["distances"].values()) < 0.05 * found["detectability"]
-
-
-def test_the_oracle_gives_an_imitator_the_strength_that_imitates_best(machines):
-    """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
-    from concealed.truth.build import Chosen, _apart
-    from concealed.truth.catalogue import KINDS
-    from concealed.truth.draw import Hidden
-
-    shop, units = a_shop(machines, "slider")
-    kind = KINDS["asymmetric_friction"]
-    weak = 0.05 * kind.typical(shop.machine, "carriage")
-    found = _apart(shop, (Chosen(Hidden(kind, "carriage", {"ratio": 0.999}, 1.0), weak),), 0, units, [])
-    assert found["distances"]["coulomb_friction"] < 0.02 * found["detectability"]
-
-
-def test_the_oracle_asks_for_what_an_effect_does_beside_the_others(machines):
-    """A joint that a friction slows down passes its cogs otherwise."""
-    from concealed.truth.build import Chosen, _apart
-    from concealed.truth.catalogue import KINDS
-    from concealed.truth.draw import Hidden
-    from concealed.truth.oracle import left_over
-
-    shop, units = a_shop(machines, "slider")
-    hidden = [Hidden(KINDS[name], "carriage", KINDS[name].draw(np.random.default_rng(0), shop.machine, "carriage"), 1.0)
-              for name in ("stribeck_friction", "cogging")]  # fmt: skip
-    each = zip(hidden, (4.0, 0.3), strict=True)
-    chosen = tuple(Chosen(one, times * one.kind.typical(shop.machine, one.place)) for one, times in each)
-    stronger = (Chosen(hidden[0], 1.01 * chosen[0].strength), chosen[1])
-    nothing, both, first, second, more = (
-        units(shop.matrix(shop.setup(some), shop.training)) for some in ((), chosen, chosen[:1], chosen[1:], stronger)
-    )
-    found = _apart(shop, chosen, 1, units, [])["detectability"]
-    assert found == pytest.approx(left_over(both - first, [more - both]), rel=0.02)
-    assert found != pytest.approx(left_over(second - nothing, [first - nothing]), rel=0.1)
-
-
-@pytest.mark.parametrize(("name", "hidden"), [("slider", "stribeck_friction"), ("tilted_arm", "nonlinear_stiffness")])
-def test_imitators_in_coarse_steps_stand_as_far_from_the_truth_as_in_its_own(machines, monkeypatch, name, hidden):
-    from concealed.truth import build
-    from concealed.truth.catalogue import KINDS
-    from concealed.truth.draw import Hidden
-
-    shop, units = a_shop(machines, name)
-    kind = KINDS[hidden]
-    place = next(iter(kind.places(shop.machine)))
-    one = Hidden(kind, place, kind.draw(np.random.default_rng(0), shop.machine, place), 1.0)
-    chosen = (build.Chosen(one, 0.1 * kind.typical(shop.machine, place)),)
-    coarse = build._apart(shop, chosen, 0, units, [])
-    monkeypatch.setattr(build, "COARSE", 1)
-    fine = build._apart(shop, chosen, 0, units, [])
-    assert coarse["distances"] == pytest.approx(fine["distances"], rel=0.01, abs=0.2)
-    assert min(fine["distances"].values()) < 0.98 * fine["detectability"]

@@ -22,6 +22,9 @@ WINDOW_S = 0.25
 
 POSITION_BINS = 24
 
+NOTHING = 1e-9
+"""Norm of a signal that counts as none, in deviations."""
+
 
 class NoiseUnits:
     """Whitening by what differs between repeats.

@@ -22,6 +22,7 @@ STEP_S = 0.0003
 COARSE = 3
 """Times as long steps of what only is to be told from the truth: what that leaves out is alike with and without an imitator."""
 
+IMU_SENSORS = ("accelerometer", "gyro")
 IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 
 
@@ -200,6 +201,8 @@ class Plant:
         model, machine = self.model, self.machine
         for key, factor in self.setup.factors.items():
             kind, name = key.split(":")
+            if kind == "corner":
+                continue
             if kind == "mass":
                 model.body(name).mass *= factor
             elif kind == "inertia":
@@ -325,7 +328,8 @@ class Plant:
 
     def _imu_poles(self) -> np.ndarray:
         imu = self.machine.imu or {}
-        return np.array([imu.get("accelerometer_bandwidth_Hz", 0.0), imu.get("gyro_bandwidth_Hz", 0.0), self.setup.imu_pole_Hz])
+        poles = [imu.get(f"{sensor}_bandwidth_Hz", 0.0) * self.setup.factors.get(f"corner:{sensor}", 1.0) for sensor in IMU_SENSORS]
+        return np.array([*poles, self.setup.imu_pole_Hz])
 
     def _controller(self, held: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All sections, per axis the first of C_r, of C_y and the end, and states that hold the start."""

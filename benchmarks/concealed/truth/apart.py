@@ -1,0 +1,291 @@
+"""What could be told by somebody who knows the true structure: whether an effect is there, and which other name could be meant.
+
+What imitates an effect is simulated in the truth's own simulator. First the machine file's numbers are refitted by their derivatives; where
+an effect then stands apart from nothing and from every other name, they are refitted by simulations, within the bounds that a machine
+file's numbers have, together with the strengths and shapes of what imitates and of what else is hidden. The shorter distance counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from concealed.truth.catalogue import INSIDE, KINDS
+from concealed.truth.draw import Hidden
+from concealed.truth.kinds import Kind, Shape
+from concealed.truth.oracle import NOTHING, NoiseUnits, coefficients, left_over, location
+from concealed.truth.plant import COARSE, STEP_S, Plant, Setup
+from concealed.truth.refitted import nearest
+from concealed.truth.workshop import DERIVATIVE_STEP, Chosen, Recorded, Workshop
+
+SEPARABLE = 5.0
+"""Standard deviations between the truth and the nearest other name from which on a name is asked for."""
+
+NEIGHBOUR_VARIANTS = 4
+SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
+"""Shape entries that a neighbour takes over from the truth where both have them: it gets the best chance to look alike."""
+
+LIKENESS_STEPS, ALIKE = 4, 0.05
+"""Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
+
+REFITTED = 2
+"""Names that are nearest by derivatives, whose refit is simulated."""
+
+FROM_NOMINAL, NUMBERS_SIZE = 0.15, 0.05
+"""How far a number of the machine file may be from what the file says, as a share, and how far it usually is: what cases draw is
+within 0.1."""
+
+CORNER, CORNERS_MOST, CORNERS_DEVIATION = "corner:", 0.03, 0.02
+"""Low passes of the IMU, which a clock makes: how far one may be off, and the standard deviation of that (data sheets: 1 to 3 %)."""
+
+TURN, SHAPES_MOST = 0.5 * np.pi, 0.5
+"""How far a phase is refitted, to each side [rad], and another entry of a shape, as a share."""
+
+
+@dataclass(frozen=True)
+class Like:
+    """Something else hidden in place of the truth, as strong as imitates it best, and its whitened signal."""
+
+    chosen: Chosen
+    signal: np.ndarray
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One unknown of a refit: a number of the machine file (`key`), or of the `index`-th of what is hidden its strength or a shape's entry.
+
+    It counts from 0, in shares but for phases [rad].
+    """
+
+    key: str
+    index: int | None
+    low: float
+    high: float
+    size: float
+
+    def changed(self, hidden: Sequence[Chosen], change: float) -> tuple[Chosen, ...]:
+        """What is hidden, with this unknown elsewhere."""
+        if self.index is None:
+            return tuple(hidden)
+        one = hidden[self.index]
+        if not self.key:
+            one = replace(one, strength=one.strength * (1.0 + change))
+        else:
+            value = one.hidden.shape[self.key]
+            value = value + change if _is_phase(self.key) else value * (1.0 + change)
+            one = replace(one, hidden=replace(one.hidden, shape=one.hidden.shape | {self.key: value}))
+        return (*hidden[: self.index], one, *hidden[self.index + 1 :])
+
+
+class Measure:
+    """Whitened signals, with a row besides for every number that is known beforehand."""
+
+    def __init__(self, shop: Workshop, units: NoiseUnits) -> None:
+        self._units = units
+        numbers = shop.by_numbers(shop.training)
+        self._known = [key for key in numbers if key.startswith(CORNER)]
+        self.numbers = {key: self(signal) for key, signal in numbers.items()}
+        """Derivatives by the machine file's numbers."""
+        for row, key in enumerate(self._known):
+            self.numbers[key][row - len(self._known)] = 1.0 / CORNERS_DEVIATION
+
+    def __call__(self, signal: np.ndarray, changes: Mapping[str, float] | None = None) -> np.ndarray:
+        """(N, C) signal, and what is known of numbers that were changed for it, as one vector."""
+        known = [(changes or {}).get(key, 0.0) / CORNERS_DEVIATION for key in self._known]
+        return np.concatenate([self._units(signal), known])
+
+
+def oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: list[Recorded], held_out: Recorded) -> dict[str, object]:
+    """Detectability, separability, what could be removed, where it shows."""
+    case, machine = shop.case, shop.machine
+    clean = {"train": shop.matrix(setup, shop.training), "held_out": shop.matrix(setup, shop.held_out)}
+    assert clean["train"] is not None and clean["held_out"] is not None, f"case {case.number}: the plant runs away"
+    units = NoiseUnits(shop.noise(repeats, clean["train"]))
+    held_noise = shop.noise([held_out], clean["held_out"])[0]
+    answer: dict[str, object] = {
+        "noise_rms": dict(zip(case.channels, units.std.tolist(), strict=True)),
+        "held_out_noise_rms": dict(zip(case.channels, held_noise.std(axis=0).tolist(), strict=True)),
+    }
+    if not chosen:
+        return answer
+    without = shop.setup(())
+    base = {name: shop.matrix(without, drive) for name, drive in (("train", shop.training), ("held_out", shop.held_out))}
+    assert base["train"] is not None and base["held_out"] is not None
+    effect = clean["train"] - base["train"]
+    measure = Measure(shop, units)
+    each = [apart(shop, chosen, index, measure) for index in range(len(chosen))]
+    both = left_over(measure(effect), list(measure.numbers.values()))
+    answer["detectability"] = both if len(chosen) > 1 else each[0]["detectability"]
+    answer["raw_detectability"] = float(np.linalg.norm(units(effect)))
+    answer["held_out_raw_detectability"] = float(np.linalg.norm(NoiseUnits(held_noise[None])(clean["held_out"] - base["held_out"])))
+    positions = shop.answer(setup, shop.training).q[:, [Plant(machine, setup).dof(machine.joint_of[axis]) for axis in machine.axes]]
+    answer["location"] = location(effect, units, machine.rate_Hz, positions, list(case.channels), machine.axes)
+    answer["each"] = each
+    return answer
+
+
+def apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, measure: Measure) -> dict[str, object]:
+    """How far one of the effects, beside the others, stands from nothing, and from each neighbour, with everything else refitted."""
+    one, others = chosen[index], (*chosen[:index], *chosen[index + 1 :])
+    beside = Beside.of(shop, others, one, measure) or Beside.of(shop, (), one, measure)  # the others may run away by themselves
+    assert beside is not None, f"case {shop.case.number}: the plant runs away"
+    others = beside.others
+    columns = [*measure.numbers.values(), *derivatives(beside, (*others, one), range(len(others))).values()]
+    found = left_over(beside.effect, columns)
+    nearby: dict[str, tuple[float, Like | None]] = {}
+    for name, place in _neighbours(shop, one):
+        shapes = _shapes(shop, one, KINDS[name.split(":")[0]], place)
+        likes = [_most_alike(beside, Hidden(KINDS[name.split(":")[0]], place, shape, 1.0), columns) for shape in shapes]
+        near = [(left_over(beside.effect, [*columns, like.signal]), like) for like in likes if like is not None]
+        nearby[name] = min(near, key=lambda each: each[0]) if near else (found, None)
+    distances = {name: distance for name, (distance, _) in nearby.items()}
+    if min([found, *distances.values()]) >= SEPARABLE:
+        found = min(found, refitted(beside, None))
+        for name in sorted(distances, key=lambda name: distances[name])[:REFITTED]:
+            if (like := nearby[name][1]) is not None and found >= SEPARABLE:
+                distances[name] = min(distances[name], refitted(beside, like))
+    separable = min([found, *distances.values()]) >= SEPARABLE
+    return {"detectability": found, "distances": distances, "separable": bool(separable)}
+
+
+@dataclass(frozen=True)
+class Beside:
+    """One effect beside the others: its whitened signal, and the simulation without it that imitators are compared with, in their steps."""
+
+    shop: Workshop
+    others: tuple[Chosen, ...]
+    effect: np.ndarray
+    without: np.ndarray
+    step_s: float
+    measure: Measure
+
+    @classmethod
+    def of(cls, shop: Workshop, others: tuple[Chosen, ...], one: Chosen, measure: Measure) -> Beside | None:
+        """In coarse steps, but for what runs away in coarse ones alone; None where it runs away in any."""
+        for step_s in (COARSE * STEP_S, STEP_S):
+            without, whole = (shop.matrix(shop.setup(hidden), shop.training, step_s) for hidden in (others, (*others, one)))
+            if without is not None and whole is not None:
+                return cls(shop, others, measure(whole - without), without, step_s, measure)
+        return None
+
+    def signal(self, hidden: tuple[Chosen, ...], changes: Mapping[str, float] | None = None) -> np.ndarray | None:
+        """What this, with numbers changed by these shares, differs by from the simulation without the effect."""
+        factors = dict(self.shop.case.factors)
+        for key, change in (changes or {}).items():
+            factors[key] = factors.get(key, 1.0) * (1.0 + change)
+        answer = self.shop.matrix(self.shop.setup(hidden, factors), self.shop.training, self.step_s)
+        return None if answer is None else self.measure(answer - self.without, changes)
+
+
+def refitted(beside: Beside, like: Like | None) -> float:
+    """Distance of the nearest simulation with this hidden in the effect's place."""
+    hidden = (*beside.others, *(() if like is None else (like.chosen,)))
+    columns = {_number(key, beside.shop.case.factors.get(key, 1.0)): column for key, column in beside.measure.numbers.items()}
+    columns |= derivatives(beside, hidden, range(len(hidden)))
+
+    def leaves(at: np.ndarray) -> np.ndarray | None:
+        moved, changes = hidden, {}
+        for unknown, change in zip(columns, at.tolist(), strict=True):
+            moved = unknown.changed(moved, change)
+            if unknown.index is None:
+                changes[unknown.key] = change
+        signal = beside.signal(moved, changes)
+        return None if signal is None else beside.effect - signal
+
+    bounds = np.array([unknown.low for unknown in columns]), np.array([unknown.high for unknown in columns])
+    begun = beside.effect if like is None else beside.effect - like.signal
+    return nearest(leaves, begun, list(columns.values()), bounds, np.array([unknown.size for unknown in columns]), SEPARABLE)
+
+
+def derivatives(beside: Beside, hidden: tuple[Chosen, ...], which: Iterable[int]) -> dict[Unknown, np.ndarray]:
+    """Whitened signals by the strengths and shapes of some of what is hidden: of strengths towards none, some are as strong as can be."""
+    shop = beside.shop
+    at = shop.matrix(shop.setup(hidden), shop.training, beside.step_s)
+    found = {}
+    for unknown in [unknown for index in which for unknown in _of_hidden(shop, hidden[index], index)]:
+        change = -DERIVATIVE_STEP if not unknown.key else DERIVATIVE_STEP
+        answer = shop.matrix(shop.setup(unknown.changed(hidden, change)), shop.training, beside.step_s)
+        if at is not None and answer is not None:
+            found[unknown] = beside.measure((answer - at) / change)
+    return found
+
+
+def _of_hidden(shop: Workshop, one: Chosen, index: int) -> list[Unknown]:
+    """Its strength, unless it is there or not, and the entries of its shape that a fit adjusts."""
+    kind, shape = one.hidden.kind, one.hidden.shape
+    unknowns = []
+    if not kind.fixed:
+        unknowns.append(Unknown("", index, -1.0, max(kind.largest(shop.machine, one.hidden.place) / one.strength - 1.0, 0.0), 0.2))
+    for key in kind.refit:
+        if key in shape:
+            low, high, size = (-TURN, TURN, 0.2) if _is_phase(key) else (-SHAPES_MOST, SHAPES_MOST, 0.1)
+            unknowns.append(Unknown(key, index, low, high, size))
+    return unknowns
+
+
+def _is_phase(key: str) -> bool:
+    return key.startswith("phi")
+
+
+def _number(key: str, factor: float) -> Unknown:
+    """A number of the machine file, which a case has changed by this factor."""
+    if key.startswith(CORNER):
+        return Unknown(key, None, -CORNERS_MOST, CORNERS_MOST, CORNERS_DEVIATION)
+    return Unknown(key, None, (1.0 - FROM_NOMINAL) / factor - 1.0, (1.0 + FROM_NOMINAL) / factor - 1.0, NUMBERS_SIZE)
+
+
+def _neighbours(shop: Workshop, one: Chosen) -> list[tuple[str, str]]:
+    """Names it may be mistaken for, and where."""
+    kind, found = one.hidden.kind, []
+    for name in kind.neighbours if kind.accepted else tuple(INSIDE):
+        neighbour = KINDS[name.split(":")[0]]
+        places = neighbour.places(shop.machine)
+        place = one.hidden.place if one.hidden.place in places else next(iter(places), None)
+        if ":" in name:
+            place = name.split(":")[1]
+        if place is not None and not set(neighbour.accepted) & set(kind.accepted):
+            found.append((name, place))
+    return found
+
+
+def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Shape]:
+    """A few shapes of a neighbour, with what it can have of the truth's."""
+    rng = np.random.default_rng([shop.case.seed, 7])
+    variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and neighbour.draw(rng, shop.machine, place) else 1
+    shapes = []
+    for variant in range(variants):
+        shape = neighbour.draw(rng, shop.machine, place)
+        shape |= {key: one.hidden.shape[key] for key in SHARED_SHAPE if key in shape and key in one.hidden.shape}
+        if "k" in one.hidden.shape and "Np" in shape:
+            shape["Np"] = one.hidden.shape["k"]
+        if "Np" in one.hidden.shape and "k" in shape:
+            shape["k"] = one.hidden.shape["Np"]
+        shapes.append(shape | {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape})
+    return shapes
+
+
+def _most_alike(beside: Beside, like: Hidden, columns: list[np.ndarray]) -> Like | None:
+    """A neighbour beside the others, as strong as imitates the truth best.
+
+    A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well,
+    at the same strength: springs and loads may pull the other way.
+    """
+    machine = beside.shop.machine
+    largest = like.kind.largest(machine, like.place)
+    strength = largest if like.kind.fixed else min(like.kind.typical(machine, like.place), largest)
+    tried: list[tuple[float, Like]] = []
+    for _ in range(1 if like.kind.fixed else LIKENESS_STEPS):
+        one = Chosen(like, strength)
+        signal = beside.signal((*beside.others, one))
+        if signal is None:
+            strength *= 0.1
+            continue
+        tried.append((left_over(beside.effect, [*columns, signal]), Like(one, signal)))
+        share = abs(float(coefficients(beside.effect, [*columns, signal])[-1]))
+        if abs(share - 1.0) < ALIKE:
+            break
+        does_nothing = float(np.linalg.norm(signal)) < NOTHING  # a gap, a stop or a limit that is not reached
+        strength = min(strength * (4.0 if does_nothing else float(np.clip(share, 0.02, 30.0))), largest)
+    return min(tried, key=lambda each: each[0])[1] if tried else None

@@ -1,0 +1,150 @@
+"""Which names the oracle asks for: what imitates an effect is refitted in the truth's own simulator, with the machine file's numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def chosen_of():
+    """(kind, place, shape, strength) as hidden physics."""
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.draw import Hidden
+    from concealed.truth.workshop import Chosen
+
+    return lambda name, place, shape, strength: Chosen(Hidden(KINDS[name], place, shape, 1.0), strength)
+
+
+def a_shop(machines, name, noise=0.01):
+    """Of a case that hides nothing, with noise of this share of every channel."""
+    from concealed.truth.apart import Measure
+    from concealed.truth.draw import draw
+    from concealed.truth.oracle import NoiseUnits
+    from concealed.truth.workshop import Workshop
+
+    case = next(case for number in range(200) if (case := draw(number, 4, machines)).machine == name and not case.hidden)
+    shop = Workshop(case, machines[name])
+    base = shop.matrix(shop.setup(()), shop.training)
+    size = np.where(base.std(axis=0) > 1e-9, noise * base.std(axis=0), 1.0)
+    return shop, Measure(shop, NoiseUnits(np.random.default_rng(0).normal(size=(3, *base.shape)) * size))
+
+
+def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines, chosen_of):
+    """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
+    from concealed.truth.apart import apart
+
+    shop, measure = a_shop(machines, "tilted_arm")
+    measure.numbers = {}
+    found = apart(shop, (chosen_of("imu_bandwidth", "imu", {}, 5e-4),), 0, measure)
+    assert found["detectability"] > 50.0
+    assert min(found["distances"].values()) < 0.05 * found["detectability"]
+
+
+@pytest.mark.parametrize(("late_s", "asked"), [(2e-5, False), (5e-4, True)])
+def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(machines, chosen_of, late_s, asked):
+    """2 % of 60 Hz delay by 53 us, which no recording tells from a clock's 20."""
+    from concealed.truth.apart import apart
+
+    shop, measure = a_shop(machines, "tilted_arm", noise=1e-3)
+    late = chosen_of("clock_offset", "gyro_y", {"drift": 0.0}, late_s)
+    found = apart(shop, (late,), 0, measure)
+    assert (found["detectability"] > 5.0) is asked
+    measure.numbers = {}
+    assert apart(shop, (late,), 0, measure)["detectability"] > 5.0
+
+
+def test_an_imitator_has_the_strength_that_imitates_best(machines, chosen_of):
+    """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
+    from concealed.truth.apart import apart
+    from concealed.truth.catalogue import KINDS
+
+    shop, measure = a_shop(machines, "slider")
+    measure.numbers = {}
+    weak = 0.05 * KINDS["asymmetric_friction"].typical(shop.machine, "carriage")
+    found = apart(shop, (chosen_of("asymmetric_friction", "carriage", {"ratio": 0.999}, weak),), 0, measure)
+    assert found["distances"]["coulomb_friction"] < 0.02 * found["detectability"]
+
+
+def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chosen_of):
+    """A joint that a friction slows down passes its cogs otherwise."""
+    from concealed.truth.apart import apart
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.oracle import left_over
+
+    shop, measure = a_shop(machines, "slider")
+    measure.numbers = {}
+    strengths = {"stribeck_friction": 4.0, "cogging": 0.3}
+    shapes = {name: KINDS[name].draw(np.random.default_rng(0), shop.machine, "carriage") for name in strengths}
+    typical = {name: KINDS[name].typical(shop.machine, "carriage") for name in strengths}
+    first, second = (chosen_of(name, "carriage", shapes[name], times * typical[name]) for name, times in strengths.items())
+    stronger = replace(first, strength=1.01 * first.strength)
+    faster = replace(first, hidden=replace(first.hidden, shape=first.hidden.shape | {"speed": 1.01 * first.hidden.shape["speed"]}))
+    some = (), (first, second), (first,), (second,), (stronger, second), (faster, second)
+    nothing, both, one, other, more, wider = (measure(shop.matrix(shop.setup(hidden), shop.training)) for hidden in some)
+    found = apart(shop, (first, second), 1, measure)["detectability"]
+    assert found == pytest.approx(left_over(both - one, [more - both, wider - both]), rel=0.02)
+    assert found != pytest.approx(left_over(other - nothing, [one - nothing]), rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "hidden"), [("slider", "stribeck_friction"), ("tilted_arm", "nonlinear_stiffness")])
+def test_imitators_in_coarse_steps_stand_as_far_from_the_truth_as_in_its_own(machines, chosen_of, monkeypatch, name, hidden):
+    from concealed.truth import apart as oracle
+    from concealed.truth.catalogue import KINDS
+
+    shop, measure = a_shop(machines, name)
+    measure.numbers = {}
+    monkeypatch.setattr(oracle, "REFITTED", 0)
+    kind = KINDS[hidden]
+    place = next(iter(kind.places(shop.machine)))
+    one = chosen_of(hidden, place, kind.draw(np.random.default_rng(0), shop.machine, place), 0.1 * kind.typical(shop.machine, place))
+    coarse = oracle.apart(shop, (one,), 0, measure)
+    monkeypatch.setattr(oracle, "COARSE", 1)
+    fine = oracle.apart(shop, (one,), 0, measure)
+    assert coarse["distances"] == pytest.approx(fine["distances"], rel=0.01, abs=0.2)
+    assert min(fine["distances"].values()) < 0.98 * fine["detectability"]
+
+
+def test_numbers_are_refitted_by_simulations_and_not_by_derivatives_alone(machines, chosen_of):
+    """A spring a tenth softer is a number of the machine file, far as it is from its derivative."""
+    from concealed.truth.apart import apart
+    from concealed.truth.oracle import left_over
+
+    shop, measure = a_shop(machines, "tilted_arm", noise=1e-4)
+    softer = chosen_of("joint_compliance", "arm", {}, 0.1)
+    effect = measure(shop.matrix(shop.setup((softer,)), shop.training) - shop.matrix(shop.setup(()), shop.training))
+    assert left_over(effect, list(measure.numbers.values())) > 20.0
+    assert apart(shop, (softer,), 0, measure)["detectability"] < 5.0
+
+
+def test_numbers_are_refitted_no_further_than_a_machine_file_may_be_off(machines, chosen_of):
+    from concealed.truth.apart import apart
+
+    shop, measure = a_shop(machines, "tilted_arm", noise=1e-4)
+    assert apart(shop, (chosen_of("joint_compliance", "arm", {}, 0.6),), 0, measure)["detectability"] > 20.0
+
+
+def family(at):
+    """Sines of another frequency and amplitude: the nearest one lies a third of a turn off at the end."""
+    t = np.linspace(0.0, 10.0, 400)
+    return (1.0 + at[1]) * np.sin(2.0 * np.pi * (1.0 + at[0]) * t)
+
+
+@pytest.mark.parametrize(("most", "reached"), [(0.2, True), (0.015, False)])
+def test_the_nearest_of_a_family_is_found_within_its_bounds(most, reached):
+    from concealed.truth.refitted import nearest
+
+    wanted, small = family([0.03, 0.3]), 1e-6
+    columns = [(family(change) - family([0.0, 0.0])) / small for change in ([small, 0.0], [0.0, small])]
+    bounds = np.array([-most, -0.5]), np.array([most, 0.5])
+    visited = []
+
+    def leaves(at):
+        visited.append(at)
+        return wanted - family(at)
+
+    found = nearest(leaves, wanted - family([0.0, 0.0]), columns, bounds, np.array([0.02, 0.2]), 1e-3)
+    assert bool(found < 0.05 * np.linalg.norm(wanted)) is reached
+    assert np.abs(visited).max(axis=0)[0] <= most + 1e-9
