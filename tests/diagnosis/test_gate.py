@@ -212,6 +212,16 @@ def test_what_another_motion_cannot_confirm_must_be_certain_in_training():
 
 
 @pytest.mark.parametrize(
+    ("trained", "beyond", "passes"),
+    [(9e-4, 1.0, True), (1.1e-3, 1.0, False), (9e-4, 0.8, False), (9e-5, 0.8, True)],
+)
+def test_beside_others_what_no_error_of_theirs_explains_may_be_less_certain(trained, beyond, passes):
+    """What their equations err by looks like effects that are not there."""
+    second = vars(gate(trained, 0.3)) | {"predicted": 2.0, "seen": 1.2, "is_first": False}
+    assert Gate(**second | {"beyond": beyond * second["gain"]}).passed is passes
+
+
+@pytest.mark.parametrize(
     ("change", "shows"),
     [
         ({}, True),
