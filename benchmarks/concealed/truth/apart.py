@@ -40,7 +40,7 @@ within 0.1."""
 CORNER, CORNERS_MOST, CORNERS_DEVIATION = "corner:", 0.03, 0.02
 """Low passes of the IMU, which a clock makes: how far one may be off, and the standard deviation of that (data sheets: 1 to 3 %)."""
 
-TURN, SHAPES_MOST = 0.5 * np.pi, 0.5
+TURN, SHAPES_MOST = 0.5 * np.pi, 0.25
 """How far a phase is refitted, to each side [rad], and another entry of a shape, as a share."""
 
 
