@@ -68,14 +68,15 @@ effect cannot be asked to confirm it: where three deviations are predicted they 
 0.20."""
 
 UNCONFIRMED_LEVEL = LEVEL**2
-"""Chance in training, as one of all that were tried, below which agreeing is enough: that of two motions which show it at LEVEL each. A wave
-stood for a pulse with 3e-4 (development 55). An inertia that varies with pose had 1e-6 (sealed 1092, spent)."""
+"""Chance in training, as one of all that were tried, below which agreeing is enough: that of two motions which show it at LEVEL each. A
+wave stood for a pulse with 3e-4 (development 55). An inertia that varies with pose had 1e-6 (sealed 1092, spent)."""
 
 UNCONFIRMED_BESIDE_OTHERS = 1e-3
 OWN_GAIN = 0.9
 """The same beside effects that were found before, of what gains this share at least beyond errors of their equations. Beside strong first
-effects others take up what their equations err by, with 2e-4 in training and a quarter of the gain beyond (development 102); two ripples
-and an inertia between axes beside a mode, 7 and 10 deviations long, have 3e-4 and 4e-4 and all of it beyond (3695, 3223, spent)."""
+effects others take up what their equations err by, with 2e-4 in training and a quarter of the gain beyond (development 102; beside 103's
+it is half); two ripples and an inertia between axes beside a mode, 7 and 10 deviations long, have 3e-4 and 4 to 6e-4 and 99 in 100 of it
+beyond (3695, 3223, spent)."""
 
 TRAINING_ALONE = 1e-6
 """The same below which something is there whatever held-out recordings say: a law that no known effect has may be one motion's own. Of 35
@@ -163,8 +164,8 @@ class Gate:
 
     @property
     def agrees(self) -> bool:
-        """Whether training leaves no doubt and held-out recordings show as much as was predicted of them, which is too little to confirm
-        anything.
+        """Whether training leaves little doubt, and held-out recordings show as much as was predicted of them, which is too little to
+        confirm anything.
         """
         of_its_own = not self.is_first and self.beyond is not None and self.beyond > OWN_GAIN * self.gain
         level = UNCONFIRMED_BESIDE_OTHERS if of_its_own else UNCONFIRMED_LEVEL

@@ -366,7 +366,7 @@ class Judgement:
             needed=trained.needed,
             scatter=scatter,
             trained=trained.by_chance,
-            beyond=trained.beyond,
+            beyond=trained.beyond if len(before.errors.responses) else None,
             over_simulator=over_simulator,
             asked=asked,
             held_out_deviations=deviations,

@@ -219,6 +219,8 @@ def test_beside_others_what_no_error_of_theirs_explains_may_be_less_certain(trai
     """What their equations err by looks like effects that are not there."""
     second = vars(gate(trained, 0.3)) | {"predicted": 2.0, "seen": 1.2, "is_first": False}
     assert Gate(**second | {"beyond": beyond * second["gain"]}).passed is passes
+    first_or_unknown = {"is_first": True, "beyond": second["gain"]}, {"beyond": None}
+    assert all(Gate(**second | changed).passed is (trained < 1e-4) for changed in first_or_unknown)
 
 
 @pytest.mark.parametrize(

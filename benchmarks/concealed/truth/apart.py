@@ -1,8 +1,9 @@
 """What could be told by somebody who knows the true structure: whether an effect is there, and which other name could be meant.
 
-What imitates an effect is simulated in the truth's own simulator. First the machine file's numbers are refitted by their derivatives; where
-an effect then stands apart from nothing and from every other name, they are refitted by simulations, within the bounds that a machine
-file's numbers have, together with the strengths and shapes of what imitates and of what else is hidden. The shorter distance counts.
+What imitates an effect is simulated in the truth's own simulator. First the machine file's numbers, and the strengths and shapes of what
+else is hidden, are refitted by their derivatives, without bounds. Where an effect then stands apart from nothing they are refitted by
+simulations, within the bounds that a machine file's numbers have; where it stands apart from every other name, together with the strength
+and shape of what imitates it. The shorter distance counts; one below SEPARABLE is an upper bound, nobody looks further.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from concealed.truth.catalogue import INSIDE, KINDS
 from concealed.truth.draw import Hidden
 from concealed.truth.kinds import Kind, Shape
 from concealed.truth.oracle import NOTHING, NoiseUnits, coefficients, left_over, location
-from concealed.truth.plant import COARSE, STEP_S, Plant, Setup
+from concealed.truth.plant import COARSE, CORNER, STEP_S, Plant, Setup
 from concealed.truth.refitted import nearest
 from concealed.truth.workshop import DERIVATIVE_STEP, Chosen, Recorded, Workshop
 
@@ -37,26 +38,30 @@ FROM_NOMINAL, NUMBERS_SIZE = 0.15, 0.05
 """How far a number of the machine file may be from what the file says, as a share, and how far it usually is: what cases draw is
 within 0.1."""
 
-CORNER, CORNERS_MOST, CORNERS_DEVIATION = "corner:", 0.03, 0.02
+CORNERS_MOST, CORNERS_DEVIATION = 0.03, 0.02
 """Low passes of the IMU, which a clock makes: how far one may be off, and the standard deviation of that (data sheets: 1 to 3 %)."""
 
-TURN, SHAPES_MOST = 0.5 * np.pi, 0.25
-"""How far a phase is refitted, to each side [rad], and another entry of a shape, as a share."""
+TURN, SHAPES_MOST, PLACES_MOST = 0.5 * np.pi, 0.25, 0.1
+"""How far a phase is refitted, to each side [rad], a position, as a share of the axis's reach, and another entry of a shape, of itself."""
 
 
 @dataclass(frozen=True)
 class Like:
-    """Something else hidden in place of the truth, as strong as imitates it best, and its whitened signal."""
+    """Something else hidden in place of the truth, as strong as imitates it best, and its whitened signal.
+
+    `turned`: it imitates turned round, as nothing that was simulated does.
+    """
 
     chosen: Chosen
     signal: np.ndarray
+    turned: bool
 
 
 @dataclass(frozen=True)
 class Unknown:
     """One unknown of a refit: a number of the machine file (`key`), or of the `index`-th of what is hidden its strength or a shape's entry.
 
-    It counts from 0, in shares but for phases [rad].
+    It counts from 0, in shares but for phases [rad] and positions (shares of the axis's reach); `scale` is one of them in its entry's unit.
     """
 
     key: str
@@ -64,6 +69,7 @@ class Unknown:
     low: float
     high: float
     size: float
+    scale: float = 1.0
 
     def changed(self, hidden: Sequence[Chosen], change: float) -> tuple[Chosen, ...]:
         """What is hidden, with this unknown elsewhere."""
@@ -73,8 +79,7 @@ class Unknown:
         if not self.key:
             one = replace(one, strength=one.strength * (1.0 + change))
         else:
-            value = one.hidden.shape[self.key]
-            value = value + change if _is_phase(self.key) else value * (1.0 + change)
+            value = one.hidden.shape[self.key] + change * self.scale
             one = replace(one, hidden=replace(one.hidden, shape=one.hidden.shape | {self.key: value}))
         return (*hidden[: self.index], one, *hidden[self.index + 1 :])
 
@@ -116,7 +121,9 @@ def oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: li
     effect = clean["train"] - base["train"]
     measure = Measure(shop, units)
     each = [apart(shop, chosen, index, measure) for index in range(len(chosen))]
-    both = left_over(measure(effect), list(measure.numbers.values()))
+    together = Beside.of(shop, (), chosen, measure)
+    assert together is not None, f"case {case.number}: the plant runs away"
+    both = left_over(together.effect, list(measure.numbers.values()))
     answer["detectability"] = both if len(chosen) > 1 else each[0]["detectability"]
     answer["raw_detectability"] = float(np.linalg.norm(units(effect)))
     answer["held_out_raw_detectability"] = float(np.linalg.norm(NoiseUnits(held_noise[None])(clean["held_out"] - base["held_out"])))
@@ -129,7 +136,7 @@ def oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: li
 def apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, measure: Measure) -> dict[str, object]:
     """How far one of the effects, beside the others, stands from nothing, and from each neighbour, with everything else refitted."""
     one, others = chosen[index], (*chosen[:index], *chosen[index + 1 :])
-    beside = Beside.of(shop, others, one, measure) or Beside.of(shop, (), one, measure)  # the others may run away by themselves
+    beside = Beside.of(shop, others, (one,), measure) or Beside.of(shop, (), (one,), measure)  # the others may run away by themselves
     assert beside is not None, f"case {shop.case.number}: the plant runs away"
     others = beside.others
     columns = [*measure.numbers.values(), *derivatives(beside, (*others, one), range(len(others))).values()]
@@ -140,12 +147,15 @@ def apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, measure: Measu
         likes = [_most_alike(beside, Hidden(KINDS[name.split(":")[0]], place, shape, 1.0), columns) for shape in shapes]
         near = [(left_over(beside.effect, [*columns, like.signal]), like) for like in likes if like is not None]
         nearby[name] = min(near, key=lambda each: each[0]) if near else (found, None)
-    distances = {name: distance for name, (distance, _) in nearby.items()}
-    if min([found, *distances.values()]) >= SEPARABLE:
+    distances = {name: min(distance, found) for name, (distance, _) in nearby.items()}
+    if found >= SEPARABLE:
         found = min(found, refitted(beside, None))
-        for name in sorted(distances, key=lambda name: distances[name])[:REFITTED]:
-            if (like := nearby[name][1]) is not None and found >= SEPARABLE:
-                distances[name] = min(distances[name], refitted(beside, like))
+        distances = {name: min(distance, found) for name, distance in distances.items()}
+    straight = {name: like for name, (_, like) in nearby.items() if like is not None and not like.turned}
+    promising = [name for name, like in straight.items() if np.linalg.norm(like.signal) > NOTHING]
+    for name in sorted(promising, key=lambda name: distances[name])[:REFITTED]:
+        if min([found, *distances.values()]) >= SEPARABLE:
+            distances[name] = min(distances[name], refitted(beside, straight[name]))
     separable = min([found, *distances.values()]) >= SEPARABLE
     return {"detectability": found, "distances": distances, "separable": bool(separable)}
 
@@ -162,10 +172,10 @@ class Beside:
     measure: Measure
 
     @classmethod
-    def of(cls, shop: Workshop, others: tuple[Chosen, ...], one: Chosen, measure: Measure) -> Beside | None:
+    def of(cls, shop: Workshop, others: tuple[Chosen, ...], effect: tuple[Chosen, ...], measure: Measure) -> Beside | None:
         """In coarse steps, but for what runs away in coarse ones alone; None where it runs away in any."""
         for step_s in (COARSE * STEP_S, STEP_S):
-            without, whole = (shop.matrix(shop.setup(hidden), shop.training, step_s) for hidden in (others, (*others, one)))
+            without, whole = (shop.matrix(shop.setup(hidden), shop.training, step_s) for hidden in (others, (*others, *effect)))
             if without is not None and whole is not None:
                 return cls(shop, others, measure(whole - without), without, step_s, measure)
         return None
@@ -214,19 +224,21 @@ def derivatives(beside: Beside, hidden: tuple[Chosen, ...], which: Iterable[int]
 
 def _of_hidden(shop: Workshop, one: Chosen, index: int) -> list[Unknown]:
     """Its strength, unless it is there or not, and the entries of its shape that a fit adjusts."""
-    kind, shape = one.hidden.kind, one.hidden.shape
+    kind, place, shape = one.hidden.kind, one.hidden.place, one.hidden.shape
     unknowns = []
     if not kind.fixed:
-        unknowns.append(Unknown("", index, -1.0, max(kind.largest(shop.machine, one.hidden.place) / one.strength - 1.0, 0.0), 0.2))
+        most = kind.largest(shop.machine, place) / abs(one.strength) - 1.0
+        unknowns.append(Unknown("", index, -1.0, max(most, 0.0), 0.2))
     for key in kind.refit:
-        if key in shape:
-            low, high, size = (-TURN, TURN, 0.2) if _is_phase(key) else (-SHAPES_MOST, SHAPES_MOST, 0.1)
-            unknowns.append(Unknown(key, index, low, high, size))
+        if key not in shape:
+            continue
+        if key.startswith("phi"):
+            unknowns.append(Unknown(key, index, -TURN, TURN, 0.2))
+        elif key == "at" and place in shop.machine.axes:
+            unknowns.append(Unknown(key, index, -PLACES_MOST, PLACES_MOST, 0.02, shop.machine.reach(place)))
+        else:
+            unknowns.append(Unknown(key, index, -SHAPES_MOST, SHAPES_MOST, 0.1, shape[key]))
     return unknowns
-
-
-def _is_phase(key: str) -> bool:
-    return key.startswith("phi")
 
 
 def _number(key: str, factor: float) -> Unknown:
@@ -269,8 +281,8 @@ def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Sh
 def _most_alike(beside: Beside, like: Hidden, columns: list[np.ndarray]) -> Like | None:
     """A neighbour beside the others, as strong as imitates the truth best.
 
-    A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well,
-    at the same strength: springs and loads may pull the other way.
+    A stronger friction is no multiple of a weaker one: a joint sticks longer under it. What imitates the truth turned round counts as well:
+    springs and loads may pull the other way, and are simulated so.
     """
     machine = beside.shop.machine
     largest = like.kind.largest(machine, like.place)
@@ -282,10 +294,11 @@ def _most_alike(beside: Beside, like: Hidden, columns: list[np.ndarray]) -> Like
         if signal is None:
             strength *= 0.1
             continue
-        tried.append((left_over(beside.effect, [*columns, signal]), Like(one, signal)))
-        share = abs(float(coefficients(beside.effect, [*columns, signal])[-1]))
+        share = float(coefficients(beside.effect, [*columns, signal])[-1])
+        tried.append((left_over(beside.effect, [*columns, signal]), Like(one, signal, share < 0.0)))
         if abs(share - 1.0) < ALIKE:
             break
         does_nothing = float(np.linalg.norm(signal)) < NOTHING  # a gap, a stop or a limit that is not reached
-        strength = min(strength * (4.0 if does_nothing else float(np.clip(share, 0.02, 30.0))), largest)
+        factor = 4.0 if does_nothing else float(np.copysign(np.clip(abs(share), 0.02, 30.0), share))
+        strength = float(np.clip(strength * factor, -largest, largest))
     return min(tried, key=lambda each: each[0])[1] if tried else None

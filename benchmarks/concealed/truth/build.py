@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from concealed.truth.apart import CORNER, oracle
+from concealed.truth.apart import oracle
 from concealed.truth.draw import Case, Hidden
 from concealed.truth.experiments import plan
 from concealed.truth.oracle import NOTHING, NoiseUnits, left_over
-from concealed.truth.plant import IMU_CHANNELS, Drive, Machine
+from concealed.truth.plant import CORNER, IMU_CHANNELS, Drive, Machine
 from concealed.truth.workshop import Chosen, Recorded, Workshop
 from concealed.truth.writing import write_recording
 
@@ -56,11 +56,12 @@ def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     assert base is not None, f"case {shop.case.number}: the plant without effects runs away"
     units = NoiseUnits(shop.noise([shop.recorded(nothing, drive, repeat) for repeat in range(100, 103)], base))
     nominal = [units(signal) for key, signal in shop.by_numbers(drive).items() if not key.startswith(CORNER)]
-    return tuple(Chosen(hidden, _strength(shop, hidden, drive, base, units, nominal)) for hidden in shop.case.hidden)
+    return tuple(Chosen(hidden, _strength(shop, hidden, drive, units, nominal)) for hidden in shop.case.hidden)
 
 
-def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, units: NoiseUnits, nominal: list[np.ndarray]) -> float:
-    kind = hidden.kind
+def _strength(shop: Workshop, hidden: Hidden, drive: Drive, units: NoiseUnits, nominal: list[np.ndarray]) -> float:
+    kind, step_s = hidden.kind, shop.quickly_s(drive)
+    base = shop.matrix(shop.setup(()), drive, step_s)
     largest = kind.largest(shop.machine, hidden.place)
     strength = min(kind.typical(shop.machine, hidden.place), largest)
     if kind.fixed:
@@ -70,8 +71,8 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, base: np.ndarray, un
     wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(units.repeats / shop.case.repeats)
     safe = largest
     for _ in range(SEARCH_STEPS):
-        answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive)
-        if answer is None:
+        answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive, step_s)
+        if answer is None or base is None:
             safe = 0.5 * strength
             strength = safe
             continue

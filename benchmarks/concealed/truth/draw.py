@@ -11,7 +11,7 @@ from concealed.truth.catalogue import INSIDE, OUTSIDE
 from concealed.truth.disturbances import COLOURS
 from concealed.truth.experiments import HELD_OUT, KINDS, LITTLE, Experiment
 from concealed.truth.kinds import Kind
-from concealed.truth.plant import IMU_SENSORS, Machine
+from concealed.truth.plant import CORNER, IMU_SENSORS, Machine
 
 ORDER = ("null", "single", "off", "null", "single", "pair", "null", "single", "null", "single", "off", "null", "single", "pair", "null")
 """Fifteen cases in a row: six nulls, five singles, two pairs, two off the catalogue. 750 cases hold 300, 250, 100 and 100."""
@@ -133,7 +133,7 @@ def numbers(machine: Machine) -> list[str]:
             centre = body.get("center_of_mass_m", [0.0, 0.0, 0.0])
             keys += [f"com_{axis}:{body['name']}" for axis, value in zip("xyz", centre, strict=True) if value]
     rotors = [axis for axis, drive in machine.table["drives"].items() if any(key.startswith("rotor") for key in drive)]
-    corners = [f"corner:{sensor}" for sensor in IMU_SENSORS if f"{sensor}_bandwidth_Hz" in (machine.imu or {})]
+    corners = [f"{CORNER}:{sensor}" for sensor in IMU_SENSORS if f"{sensor}_bandwidth_Hz" in (machine.imu or {})]
     return keys + [f"armature:{machine.joint_of[axis]}" for axis in rotors] + corners
 
 

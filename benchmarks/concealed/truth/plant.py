@@ -22,7 +22,9 @@ STEP_S = 0.0003
 COARSE = 3
 """Times as long steps of what only is to be told from the truth: what that leaves out is alike with and without an imitator."""
 
-IMU_SENSORS = ("accelerometer", "gyro")
+IMU_SENSORS, CORNER = ("accelerometer", "gyro"), "corner"
+"""Whose low passes are numbers of the machine file, and what their keys begin with."""
+
 IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 
 
@@ -201,7 +203,7 @@ class Plant:
         model, machine = self.model, self.machine
         for key, factor in self.setup.factors.items():
             kind, name = key.split(":")
-            if kind == "corner":
+            if kind == CORNER:
                 continue
             if kind == "mass":
                 model.body(name).mass *= factor
@@ -328,7 +330,7 @@ class Plant:
 
     def _imu_poles(self) -> np.ndarray:
         imu = self.machine.imu or {}
-        poles = [imu.get(f"{sensor}_bandwidth_Hz", 0.0) * self.setup.factors.get(f"corner:{sensor}", 1.0) for sensor in IMU_SENSORS]
+        poles = [imu.get(f"{sensor}_bandwidth_Hz", 0.0) * self.setup.factors.get(f"{CORNER}:{sensor}", 1.0) for sensor in IMU_SENSORS]
         return np.array([*poles, self.setup.imu_pole_Hz])
 
     def _controller(self, held: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

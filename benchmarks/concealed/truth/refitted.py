@@ -8,7 +8,7 @@ import numpy as np
 import scipy.optimize
 
 RUNS = 25
-"""Simulations at most, of one family."""
+"""Simulations at most, of one descent."""
 
 FIRST_RADIUS = 0.5
 """Of a first step, as a share of each unknown's size."""
@@ -56,7 +56,7 @@ def nearest(
     table = -np.column_stack(columns) * sizes
     at, left, table, surprise = _descended(leaves, at, left, table, bounds, sizes, enough)
     if surprise > enough < float(np.linalg.norm(left)):
-        table = _derived(leaves, at, left, table, sizes)
+        table = _derived(leaves, at, left, table, bounds[0], sizes)
         at, left, _, _ = _descended(leaves, at, left, table, bounds, sizes, enough)
     return float(np.linalg.norm(left))
 
@@ -79,11 +79,11 @@ def _descended(
         box = np.maximum((bounds[0] - at) / sizes, -radius), np.minimum((bounds[1] - at) / sizes, radius) + 1e-12
         step = scipy.optimize.lsq_linear(triangle, -(basis.T @ left), box).x
         expected = left + table @ step
-        if float(np.linalg.norm(expected)) > (1.0 - WORTH) * shortest:
+        if float(np.linalg.norm(expected)) > (1.0 - WORTH) * shortest and float(np.abs(step).max()) < 0.9 * radius:
             break
         tried = leaves(at + step * sizes)
         if tried is None:
-            radius *= 0.3
+            radius = 0.3 * float(np.abs(step).max())
             continue
         surprise = max(surprise, float(np.linalg.norm(tried - expected)))
         table = table + np.outer(tried - expected, step / float(step @ step))
@@ -96,14 +96,20 @@ def _descended(
 
 
 def _derived(
-    leaves: Callable[[np.ndarray], np.ndarray | None], at: np.ndarray, left: np.ndarray, table: np.ndarray, sizes: np.ndarray
+    leaves: Callable[[np.ndarray], np.ndarray | None],
+    at: np.ndarray,
+    left: np.ndarray,
+    table: np.ndarray,
+    low: np.ndarray,
+    sizes: np.ndarray,
 ) -> np.ndarray:
-    """Derivatives there, per size of each unknown; where the simulation runs away, those that were known."""
+    """Derivatives there, per size of each unknown, downwards but at a lower bound; those that were known where the simulation runs away."""
     anew = table.copy()
     for k, size in enumerate(sizes):
+        way = DIFFERENCE if at[k] - DIFFERENCE * size < low[k] else -DIFFERENCE
         moved = at.copy()
-        moved[k] -= DIFFERENCE * size
+        moved[k] += way * size
         tried = leaves(moved)
         if tried is not None:
-            anew[:, k] = (left - tried) / DIFFERENCE
+            anew[:, k] = (tried - left) / way
     return anew

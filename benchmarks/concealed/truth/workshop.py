@@ -78,16 +78,22 @@ class Workshop:
         read_out = with_losses(setup, read(setup, answer.channels, self.machine.rate_Hz), self._losses(repeat))
         return np.column_stack([read_out[name] for name in self.case.channels])
 
+    def quickly_s(self, drive: Drive) -> float:
+        """Longest step of what only is to be told from the truth: a coarse one where the plant without effects does not run away in it."""
+        step_s = COARSE * STEP_S
+        return step_s if self.matrix(self.setup(()), drive, step_s) is not None else STEP_S
+
     def by_numbers(self, drive: Drive) -> dict[str, np.ndarray]:
-        """Derivatives (N, C) of the plant without effects, in coarse steps, by every number of the machine file, per share of it."""
+        """Derivatives (N, C) of the plant without effects, in quick steps, by every number of the machine file, per share of it."""
         if id(drive) not in self._derivatives:
-            step_s = COARSE * STEP_S
+            step_s = self.quickly_s(drive)
             base = self.matrix(self.setup(()), drive, step_s)
+            assert base is not None, f"case {self.case.number}: the plant without effects runs away"
             signals = {}
             for key in numbers(self.machine):
                 factors = self.case.factors | {key: self.case.factors.get(key, 1.0) * (1.0 + DERIVATIVE_STEP)}
                 answer = self.matrix(self.setup((), factors), drive, step_s)
-                if answer is not None and base is not None:
+                if answer is not None:
                     signals[key] = (answer - base) / DERIVATIVE_STEP
             self._derivatives[id(drive)] = signals
         return self._derivatives[id(drive)]
