@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.optimize
 
-RUNS = 25
+RUNS = 15
 """Simulations at most, of one descent."""
 
 FIRST_RADIUS = 0.5
@@ -17,6 +17,9 @@ LEAST_RADIUS = 1e-3
 
 DIFFERENCE = 0.05
 """Of derivatives that are taken anew, as a share of each unknown's size."""
+
+SURPRISED = 0.3
+"""Share of what is left by which a simulation was not the expected one, from which on derivatives are taken anew."""
 
 WORTH = 0.01
 """Share of the distance by which the next step must promise to shorten it."""
@@ -55,7 +58,8 @@ def nearest(
         return float(np.linalg.norm(begun))
     table = -np.column_stack(columns) * sizes
     at, left, table, surprise = _descended(leaves, at, left, table, bounds, sizes, enough)
-    if surprise > enough < float(np.linalg.norm(left)):
+    length = float(np.linalg.norm(left))
+    if length > enough and surprise > SURPRISED * length:
         table = _derived(leaves, at, left, table, bounds[0], sizes)
         at, left, _, _ = _descended(leaves, at, left, table, bounds, sizes, enough)
     return float(np.linalg.norm(left))
