@@ -89,8 +89,14 @@ def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chos
     assert found != pytest.approx(left_over(other - nothing, [one - nothing]), rel=0.1)
 
 
-@pytest.mark.parametrize(("name", "hidden"), [("slider", "stribeck_friction"), ("tilted_arm", "nonlinear_stiffness")])
-@pytest.mark.parametrize("by", ["strengths alone", "numbers too, by simulations"])
+@pytest.mark.parametrize(
+    ("name", "hidden", "by"),
+    [
+        ("slider", "stribeck_friction", "strengths alone"),
+        ("tilted_arm", "nonlinear_stiffness", "strengths alone"),
+        ("slider", "stribeck_friction", "numbers too, by simulations"),
+    ],
+)
 def test_in_coarse_steps_imitators_stand_as_far_from_the_truth_as_in_its_own(machines, chosen_of, monkeypatch, name, hidden, by):
     from concealed.truth import apart as oracle
     from concealed.truth import workshop
