@@ -149,8 +149,8 @@ def test_numbers_are_refitted_by_simulations_and_not_by_derivatives_alone(machin
 def test_numbers_are_refitted_no_further_than_a_machine_file_may_be_off(machines, chosen_of):
     from concealed.truth.apart import apart
 
-    shop, measure = a_shop(machines, "tilted_arm", noise=1e-4)
-    assert apart(shop, (chosen_of("joint_compliance", "arm", {}, 0.6),), 0, measure)["detectability"] > 20.0
+    shop, measure = a_shop(machines, "tilted_arm")
+    assert apart(shop, (chosen_of("joint_compliance", "arm", {}, 0.3),), 0, measure)["detectability"] > 1000.0  # 8 without bounds
 
 
 def family(at):

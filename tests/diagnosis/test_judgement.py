@@ -118,6 +118,11 @@ def test_where_it_is_known_how_an_equation_errs_only_that_is_taken_from_a_gain()
     assert [gate.passed for gate in gates] == [True, False]
 
 
+def test_where_no_errors_of_equations_are_estimated_none_of_a_gain_is_said_to_be_beyond_them():
+    found = judged((COULOMB,), COULOMB, LOAD)
+    assert [gate.beyond for gate in found.gates] == [None, None]
+
+
 def test_of_a_number_of_the_machine_file_too_only_its_known_errors_are_taken_from_a_gain():
     judgement, fitted = bench(4000.0, VISCOUS, errors=COULOMB)
     stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), 0.0, {})[0])

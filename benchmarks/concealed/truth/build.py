@@ -55,13 +55,13 @@ def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     base = shop.matrix(nothing, drive)
     assert base is not None, f"case {shop.case.number}: the plant without effects runs away"
     units = NoiseUnits(shop.noise([shop.recorded(nothing, drive, repeat) for repeat in range(100, 103)], base))
+    # without the IMU's low passes, beside which a lag of it would have no limit: derivatives have no bounds
     nominal = [units(signal) for key, signal in shop.by_numbers(drive).items() if not key.startswith(CORNER)]
     return tuple(Chosen(hidden, _strength(shop, hidden, drive, units, nominal)) for hidden in shop.case.hidden)
 
 
 def _strength(shop: Workshop, hidden: Hidden, drive: Drive, units: NoiseUnits, nominal: list[np.ndarray]) -> float:
-    kind, step_s = hidden.kind, shop.quickly_s(drive)
-    base = shop.matrix(shop.setup(()), drive, step_s)
+    kind = hidden.kind
     largest = kind.largest(shop.machine, hidden.place)
     strength = min(kind.typical(shop.machine, hidden.place), largest)
     if kind.fixed:
@@ -69,10 +69,10 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, units: NoiseUnits, n
     if kind.tuned:  # a refit of the machine file's numbers takes it up by definition: there is no limit to count in
         return min(0.5 * hidden.times_limit * strength, largest)
     wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(units.repeats / shop.case.repeats)
-    safe = largest
+    (base, step_s), safe = shop.without_effects(drive), largest
     for _ in range(SEARCH_STEPS):
         answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive, step_s)
-        if answer is None or base is None:
+        if answer is None:
             safe = 0.5 * strength
             strength = safe
             continue

@@ -20,7 +20,8 @@ STEP_S = 0.0003
 """Longest plant step. What a step a third as long changes then stays under 1.5 in the oracle's units (tests/concealed)."""
 
 COARSE = 3
-"""Times as long steps of what only is to be told from the truth: what that leaves out is alike with and without an imitator."""
+"""Times as long steps of what is not recorded: imitators, derivatives, refits and the search for a strength. Every one of them is a
+difference of two simulations in the same steps, and what these leave out is alike in both."""
 
 IMU_SENSORS, CORNER = ("accelerometer", "gyro"), "corner"
 """Whose low passes are numbers of the machine file, and what their keys begin with."""

@@ -44,6 +44,7 @@ class Workshop:
         self.training, self.held_out = plan(machine, case.training), plan(machine, case.held_out)
         self._softer = machine.with_gain(case.held_out_gain)
         self._derivatives: dict[int, dict[str, np.ndarray]] = {}
+        self._without: dict[int, tuple[np.ndarray, float]] = {}
 
     def under(self, drive: Drive) -> Machine:
         """The machine with the controller that a run was made under."""
@@ -78,17 +79,23 @@ class Workshop:
         read_out = with_losses(setup, read(setup, answer.channels, self.machine.rate_Hz), self._losses(repeat))
         return np.column_stack([read_out[name] for name in self.case.channels])
 
-    def quickly_s(self, drive: Drive) -> float:
-        """Longest step of what only is to be told from the truth: a coarse one where the plant without effects does not run away in it."""
-        step_s = COARSE * STEP_S
-        return step_s if self.matrix(self.setup(()), drive, step_s) is not None else STEP_S
+    def without_effects(self, drive: Drive) -> tuple[np.ndarray, float]:
+        """Noise-free readings (N, C) of the plant without effects, and the longest step [s] that they were simulated in: a coarse one, but
+        where it runs away in coarse ones alone.
+        """
+        if id(drive) not in self._without:
+            for step_s in (COARSE * STEP_S, STEP_S):
+                readings = self.matrix(self.setup(()), drive, step_s)
+                if readings is not None:
+                    self._without[id(drive)] = readings, step_s
+                    break
+        assert id(drive) in self._without, f"case {self.case.number}: the plant without effects runs away"
+        return self._without[id(drive)]
 
     def by_numbers(self, drive: Drive) -> dict[str, np.ndarray]:
-        """Derivatives (N, C) of the plant without effects, in quick steps, by every number of the machine file, per share of it."""
+        """Derivatives (N, C) of the plant without effects, in those steps, by every number of the machine file, per share of it."""
         if id(drive) not in self._derivatives:
-            step_s = self.quickly_s(drive)
-            base = self.matrix(self.setup(()), drive, step_s)
-            assert base is not None, f"case {self.case.number}: the plant without effects runs away"
+            base, step_s = self.without_effects(drive)
             signals = {}
             for key in numbers(self.machine):
                 factors = self.case.factors | {key: self.case.factors.get(key, 1.0) * (1.0 + DERIVATIVE_STEP)}
