@@ -32,6 +32,9 @@ OF_THE_JOINT = ("A", "A1", "Fc", "Fc_plus", "Fc_minus", "tau0", "mgr", "at_posit
 """Parameters in units of the joint's effort or position. The same line, shaken at the spring behind a drive or at the drive, has the same
 frequency and another amplitude."""
 
+SHOWN = 5.0
+"""Standard deviations from nothing, everything else refitted, from which on recordings show an effect."""
+
 ENOUGH_TO_REMOVE = 0.05
 """Excess of the squared misfit over noise, from which on a removed share means something."""
 
@@ -61,6 +64,7 @@ class Judgement:
     confident: bool
     ambiguous: bool
     holds_truth: bool
+    holds_shown: bool | None  # holds what stands SHOWN from nothing; None where nothing does
     confidence: float
     covered: tuple[bool, ...]
     channel_right: bool | None
@@ -86,7 +90,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         and all(one["separable"] or effect["tuned"] for one, effect in zip(each, effects, strict=True))
     )
     if tuned:
-        asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= 5.0
+        asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= SHOWN
     alarm = verdict not in (*QUIET, NO_ANSWER)
     by_tuning = tuned and verdict == "retuned"
     sets = [findings] if findings else []
@@ -95,6 +99,8 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     three = right or (alarm and named and any(matches(some, effects) for some in ranked[:3]))
     wrong = verdict == "explained" and any(not any(_accepts(effect, finding) for effect in effects) for finding in findings)
     possible = [*findings, *(other for finding in findings for other in finding.get("ambiguous_with", []))]
+    held = [bool(effect["tuned"] or any(_accepts(effect, other) for other in possible)) for effect in effects]
+    shown = [hold for hold, one in zip(held, each, strict=True) if one["detectability"] >= SHOWN]
     return Judgement(
         number=truth["number"],
         stratum=truth["stratum"],
@@ -116,7 +122,8 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         wrong=wrong,
         confident=verdict == "explained",
         ambiguous=verdict == "ambiguous",
-        holds_truth=named and all(effect["tuned"] or any(_accepts(effect, other) for other in possible) for effect in effects),
+        holds_truth=named and all(held),
+        holds_shown=named and all(shown) if shown else None,
         confidence=max((float(finding.get("confidence", 0.0)) for finding in findings[:1]), default=0.0),
         covered=tuple(_coverage(findings, truth)),
         channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,

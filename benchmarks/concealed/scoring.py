@@ -142,6 +142,9 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
     told_apart = [each for each in ambiguous if each.asked]
     share = _share(told_apart, lambda each: each.holds_truth)
     proportion("the same, of effects the oracle separates", *share, NOT_ASKED, lambda *_: False)
+    shown = [each for each in ambiguous if each.holds_shown is not None]
+    share = _share(shown, lambda each: bool(each.holds_shown))
+    proportion("the same, but for effects that the recordings hardly show", *share, NOT_ASKED, lambda *_: False)
     proportion("95 % intervals cover", sum(covered), len(covered), "90 to 98 %", lambda value, *_: 0.90 <= value <= 0.98)
     located = [each for each in judged if each.channel_right is not None]
     proportion(

@@ -125,6 +125,20 @@ def test_what_is_not_right(verdict, findings, right, wrong):
     assert judged.holds_truth is (verdict == "ambiguous") or "coulomb_friction@roll" in judged.findings
 
 
+def test_a_set_without_an_effect_that_no_recording_shows_lacks_the_truth_but_nothing_that_is_shown():
+    from concealed.judging import judge
+
+    hidden, faint = truth(), {**truth()["effects"][0], "kind": "backlash", "accepted": ["backlash"]}
+    hidden["effects"].append(faint)
+    named = answer("ambiguous", [finding("viscous_friction", "roll", others=["coulomb_friction"])])
+    for distance, holds_shown in ((0.4, True), (5.4, False)):
+        hidden["each"] = [truth()["each"][0], {"detectability": distance, "distances": {}, "separable": False}]
+        judged = judge(named, hidden)
+        assert (judged.holds_truth, judged.holds_shown) == (False, holds_shown)
+    hidden["each"] = [{"detectability": 0.4, "distances": {}, "separable": False}] * 2
+    assert judge(named, hidden).holds_shown is None
+
+
 def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue():
     from concealed.judging import judge
 
