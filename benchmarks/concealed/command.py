@@ -32,6 +32,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
     parser.add_argument("--keep", action="store_true", help="keep recordings and reports of the cases that were run")
     parser.add_argument("--partial", action="store_true", help="score although cases have no answer, or several commits gave the answers")
+    parser.add_argument(
+        "--judged", type=Path, help="a file of scores: its cases are taken as they were judged there, with their own truths"
+    )
     options = parser.parse_args(arguments)
     places = making.Places(options.work, options.seeds)
     options.results.mkdir(parents=True, exist_ok=True)
@@ -53,7 +56,7 @@ def main(arguments: list[str]) -> int:
         _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs, answers)
         print(calibrating.calibrate([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()], WEIGHTS))
     if options.step in ("score", "all"):
-        print(scoring.score(places, options.results, numbers, partial=options.partial))
+        print(scoring.score(places, options.results, numbers, partial=options.partial, judged_before=options.judged))
     return 0
 
 

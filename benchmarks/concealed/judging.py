@@ -64,13 +64,13 @@ class Judgement:
     confident: bool
     ambiguous: bool
     holds_truth: bool
-    holds_shown: bool | None  # holds what stands SHOWN from nothing; None where nothing does
     confidence: float
     covered: tuple[bool, ...]
     channel_right: bool | None
     overlap: dict[str, float]
     removed: float | None  # by simulating the tool's files
     removed_by_its_own_word: float | None
+    holds_shown: bool | None = None  # holds what stands SHOWN from nothing; None where nothing does, and in older files of scores
 
 
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:

@@ -25,12 +25,15 @@ EDGES = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, np.inf)
 NOT_ASKED = "not asked"
 
 
-def score(places: Places, results: Path, numbers: Collection[int], *, partial: bool = False) -> str:
+def score(places: Places, results: Path, numbers: Collection[int], *, partial: bool = False, judged_before: Path | None = None) -> str:
     """Score the cases of these numbers; write `scores_SEEDS.json` and the figure, return the tables as text.
 
     Unless `partial`, cases without a line of answers and answers of more than one commit are refused: what is left out or mixed could only
     flatter. The file says both.
+    Cases in `judged_before`, a file of scores, are taken from it as they were judged: another computer, or another MuJoCo, makes truths
+    that differ by rounding, and these are not the ones that were sealed.
     """
+    before = _judged_before(judged_before) if judged_before else {}
     path = results / f"answers_{places.seeds}.jsonl"
     if not path.exists():
         raise SystemExit(f"{path}: no answers yet; `python benchmarks/concealed run --seeds {places.seeds}` writes them")
@@ -42,6 +45,9 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
         _refuse_parts(path, missing, commits)
     judged = []
     for number, answer in sorted(answers.items()):
+        if number in before:
+            judged.append(before[number])
+            continue
         path = places.truth(number)
         if not path.exists():
             remake = f"`python benchmarks/concealed make --seeds {places.seeds} --cases {number}` makes it anew"
@@ -56,6 +62,15 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     draw_curves(curve, results / f"detectability_{places.seeds}.svg")
     return _text(bars, strata, kinds, judged)
+
+
+def _judged_before(path: Path) -> dict[int, Judgement]:
+    """By number, the cases that a file of scores holds."""
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["cases_judged"]
+        return {row["number"]: Judgement(**row) for row in rows}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SystemExit(f"{path}: no file of scores as `score` writes it ({type(error).__name__}: {error})") from None
 
 
 def _refuse_parts(path: Path, missing: Sequence[int], commits: Sequence[str]) -> None:
