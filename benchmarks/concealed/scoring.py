@@ -33,13 +33,13 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     Cases in `judged_before`, a file of scores, are taken from it as they were judged: another computer, or another MuJoCo, makes truths
     that differ by rounding, and these are not the ones that were sealed.
     """
-    before = _judged_before(judged_before) if judged_before else {}
     path = results / f"answers_{places.seeds}.jsonl"
     if not path.exists():
         raise SystemExit(f"{path}: no answers yet; `python benchmarks/concealed run --seeds {places.seeds}` writes them")
     lines = path.read_text(encoding="utf-8").splitlines()
     answers = {answer["number"]: answer for answer in map(json.loads, lines) if answer["number"] in numbers}
     commits = sorted({answer["commit"] for answer in answers.values()})
+    before = _judged_before(judged_before, commits) if judged_before else {}
     missing = sorted(set(numbers) - set(answers))
     if not partial:
         _refuse_parts(path, missing, commits)
@@ -64,11 +64,13 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     return _text(bars, strata, kinds, judged)
 
 
-def _judged_before(path: Path) -> dict[int, Judgement]:
-    """By number, the cases that a file of scores holds."""
+def _judged_before(path: Path, commits: Sequence[str]) -> dict[int, Judgement]:
+    """By number, the cases that a file of scores of these commits holds."""
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["cases_judged"]
-        return {row["number"]: Judgement(**row) for row in rows}
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if others := sorted(set(table["commits"]) - set(commits)):
+            raise SystemExit(f"{path}: scores of {', '.join(others)}, where the answers are of {', '.join(commits)}")
+        return {row["number"]: Judgement(**row) for row in table["cases_judged"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SystemExit(f"{path}: no file of scores as `score` writes it ({type(error).__name__}: {error})") from None
 

@@ -96,3 +96,34 @@ def test_a_truth_that_is_not_here_is_named_with_how_to_make_it(tmp_path):
     places.truth(2).unlink()
     with pytest.raises(SystemExit, match=r"truth of case 2 is not here; .*make --seeds development --cases 2"):
         score(places, tmp_path, NUMBERS)
+
+
+def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth_made_here_is_another(tmp_path):
+    from concealed.scoring import score
+
+    places = make_run(tmp_path)
+    whole = score(places, tmp_path, NUMBERS)
+    theirs = tmp_path / "theirs.json"
+    theirs.write_text((tmp_path / "scores_development.json").read_text())
+    for number in (0, 2):
+        places.truth(number).write_text(places.truth(number).read_text() + "\n")
+    with pytest.raises(SystemExit, match="not the truth that was sealed"):
+        score(places, tmp_path, NUMBERS)
+    assert score(places, tmp_path, NUMBERS, judged_before=theirs) == whole
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"commits": ["b"], "cases_judged": []}', "scores of b, where the answers are of a"),
+        ('{"commits": ["a"], "cases_judged": [{"number": 2}]}', "no file of scores"),
+        ('{"commits": ["a"]}', "no file of scores"),
+        ("nothing", "no file of scores"),
+    ],
+)
+def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path, text, said):
+    from concealed.scoring import score
+
+    (tmp_path / "theirs.json").write_text(text)
+    with pytest.raises(SystemExit, match=said):
+        score(make_run(tmp_path), tmp_path, NUMBERS, judged_before=tmp_path / "theirs.json")
