@@ -236,6 +236,13 @@ def test_a_name_does_not_stand_alone_where_training_shows_more_beside_it():
     assert named(further=0.005) == "ambiguous"
 
 
+def test_one_name_does_not_stand_alone_where_it_moves_the_recordings_by_so_little_that_other_laws_look_like_it():
+    assert said_of(THREE[:1], share=0.92, gained=151.0)[0] == "explained"
+    verdict, reason = said_of(THREE[:1], share=0.92, gained=144.0)
+    assert verdict == "ambiguous" and "by 12 standard deviations" in reason and "in no catalogue" in reason
+    assert said_of(THREE[:2], share=0.92, gained=40.0)[0] == "explained"  # two together imitate another law more seldom
+
+
 def test_a_name_does_not_stand_alone_where_what_fits_better_is_none():
     assert named(imitated="") == "explained"
     assert named(imitated="it slides for less than half of a stroke") == "ambiguous"
