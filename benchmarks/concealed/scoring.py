@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -39,7 +39,7 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     lines = path.read_text(encoding="utf-8").splitlines()
     answers = {answer["number"]: answer for answer in map(json.loads, lines) if answer["number"] in numbers}
     commits = sorted({answer["commit"] for answer in answers.values()})
-    before = _judged_before(judged_before, commits) if judged_before else {}
+    before = _judged_before(judged_before, places.seeds, answers) if judged_before else {}
     missing = sorted(set(numbers) - set(answers))
     if not partial:
         _refuse_parts(path, missing, commits)
@@ -56,7 +56,7 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
             raise SystemExit(f"{path}: is not the truth that was sealed when case {number} was answered")
         judged.append(judge(answer, json.loads(path.read_text(encoding="utf-8"))))
     bars, strata, kinds, curve = _bars(judged), _strata(judged), by_kind(judged), _curve(judged)
-    table = {"seeds": places.seeds, "cases": len(judged), "missing": missing, "commits": commits}
+    table = {"seeds": places.seeds, "cases": len(judged), "missing": missing, "commits": commits, "judged_before": sorted(before)}
     table |= {"bars": bars, "strata": strata, "kinds": kinds, "curve": curve}
     table["cases_judged"] = [asdict(each) for each in judged]
     (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
@@ -64,15 +64,21 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     return _text(bars, strata, kinds, judged)
 
 
-def _judged_before(path: Path, commits: Sequence[str]) -> dict[int, Judgement]:
-    """By number, the cases that a file of scores of these commits holds."""
+def _judged_before(path: Path, seeds: str, answers: Mapping[int, dict[str, Any]]) -> dict[int, Judgement]:
+    """By number, the cases of a file of scores that judged these answers."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
-        if others := sorted(set(table["commits"]) - set(commits)):
-            raise SystemExit(f"{path}: scores of {', '.join(others)}, where the answers are of {', '.join(commits)}")
-        return {row["number"]: Judgement(**row) for row in table["cases_judged"]}
+        rows = {row["number"]: Judgement(**row) for row in table["cases_judged"] if row["number"] in answers}
+        said, commits = table["seeds"], set(table["commits"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SystemExit(f"{path}: no file of scores as `score` writes it ({type(error).__name__}: {error})") from None
+    if said != seeds:
+        raise SystemExit(f"{path}: scores of {said} cases, where {seeds} ones are asked for")
+    for number, row in rows.items():
+        answer = answers[number]
+        if answer["commit"] not in commits or (row.answered and row.verdict != (answer.get("diagnosis") or {}).get("verdict")):
+            raise SystemExit(f"{path}: case {number} was judged by another answer than the one of {answer['commit']}")
+    return rows
 
 
 def _refuse_parts(path: Path, missing: Sequence[int], commits: Sequence[str]) -> None:

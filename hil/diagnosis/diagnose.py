@@ -180,7 +180,7 @@ def diagnose(
             held_out=None if judged is None else (evidence.base.held_out, best_held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
             further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
-            gained=next((contender.gate.gain for contender in selection.contenders if contender.fitted is chosen), math.inf),
+            gained=math.inf if chosen is None else next(one.gate.gain for one in selection.contenders if one.fitted is chosen),
             imitated=_imitated(selection, evidence),
         )
         verdict, reason = verdict_of(standing)

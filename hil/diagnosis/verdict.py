@@ -52,9 +52,10 @@ what three known effects that fit together have been so far, not that machines h
 
 
 FAINT_GAIN = 150.0
-"""Fall of |residual|^2 by one effect, below which its name does not stand alone: noise hides what such a name leaves of a law of no
-catalogue. Of 398 `explained` answers in which ten tools (45d0676 to f9744f4) named one effect, 27 of the 82 that gained less named what is
-not there, 24 of the 316 that gained more; the gain was chosen on them."""
+"""Fall of |residual|^2 by one effect, below which its name does not stand alone: of so little, noise hides what the name leaves of another
+law, known or not. Of 398 `explained` answers in which ten tools (45d0676 to f9744f4) named one effect and read nothing off, 27 of the 82
+that gained less named what is not there (13 where another effect is hidden, 1 where two are, 7 where a law of no catalogue is, 6 where
+nothing is), 24 of the 316 that gained more; the gain was chosen on them."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,8 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
         near = dict.fromkeys(name for effect in effects for name in catalogue[effect.effect].neighbours if name not in own)
         return f", not so surely that it could not be something else; the catalogue's effects that are mistaken for it: {', '.join(near)}"
     if len(effects) == 1 and standing.gained < FAINT_GAIN:
-        moves = f"moves the recordings by {math.sqrt(standing.gained):.2g} standard deviations of their noise"
-        return f", which {moves}; a law that is in no catalogue and moves them by so little may look like it"
+        shows = f"shows by {math.sqrt(standing.gained):.3g} standard deviations of the noise beyond what re-tuning imitates"
+        return f", which {shows}; another law, known or not, may look like so little"
     if len(effects) > TOGETHER:
         return f": {len(effects)} known effects fit together; with so many, others that were not tried may fit as well"
     return ""

@@ -104,26 +104,52 @@ def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth
     places = make_run(tmp_path)
     whole = score(places, tmp_path, NUMBERS)
     theirs = tmp_path / "theirs.json"
-    theirs.write_text((tmp_path / "scores_development.json").read_text())
-    for number in (0, 2):
-        places.truth(number).write_text(places.truth(number).read_text() + "\n")
+    table = json.loads((tmp_path / "scores_development.json").read_text())
+    theirs.write_text(json.dumps(table | {"cases_judged": table["cases_judged"][2:3]}))
+    other = places.truth(2).read_text().replace('"coulomb_friction"', '"cogging"')
+    places.truth(2).write_text(other)
     with pytest.raises(SystemExit, match="not the truth that was sealed"):
         score(places, tmp_path, NUMBERS)
     assert score(places, tmp_path, NUMBERS, judged_before=theirs) == whole
+    assert json.loads((tmp_path / "scores_development.json").read_text())["judged_before"] == [2]
+    places.truth(3).write_text(other)
+    with pytest.raises(SystemExit, match="not the truth that was sealed when case 3"):
+        score(places, tmp_path, NUMBERS, judged_before=theirs)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("changes", "said"),
     [
-        ('{"commits": ["b"], "cases_judged": []}', "scores of b, where the answers are of a"),
-        ('{"commits": ["a"], "cases_judged": [{"number": 2}]}', "no file of scores"),
-        ('{"commits": ["a"]}', "no file of scores"),
-        ("nothing", "no file of scores"),
+        ({"commits": ["b"]}, "case 0 was judged by another answer"),
+        ({"seeds": "sealed"}, "scores of sealed cases"),
+        ({"cases_judged": [{"number": 2}]}, "no file of scores"),
+        ({"commits": None}, "no file of scores"),
     ],
 )
-def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path, text, said):
+def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path, changes, said):
     from concealed.scoring import score
 
-    (tmp_path / "theirs.json").write_text(text)
+    places = make_run(tmp_path)
+    score(places, tmp_path, NUMBERS)
+    table = json.loads((tmp_path / "scores_development.json").read_text())
+    (tmp_path / "theirs.json").write_text(json.dumps(table | changes))
     with pytest.raises(SystemExit, match=said):
-        score(make_run(tmp_path), tmp_path, NUMBERS, judged_before=tmp_path / "theirs.json")
+        score(places, tmp_path, NUMBERS, judged_before=tmp_path / "theirs.json")
+
+
+def test_a_judgement_of_another_answer_is_refused(tmp_path):
+    from concealed.scoring import score
+
+    places = make_run(tmp_path)
+    score(places, tmp_path, NUMBERS)
+    theirs = tmp_path / "theirs.json"
+    theirs.write_text((tmp_path / "scores_development.json").read_text().replace('"explained"', '"ambiguous"'))
+    with pytest.raises(SystemExit, match="case 2 was judged by another answer"):
+        score(places, tmp_path, NUMBERS, judged_before=theirs)
+
+
+def test_a_file_of_scores_that_is_not_there_is_said(tmp_path):
+    from concealed.scoring import score
+
+    with pytest.raises(SystemExit, match="no file of scores"):
+        score(make_run(tmp_path), tmp_path, NUMBERS, judged_before=tmp_path / "none.json")

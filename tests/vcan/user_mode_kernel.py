@@ -85,9 +85,27 @@ def kernel_missing() -> str:
     missing = [tool for tool in (KERNEL, "ip", "insmod", "candump") if shutil.which(tool) is None]
     if missing:
         return f"{', '.join(missing)} not found (as root: apt-get install {PACKAGES})"
+    if _more_registers_than_it_knows() and shutil.which("cc") is None:
+        return (
+            "this processor's registers are more than a user-mode kernel knows, and no cc is here to help it (as root: apt-get install gcc)"
+        )
     if os.geteuid() != 0:
         return "booting a user-mode kernel on the host's file system needs root"
     return ""
+
+
+def _more_registers_than_it_knows() -> bool:
+    return "amx_tile" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
+
+
+def _with_whole_registers(folder: Path) -> dict[str, str]:
+    """What the kernel's process needs in its environment, where the processor has more registers than it knows; see whole_registers.c."""
+    if not _more_registers_than_it_knows():
+        return dict(os.environ)
+    library = folder / "whole_registers.so"
+    source = Path(__file__).with_name("whole_registers.c")
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-ldl"], check=True)
+    return os.environ | {"LD_PRELOAD": str(library)}
 
 
 def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, str], timeout_s: float) -> Outcome:
@@ -133,7 +151,12 @@ def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, st
             "con0=fd:0,fd:1",
         ]
         with subprocess.Popen(
-            boot, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+            boot,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=_with_whole_registers(Path(folder)),
+            start_new_session=True,
         ) as kernel:
             try:
                 console = kernel.communicate(timeout=timeout_s + BOOT_ALLOWANCE_S)[0].decode(errors="replace")
