@@ -10,7 +10,7 @@ from test_scoring import answer, finding, truth
 NUMBERS = range(4)
 
 
-def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",)):
+def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",), missed=(), faint=()):
     """Two nulls and two singles; the tool is right where it answers."""
     from concealed.making import Places, seal
 
@@ -20,8 +20,13 @@ def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",)):
         null = number < 2
         path = places.truth(number)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(truth(number=number, **({"stratum": "null", "effects": [], "each": []} if null else {}))))
+        hidden = {"stratum": "null", "effects": [], "each": []} if null else {}
+        if number in faint:
+            hidden["each"] = [{"detectability": 0.4, "distances": {}, "separable": False}]
+        path.write_text(json.dumps(truth(number=number, **hidden)))
         row = answer("consistent", []) if null else answer("explained", [finding("coulomb_friction", "roll")])
+        if number in missed:
+            row = answer("ambiguous", [finding("viscous_friction", "roll")])
         row |= {"number": number, "truth_sha256": seal(path), "commit": commits[number % len(commits)]}
         if number in crashed:
             del row["diagnosis"]
@@ -45,6 +50,14 @@ def test_a_null_without_an_answer_is_an_alarm(tmp_path):
     bars, _ = bars_of(tmp_path, crashed=(0, 3))
     assert (bars["false alarms on nulls"]["hits"], bars["false alarms on nulls"]["n"]) == (1, 2)
     assert (bars["no answer"]["hits"], bars["no answer"]["n"], bars["no answer"]["met"]) == (2, 4, False)
+
+
+def test_sets_are_counted_with_and_without_effects_that_no_recording_shows(tmp_path):
+    bars, _ = bars_of(tmp_path, missed=(2, 3), faint=(3,))
+    assert (bars["ambiguous sets hold the truth"]["hits"], bars["ambiguous sets hold the truth"]["n"]) == (0, 2)
+    rows = json.loads((tmp_path / "scores_development.json").read_text())["bars"]
+    shown = next(row for row in rows if "hardly show" in row["bar"])
+    assert (shown["hits"], shown["n"], shown["met"]) == (0, 1, None)
 
 
 def test_a_command_that_ends_in_an_error_has_not_answered_whatever_it_wrote_before(tmp_path):
