@@ -16,12 +16,21 @@ class Compared(NamedTuple):
     reference: tuple[float, float]  # misfits of the other one
     apart: tuple[float, float]  # what this one leaves more with training's parameters
     beyond: tuple[float, float]  # the same beside errors of what both have
-    by_moving: tuple[float, float] = (0.0, 0.0)  # what it leaves more since both were moved to what both motions want
+    by_moving: tuple[float, float] = (0.0, 0.0)  # and so much more since both were moved to what both motions want
     scatter: float = 1.0  # variance of the noise along their difference, in units of the noise model's
     known: tuple[float, float] = (0.0, 0.0)  # energies that effects removed which both have, and of which it is known how they err
 
     def in_units(self, part: int, level: float, form_error: float) -> float:
         """Misfit in training (0) or held out (1)."""
         shared = form_error * self.known[part]
-        apart = self.beyond[part] if form_error else self.apart[part]
-        return (self.reference[part] + self.by_moving[part]) / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
+        apart = self._beyond(part) if form_error else self.apart[part] + self.by_moving[part]
+        return self.reference[part] / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
+
+    def _beyond(self, part: int) -> float:
+        """What it leaves more where both motions want both sets, beside errors of what both have: these explain no more of it than is left
+        of what they explain with training's parameters.
+        """
+        explained, left = self.apart[part] - self.beyond[part], self.apart[part] + self.by_moving[part]
+        if self.by_moving[part]:
+            explained = min(max(explained, min(left, 0.0)), max(left, 0.0))
+        return left - explained

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.ndimage
@@ -51,6 +52,11 @@ class _Wave:
     deflections: tuple[np.ndarray, ...]
     typical: Typical
 
+    @cached_property
+    def middles(self) -> tuple[np.ndarray, ...]:
+        """Positions in the middle of every sample, over which the loop holds what a wave does in it."""
+        return tuple(part.position + 0.5 * self.typical.sample_s * part.speed for part in self.parts)
+
     def factors(self, number: int) -> list[tuple[int, np.ndarray | float, int]]:
         """In one group every joint, the factor of the wave there, and how many times the wave is differentiated by position."""
         part = self.parts[number]
@@ -61,8 +67,8 @@ class _Wave:
     def efforts(self, order: float, turned: complex) -> list[list[tuple[int, np.ndarray]]]:
         """Of a wave of amplitude and phase |turned| and arg(turned), order in radians per radian (or metre) of the joint."""
         found = []
-        for number, part in enumerate(self.parts):
-            wave = turned * np.exp(1j * order * part.position)
+        for number in range(len(self.parts)):
+            wave = turned * np.exp(1j * order * self.middles[number])
             found.append([(joint, np.real(factor * wave * (1j * order) ** times)) for joint, factor, times in self.factors(number)])
         return found
 
@@ -70,8 +76,8 @@ class _Wave:
         """(K,) complex: of waves of phase 0 the real parts, a quarter of a cycle later less the imaginary ones. Orders in equal steps."""
         total = np.zeros(len(orders), dtype=complex)
         step = float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
-        for number, (part, efforts) in enumerate(zip(self.parts, behind, strict=True)):
-            wave, turn = np.exp(1j * orders[0] * part.position), np.exp(1j * step * part.position)
+        for number, efforts in enumerate(behind):
+            wave, turn = (np.exp(1j * order * self.middles[number]) for order in (orders[0], step))
             factors = self.factors(number)
             weights = np.stack([efforts[:, joint] * factor for joint, factor, _ in factors])
             times = np.array([each for _, _, each in factors])

@@ -188,3 +188,61 @@ def test_an_imu_reads_what_it_does_in_much_finer_steps(machines, monkeypatch):
     for name in ("imu_x", "imu_z", "gyro_y"):
         error, whole = (np.diff(values, 2) for values in (coarse[name] - fine[name], fine[name]))
         assert np.linalg.norm(error) < 1.1e-4 * np.linalg.norm(whole), name
+
+
+@pytest.mark.parametrize(("frequency_Hz", "damping_ratio", "step_s"), [(14.0, 0.01, 3e-4), (14.0, 0.01, 9e-4), (4.0, 0.05, 9e-4)])
+def test_an_added_mass_swings_and_decays_as_its_numbers_say(frequency_Hz, damping_ratio, step_s):
+    """Against the closed form of a damped oscillator whose joint stands."""
+    from concealed.truth import joint_physics
+
+    w, mass = 2.0 * np.pi * frequency_Hz, 0.3
+    row = [mass, mass * w * w, 2.0 * damping_ratio * w * mass]
+    places = _of_a_standing_joint(joint_physics.ADDED_MODE, row, step_s, begun=1e-3)
+    t, damped = step_s * np.arange(1, len(places) + 1), w * np.sqrt(1.0 - damping_ratio**2)
+    decay = np.exp(-damping_ratio * w * t)
+    expected = 1e-3 * decay * (np.cos(damped * t) + damping_ratio * w / damped * np.sin(damped * t))
+    assert np.abs(places - expected).max() < 1e-3 * 0.01
+
+
+def test_a_sloshing_mass_without_drag_loses_nothing_and_slows_as_a_pendulum_does():
+    """A pendulum of amplitude A has 1 - A^2/16 of the frequency of a small one (Landau and Lifshitz, Mechanics, sec. 11)."""
+    from concealed.truth import joint_physics
+
+    w, swing, step_s = 2.0 * np.pi * 1.5, 0.05, 9e-4
+    for begun, slower in ((1e-4, 0.0), (0.5 * swing, 0.5**2 / 16.0)):
+        places = _of_a_standing_joint(joint_physics.SLOSH, [0.3, w, swing, 0.0], step_s, begun)
+        crossings = np.flatnonzero((places[:-1] < 0.0) & (places[1:] >= 0.0))
+        assert np.abs(places[-1000:]).max() == pytest.approx(begun, rel=2e-3)
+        frequency = (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * step_s)
+        assert frequency == pytest.approx(w / (2.0 * np.pi) * (1.0 - slower), rel=2e-3)
+
+
+def _of_a_standing_joint(kind: int, row: list[float], step_s: float, begun: float) -> np.ndarray:
+    """Places of a mass on a joint that stands at zero, over five seconds."""
+    from concealed.truth import joint_physics as physics
+
+    parameters, states, none = np.zeros((1, physics.PARAMETERS)), np.zeros((1, physics.STATES)), np.zeros(1)
+    parameters[0, : len(row)] = row
+    states[0, 0] = begun
+    kinds, joint = np.array([kind]), np.zeros(1, dtype=np.int64)
+    places = []
+    for _ in range(round(5.0 / step_s)):
+        physics.add_efforts(
+            kinds, joint, joint, parameters, states, none, none, none, 0.0, step_s, none, none, np.zeros(1), np.zeros(1)
+        )
+        places.append(states[0, 0])
+    return np.array(places)
+
+
+def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines):
+    """A second pole that reads what the first gives at a step's end, as if it were the step's mean, lags by half a step too little."""
+    from concealed.truth.catalogue import KINDS
+    from concealed.truth.experiments import Experiment, plan
+    from concealed.truth.plant import STEP_S, Plant, Setup
+
+    machine, lag_s = machines["spring_mass"], 2e-3
+    drive = plan(machine, Experiment("multisine", 3, duration_s=4.0))
+    setup = Setup()
+    KINDS["drive_bandwidth"].add(setup, machine, "cart", {"ratio": 1.5}, lag_s)
+    effort, fine = (Plant(machine, setup).run(drive, lattices=False, longest_step_s=step).channels["effort_cart"] for step in (STEP_S, STEP_S / 3))
+    assert np.linalg.norm(effort - fine) < 1e-4 * np.linalg.norm(fine)

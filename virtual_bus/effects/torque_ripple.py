@@ -18,7 +18,7 @@ EFFECT = Effect(
             "Np",
             unit="cycles/turn",
             low=0.001,
-            high=1000.0,
+            high=100000.0,
             description="cycles per turn of the motor (a prismatic axis: radians per metre of the motor's coordinate)",
             is_strength=False,
         ),

@@ -31,6 +31,9 @@ SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 LIKENESS_STEPS, ALIKE = 4, 0.05
 """Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
 
+MORE_SHAPES = 3
+"""Names that are nearest to a law off the catalogue in one shape, of which others are tried."""
+
 REFITTED = 2
 """Names that are nearest by derivatives, whose refit is simulated."""
 
@@ -141,12 +144,15 @@ def apart(shop: Workshop, chosen: tuple[Chosen, ...], index: int, measure: Measu
     others = beside.others
     columns = [*measure.numbers.values(), *derivatives(beside, (*others, one), range(len(others))).values()]
     found = left_over(beside.effect, columns)
-    nearby: dict[str, tuple[float, Like | None]] = {}
+    nearby = {}
     for name, place in _neighbours(shop, one):
         shapes = _shapes(shop, one, KINDS[name.split(":")[0]], place)
-        likes = [_most_alike(beside, Hidden(KINDS[name.split(":")[0]], place, shape, 1.0), columns) for shape in shapes]
-        near = [(left_over(beside.effect, [*columns, like.signal]), like) for like in likes if like is not None]
-        nearby[name] = min(near, key=lambda each: each[0]) if near else (found, None)
+        nearby[name] = _nearest_of(beside, name, place, shapes if one.hidden.kind.accepted else shapes[:1], columns, found)
+    if not one.hidden.kind.accepted:  # everything is tried: the nearest in other shapes too
+        places = dict(_neighbours(shop, one))
+        for name in sorted(nearby, key=lambda name: nearby[name][0])[:MORE_SHAPES]:
+            shapes = _shapes(shop, one, KINDS[name], places[name])[1:]
+            nearby[name] = min(nearby[name], _nearest_of(beside, name, places[name], shapes, columns, found), key=lambda each: each[0])
     distances = {name: min(distance, found) for name, (distance, _) in nearby.items()}
     if found >= SEPARABLE:
         found = min(found, refitted(beside, None))
@@ -262,10 +268,19 @@ def _neighbours(shop: Workshop, one: Chosen) -> list[tuple[str, str]]:
     return found
 
 
+def _nearest_of(
+    beside: Beside, name: str, place: str, shapes: Sequence[Shape], columns: list[np.ndarray], found: float
+) -> tuple[float, Like | None]:
+    """Distance of a neighbour in the shape that comes nearest, and what it does; `found` where none can be simulated."""
+    likes = [_most_alike(beside, Hidden(KINDS[name.split(":")[0]], place, shape, 1.0), columns) for shape in shapes]
+    near = [(left_over(beside.effect, [*columns, like.signal]), like) for like in likes if like is not None]
+    return min(near, key=lambda each: each[0]) if near else (found, None)
+
+
 def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Shape]:
     """A few shapes of a neighbour, with what it can have of the truth's."""
     rng = np.random.default_rng([shop.case.seed, 7])
-    variants = NEIGHBOUR_VARIANTS if one.hidden.kind.accepted and neighbour.draw(rng, shop.machine, place) else 1
+    variants = NEIGHBOUR_VARIANTS if neighbour.draw(rng, shop.machine, place) else 1
     shapes = []
     for variant in range(variants):
         shape = neighbour.draw(rng, shop.machine, place)
@@ -274,6 +289,8 @@ def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Sh
             shape["Np"] = one.hidden.shape["k"]
         if "Np" in one.hidden.shape and "k" in shape:
             shape["k"] = one.hidden.shape["Np"]
+        if "w" in one.hidden.shape and "f" in shape:
+            shape["f"] = one.hidden.shape["w"] / (2.0 * np.pi)
         shapes.append(shape | {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape})
     return shapes
 

@@ -97,6 +97,23 @@ def flank(depth, rate, stiffness, restitution, half_gap):
 
 
 @njit(cache=True)
+def spring_and_damper(ahead, rate, mass, stiffness, damping, h):
+    """Pull of a mass that is carried along, in the step's middle, by the midpoint rule: `rate` is the step's first. The spring is as much
+    stiffer as makes the rule's frequency the mass's own.
+    """
+    half = 0.5 * h * math.sqrt(stiffness / mass)
+    warped = stiffness * (math.tan(half) / half) ** 2 if half > 0.0 else stiffness
+    return (warped * ahead + damping * rate) / (1.0 + 0.25 * h * h * warped / mass + 0.5 * h * damping / mass)
+
+
+@njit(cache=True)
+def carried(z, deceleration, h):
+    """Move a mass, z its place and speed, over a step by the deceleration in its middle (leapfrog)."""
+    z[0] += h * (z[1] - 0.5 * h * deceleration)
+    z[1] -= h * deceleration
+
+
+@njit(cache=True)
 def add_efforts(kinds, dofs, others, parameters, states, q, v, a, t, h, load, drive, applied, armature):
     """Add every effect's efforts at its joints; write the inertias that vary with pose to `armature`."""
     for e in range(kinds.shape[0]):
@@ -131,9 +148,8 @@ def add_efforts(kinds, dofs, others, parameters, states, q, v, a, t, h, load, dr
             x = q[j] - p[2]
             applied[j] -= p[0] * (max(0.0, x - p[1]) + min(0.0, x + p[1]))
         elif kind == ADDED_MODE:  # z: how far the added inertia is ahead of the joint's start, and its speed
-            pull = p[1] * (z[0] - (q[j] - z[2])) + p[2] * (z[1] - v[j])
-            z[0] += h * z[1]
-            z[1] -= h * pull / p[0]
+            pull = spring_and_damper(z[0] + 0.5 * h * z[1] - (q[j] - z[2]), z[1] - v[j], p[0], p[1], p[2], h)
+            carried(z, pull / p[0], h)
             applied[j] += pull
         elif kind == STOP:
             applied[j] -= p[3] * contact(p[3] * (q[j] - p[0]), p[3] * v[j], p[1], p[2])
@@ -158,10 +174,11 @@ def add_efforts(kinds, dofs, others, parameters, states, q, v, a, t, h, load, dr
         elif kind == TIME_GAIN:
             applied[j] += drive[j] * p[0] * math.sin(2.0 * math.pi * t / p[1])
         elif kind == SLOSH:  # a swinging mass whose spring softens like a pendulum's, with quadratic damping
-            s, rate = z[0] - (q[j] - z[2]), z[1] - v[j]
-            pull = p[0] * (p[1] * p[1] * p[2] * math.sin(s / p[2]) + p[3] * rate * abs(rate))
-            z[0] += h * z[1]
-            z[1] -= h * pull / p[0]
+            spring = p[1] * p[1] * p[2] * math.sin((z[0] + 0.5 * h * z[1] - (q[j] - z[2])) / p[2])
+            rate = z[1] - v[j]
+            rate -= 0.5 * h * (spring + p[3] * rate * abs(rate))
+            pull = p[0] * (spring + p[3] * rate * abs(rate))
+            carried(z, pull / p[0], h)
             applied[j] += pull
         elif kind == PULSE:  # set off by passing a position upwards
             z[1] *= math.exp(-h / p[2])

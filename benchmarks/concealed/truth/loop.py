@@ -47,6 +47,19 @@ def low_pass(value, middle, slope, pole_Hz, h):
 
 
 @njit(cache=True)
+def through_poles(state, target, first_Hz, second_Hz, h):
+    """Mean over a step of what two different real poles in a row make of a held target; their state is moved on. Exact."""
+    if h == 0.0:
+        return state[1]
+    first, second = 1.0 / (2.0 * math.pi * first_Hz), 1.0 / (2.0 * math.pi * second_Hz)
+    short, begun = state[0] - target, state[1]
+    decays = math.exp(-h / first), math.exp(-h / second)
+    state[0] = target + short * decays[0]
+    state[1] = target + (begun - target) * decays[1] + short * first / (first - second) * (decays[0] - decays[1])
+    return target + (short * first * (1.0 - decays[0]) - second * (state[1] - begun)) / h
+
+
+@njit(cache=True)
 def run(
     address, model, data, memory, sensor, kinds, dofs, others, parameters, states, drives, encoders, sections, rows, controller,
     axes, see, link, gear, limits, steps_of_target, counts, reference, excitation, disturbance, calm_speed, standing, substeps, period,
@@ -130,11 +143,8 @@ def run(
                 applied[joint] = 0.0
             for i in range(n):
                 j = axes[i]
-                if drives[i, 1] > 0.0:  # two real poles, each exact for a held input, read in the step's middle
-                    old = poles[i, 1]
-                    poles[i, 0] += (1.0 - math.exp(-2.0 * math.pi * drives[i, 1] * h)) * (flowing[i] - poles[i, 0])
-                    poles[i, 1] += (1.0 - math.exp(-2.0 * math.pi * drives[i, 2] * h)) * (poles[i, 0] - poles[i, 1])
-                    current = 0.5 * (old + poles[i, 1])
+                if drives[i, 1] > 0.0:
+                    current = through_poles(poles[i], flowing[i], drives[i, 1], drives[i, 2], h)
                 else:
                     current = flowing[i]
                 ripple = tabulated(drives[i, 5] * qpos[j] / (2.0 * math.pi), drives[i, 6], drives[i, 7], drives[i, 8], drives[i, 9], 0.0)
