@@ -227,9 +227,7 @@ def _of_a_standing_joint(kind: int, row: list[float], step_s: float, begun: floa
     kinds, joint = np.array([kind]), np.zeros(1, dtype=np.int64)
     places = []
     for _ in range(round(5.0 / step_s)):
-        physics.add_efforts(
-            kinds, joint, joint, parameters, states, none, none, none, 0.0, step_s, none, none, np.zeros(1), np.zeros(1)
-        )
+        physics.add_efforts(kinds, joint, joint, parameters, states, none, none, none, 0.0, step_s, none, none, np.zeros(1), np.zeros(1))
         places.append(states[0, 0])
     return np.array(places)
 
@@ -244,5 +242,7 @@ def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines):
     drive = plan(machine, Experiment("multisine", 3, duration_s=4.0))
     setup = Setup()
     KINDS["drive_bandwidth"].add(setup, machine, "cart", {"ratio": 1.5}, lag_s)
-    effort, fine = (Plant(machine, setup).run(drive, lattices=False, longest_step_s=step).channels["effort_cart"] for step in (STEP_S, STEP_S / 3))
+    effort, fine = (
+        Plant(machine, setup).run(drive, lattices=False, longest_step_s=step).channels["effort_cart"] for step in (STEP_S, STEP_S / 3)
+    )
     assert np.linalg.norm(effort - fine) < 1e-4 * np.linalg.norm(fine)

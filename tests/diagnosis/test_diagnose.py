@@ -68,6 +68,15 @@ def test_other_numbers_alone_are_no_missing_physics():
     assert outcome.diagnosis.findings == ()
 
 
+@pytest.mark.parametrize(("force_N", "verdict"), [(0.17, "ambiguous"), (0.5, "explained")])
+def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_could_imitate(force_N, verdict):
+    truth = {"at": lambda x: force_N * np.cos(900.0 * x + 0.4), "duration_s": 3.0, "seed": 9}
+    outcome = diagnose(MACHINE, repeats(**truth), repeats(1, experiment=1, **truth), look_further=False)
+    assert [str(finding.effect) for finding in outcome.diagnosis.findings] == ["cogging at carriage"]
+    assert outcome.diagnosis.verdict == verdict
+    assert ("another law, known or not, may look like so little" in outcome.diagnosis.reason) == (verdict == "ambiguous")
+
+
 def test_nothing_is_found_where_nothing_is_missing():
     outcome = diagnose(MACHINE, repeats(seed=5, duration_s=4.0), repeats(1, experiment=1, seed=5, duration_s=4.0))
     assert outcome.diagnosis.verdict == "consistent"

@@ -21,10 +21,20 @@ from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
 
-ARM = load_machine(Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines" / "tilted_arm.toml")
+MACHINES = Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines"
+ARM = load_machine(MACHINES / "tilted_arm.toml")
 ROTOR = load_machine("laas_anti_cogging")
 ROWS = 2000
-NOISE = {"position_arm": 1e-5, "link_position_arm": 1e-5, "current_arm": 0.01, "gyro_y": 1e-3, "imu_x": 0.01, "imu_z": 0.01}
+NOISE = {
+    "position_cart": 1e-5,
+    "link_position_cart": 1e-5,
+    "position_arm": 1e-5,
+    "link_position_arm": 1e-5,
+    "current_arm": 0.01,
+    "gyro_y": 1e-3,
+    "imu_x": 0.01,
+    "imu_z": 0.01,
+}
 CYCLE = 2.0 * np.pi / 1.1 / 100.0
 """One per travel, at the motor."""
 COUNT_rad = 2.0 * np.pi / (4096 * 100)
@@ -76,6 +86,17 @@ def rotor():
     """Nothing holds it."""
     command = 0.05 + 0.3 * np.sin(20.0 * np.arange(ROWS) / ROTOR.sample_rate_Hz)
     found = runs_of(ROTOR, **{f"command_{ROTOR.axes[0]}": Channel("A", command)})
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        yield runs, retune(runs)
+
+
+@pytest.fixture(scope="module")
+def cart():
+    """Two masses on springs, swung by a force over some centimetres."""
+    machine = load_machine(MACHINES / "spring_mass.toml")
+    time_s = np.arange(ROWS) / machine.sample_rate_Hz
+    force = 24.0 * np.sin(2.0 * np.pi * 0.6 * time_s) + 12.0 * np.sin(2.0 * np.pi * 1.1 * time_s)
+    found = runs_of(machine, command_cart=Channel("N", force * np.minimum(time_s, 1.0)))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         yield runs, retune(runs)
 
@@ -140,6 +161,21 @@ def test_an_order_is_found_though_its_second_harmonic_shows_more(arm):
     starts, _ = offered(arm, "transmission_error", values)
     assert starts[0][0] == pytest.approx(values[0], abs=0.01)
     assert starts[0][3] > starts[0][1]
+
+
+def test_a_ripple_that_passes_fast_at_the_usual_speed_starts_at_its_order(cart):
+    """2200 rad/m pass at 60 Hz: a loop that holds efforts for a sample gives them half a sample late, a third of a cycle there."""
+    runs, tuning = cart
+    ripple = Candidate(EffectAt("torque_ripple", "cart"), ())
+    values = np.array([2200.0, 0.02, 0.4, 0.005, 1.0])
+    change = runs.run_one(Trial(tuning.values, (ripple.setting(values),))) - tuning.predicted
+    left = Projection.of(tuning).left(change)
+    deviations = float(np.sqrt(left @ left))
+    residual = 12.0 / deviations * change + np.random.default_rng(5).standard_normal(len(change))
+    motion = Motion(runs.machine, tuning.values, runs.sets[TRAIN].groups[0], runs.sets[TRAIN].channels)
+    (found,) = with_filtered_starts(ThroughTheLoop(runs, TRAIN, tuning), [ripple], [motion], residual)
+    assert found.starts[0][0] == pytest.approx(values[0], rel=0.01)
+    assert found.starts[0][1] == pytest.approx(12.0 / deviations * values[1], rel=0.3)
 
 
 SHAKES = np.array([0.02, 7.37, -2.3])

@@ -87,6 +87,16 @@ def test_exact_equations_have_no_errors_that_explain_what_a_set_gains():
     assert ranked[1].share > 0.9 * WEIGHTS.exact
 
 
+@pytest.mark.parametrize("form_error", [0.0, 0.0099])
+def test_a_set_that_had_to_move_far_leaves_no_less_than_it_leaves_there(form_error):
+    """An eccentricity missed another motion by 660 and where both motions want it by 25; repeats scatter, so 660 counted as less than the
+    635 that moving brought (sealed 4642, spent).
+    """
+    compared = Compared((1000.0, 1000.0), (12.0, 660.0), (12.0, 641.0), by_moving=(75.0, -635.0), scatter=1.4)
+    for part, left in enumerate((87.0, 25.0)):
+        assert 1000.0 <= compared.in_units(part, 1.0, form_error) <= 1000.0 + left
+
+
 def test_sets_that_fit_alike_share_the_confidence():
     assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5 * CERTAIN, 0.5 * CERTAIN], abs=0.02)
 
