@@ -126,3 +126,13 @@ def instead(chosen: Fitted | None, added: Screened) -> list[Start]:
         return []
     kept = [[k for k in range(len(chosen.effects)) if k != left_out] for left_out in range(len(chosen.effects))]
     return [((*(chosen.effects[k] for k in ks), added.effect), (*(chosen.values[k] for k in ks), added.values)) for ks in kept]
+
+
+def without_what_stood(chosen: Fitted | None, larger: Fitted) -> list[Start]:
+    """A set with one effect more, without one of those it was added to: alone, a fit may not have come to where it is beside the one that
+    had stood for it.
+    """
+    if chosen is None or not set(chosen.effects) < set(larger.effects):
+        return []
+    kept = [[k for k, effect in enumerate(larger.effects) if effect != left_out] for left_out in chosen.effects]
+    return [(tuple(larger.effects[k] for k in ks), tuple(larger.values[k] for k in ks)) for ks in kept]

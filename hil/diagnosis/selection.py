@@ -20,7 +20,7 @@ from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import Removing, are_of_the_file, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.onset import onset
-from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs
+from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_what_stood
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.same_order import with_others_of_its_order
@@ -213,6 +213,8 @@ class _Search:
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
+            alone = refit(runs, tuning, measured, without_what_stood(stand.fitted, min(fits, key=lambda fit: fit.cost)))
+            fits = [*fits, *polish(runs, tuning, measured, [fit for fit in alone if fit is not None])]
         first, singles = way.screened, way.singles
         if size == 0:
             fits = [*(way.singles if way.is_wider else ()), *fits]
