@@ -42,7 +42,7 @@ from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
 from hil.diagnosis.step_error import with_finer_steps
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too, with_read_off
+from hil.diagnosis.verdict import Standing, findings_of, held_out_alone, verdict_of, what_may_act_too, with_read_off
 from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among, with_unsure
 from hil.diagnosis.without_effects import without_effects
 from hil.machine import Machine
@@ -207,6 +207,8 @@ def diagnose(
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
         retuned, frozen = retuned_values(tuning, chosen, spread)
+        times = held_out_alone(standing.held_out) if verdict == "unknown_physics" and chosen is None else 0.0
+        shown_by = HELD_OUT if times > misfits[1] / noise else TRAIN
         explainable = max(misfits[1] - noise, 0.0)
         diagnosis = Diagnosis(
             verdict=verdict,
@@ -220,8 +222,8 @@ def diagnose(
             frozen=frozen,
             noise=train.noise.kind,
             location=locate_outcome(
-                train,
-                stages[TRAIN]["retuned"],
+                sets[shown_by],
+                stages[shown_by]["retuned"],
                 _change(runs, values, effects),
                 named=bool(findings),
                 unknown=verdict == "unknown_physics",

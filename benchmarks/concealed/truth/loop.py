@@ -48,7 +48,11 @@ def low_pass(value, middle, slope, pole_Hz, h):
 
 @njit(cache=True)
 def through_poles(state, target, first_Hz, second_Hz, h):
-    """Mean over a step of what two different real poles in a row make of a held target; their state is moved on. Exact."""
+    """Mean over a step of what two different real poles in a row make of a held target, the target itself where there are none; their
+    state is moved on. Exact.
+    """
+    if first_Hz <= 0.0:
+        return target
     if h == 0.0:
         return state[1]
     first, second = 1.0 / (2.0 * math.pi * first_Hz), 1.0 / (2.0 * math.pi * second_Hz)
@@ -143,10 +147,7 @@ def run(
                 applied[joint] = 0.0
             for i in range(n):
                 j = axes[i]
-                if drives[i, 1] > 0.0:
-                    current = through_poles(poles[i], flowing[i], drives[i, 1], drives[i, 2], h)
-                else:
-                    current = flowing[i]
+                current = through_poles(poles[i], flowing[i], drives[i, 1], drives[i, 2], h)
                 ripple = tabulated(drives[i, 5] * qpos[j] / (2.0 * math.pi), drives[i, 6], drives[i, 7], drives[i, 8], drives[i, 9], 0.0)
                 ctrl[i] = current
                 drive[j] = gear[i] * current
