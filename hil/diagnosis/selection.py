@@ -213,8 +213,8 @@ class _Search:
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
-            alone = refit(runs, tuning, measured, without_what_stood(stand.fitted, min(fits, key=lambda fit: fit.cost)))
-            alone = polish(runs, tuning, measured, [fit for fit in alone if fit is not None])
+            without = without_what_stood(stand.fitted, min(fits, key=lambda fit: fit.cost))
+            alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, without) if fit is not None])
             fits = [*fits, *(fit for fit in alone if fit.cost < stand.cost)]
         first, singles = way.screened, way.singles
         if size == 0:

@@ -31,6 +31,9 @@ SHARED_SHAPE = ("Np", "k", "cycles", "at", "f")
 LIKENESS_STEPS, ALIKE = 4, 0.05
 """Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
 
+DAMPINGS = (0.03, 0.08, 0.16, 0.32)
+"""Ratios of a mode that imitates a mass with a drag, up to those at which no mode swings any more."""
+
 MORE_SHAPES = 3
 """Names that are nearest to a law off the catalogue in one shape, of which others are tried."""
 
@@ -289,8 +292,8 @@ def _shapes(shop: Workshop, one: Chosen, neighbour: Kind, place: str) -> list[Sh
             shape["Np"] = one.hidden.shape["k"]
         if "Np" in one.hidden.shape and "k" in shape:
             shape["k"] = one.hidden.shape["Np"]
-        if "w" in one.hidden.shape and "f" in shape:
-            shape["f"] = one.hidden.shape["w"] / (2.0 * np.pi)
+        if "w" in one.hidden.shape and "f" in shape:  # a mass that swings, with a drag that grows with how far
+            shape |= {"f": one.hidden.shape["w"] / (2.0 * np.pi)} | ({"zeta": DAMPINGS[variant]} if "zeta" in shape else {})
         shapes.append(shape | {key: 0.5 * np.pi * variant for key in ("phi", "phi1") if key in shape})
     return shapes
 
