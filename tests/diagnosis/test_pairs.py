@@ -12,7 +12,7 @@ from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import BENDS_BY, lost_form
 from hil.diagnosis.information import Form
 from hil.diagnosis.judgement import Stand, Tried
-from hil.diagnosis.pairs import beside_rivals, pairs
+from hil.diagnosis.pairs import beside_rivals, pairs, without_what_stood
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
@@ -210,3 +210,23 @@ def test_a_pair_is_asked_about_beside_those_of_its_parts_that_are_there():
     there, refused, another = contender("cogging", True), contender("delay", False), contender("payload", True)
     pair = contender("cogging delay", True)
     assert parts_that_passed(pair, [there, refused, another, pair]) == [there]
+
+
+def test_what_was_added_is_fitted_without_each_of_what_it_was_added_to():
+    """From where it is beside them; what stands is not fitted without what was added: that it was before."""
+    names = ("coulomb_friction", "cogging", "structural_mode")
+    friction, wave, mode = (fitted(name, [float(k + 1)]) for k, name in enumerate(names))
+
+    def together(*fits: Fitted) -> Fitted:
+        return replace(fits[0], effects=tuple(fit.effects[0] for fit in fits), values=tuple(fit.values[0] for fit in fits))
+
+    def sets(starts: list) -> list[dict[str, float]]:
+        return [{effect.effect: float(own[0]) for effect, own in zip(*start, strict=True)} for start in starts]
+
+    assert sets(without_what_stood(friction, together(friction, mode))) == [{"structural_mode": 3.0}]
+    assert sets(without_what_stood(together(friction, wave), together(friction, mode, wave))) == [
+        {"structural_mode": 3.0, "cogging": 2.0},
+        {"coulomb_friction": 1.0, "structural_mode": 3.0},
+    ]
+    assert without_what_stood(None, mode) == []
+    assert without_what_stood(friction, mode) == []  # no larger set: it stands in its place
