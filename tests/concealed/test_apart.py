@@ -89,6 +89,21 @@ def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chos
     assert found != pytest.approx(left_over(other - nothing, [one - nothing]), rel=0.1)
 
 
+def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(machines, chosen_of):
+    """What a loop rounds goes around it: of two simulations with a lattice that differ by anything the errors have nothing in common, and
+    a gear's error of two deviations was said to stand 40 from nothing (sealed 3920).
+    """
+    from concealed.truth.apart import apart
+    from concealed.truth.catalogue import KINDS
+
+    shop, measure = a_shop(machines, "tilted_arm")
+    measure.numbers = {}
+    friction = chosen_of("viscous_friction", "arm", {}, 0.02 * KINDS["viscous_friction"].typical(shop.machine, "arm"))
+    lattice = chosen_of("encoder_quantization", "arm", {"least": 3e-5}, 3e-5)
+    alone, beside = (apart(shop, hidden, 0, measure)["detectability"] for hidden in ((friction,), (friction, lattice)))
+    assert beside == pytest.approx(alone, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "hidden", "by"),
     [

@@ -46,6 +46,8 @@ class Kind:
         Acts at some positions only.
     sensor : bool
         Acts in a sensor alone.
+    lattice : bool
+        Rounds what a loop reads.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Kind:
     fixed: bool = False
     local: bool = False
     sensor: bool = False
+    lattice: bool = False
 
 
 def axes(machine: Machine) -> list[str]:

@@ -91,7 +91,7 @@ KINDS = (
     ),
     Kind(
         "encoder_quantization", ("encoder_quantization",), axes, _coarse_shape, _coarse, _count(10.0), _count(400.0),
-        compare=lambda shape, s: {"q": max(s, shape["least"])}, sensor=True,
+        compare=lambda shape, s: {"q": max(s, shape["least"])}, sensor=True, lattice=True,
     ),
     Kind(
         "imu_misalignment", ("imu_misalignment",), _with_imu, _direction, _reading("turned", IMU_CHANNELS), number(0.01), number(0.3),
