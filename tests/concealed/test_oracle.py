@@ -56,3 +56,20 @@ def test_a_burst_is_found_at_its_time_position_frequency_and_channel():
     low, high = found["frequency_hz"][0][0], found["frequency_hz"][-1][1]
     assert 10.0 < low < 20.0 < high < 40.0
     assert found["position"]["ramp"]["intervals"] == [[pytest.approx(6.0, abs=1.0), pytest.approx(8.0, abs=1.0)]]
+
+
+@pytest.mark.parametrize(("repeats", "channels"), [(3, 3), (4, 9), (3, 12)])
+def test_other_noise_has_a_mean_square_of_one_in_units_of_what_repeats_differ_by(repeats, channels):
+    """The inverse of a density of some sixty degrees of freedom is too large by a tenth for three channels, by a third for twelve, whatever
+    the channels' units are.
+    """
+    from concealed.truth.oracle import NoiseUnits
+
+    random, samples = np.random.default_rng(6), 2000
+    mixture = np.diag(10.0 ** random.uniform(-3.0, 3.0, channels))
+    squares = []
+    for _ in range(4):
+        units = NoiseUnits(random.standard_normal((repeats, samples, channels)) @ mixture)
+        other = units((random.standard_normal((repeats, samples, channels)) @ mixture).mean(axis=0))
+        squares.append(float(np.mean(other**2)))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.04)

@@ -2,12 +2,14 @@
 refitted, which other names could be told from it, what could be removed, and where it shows.
 
 Everything is in units of the noise's standard deviation: signals are tapered, transformed, and whitened by the cross-spectral density of
-what differs between repeats. A norm d is then the distance of two hypotheses in standard deviations of the best linear test.
+what differs between repeats, so that other noise than that has a mean square of 1. A norm d is then the distance of two hypotheses in
+standard deviations of the best linear test.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -26,6 +28,51 @@ NOTHING = 1e-9
 """Norm of a signal that counts as none, in deviations."""
 
 
+INFLATION_SAMPLES, INFLATION_DRAWS = 128, 40
+"""Length and number of the records that `inflation` draws."""
+
+
+def taper_of(samples: int) -> np.ndarray:
+    """(N,) of mean square 1."""
+    taper = np.sin(np.pi * (np.arange(samples) + 0.5) / samples)
+    return np.asarray(taper * np.sqrt(samples / np.sum(taper**2)))
+
+
+def averaged_density(spectra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F, C, C) cross-spectral density of (R, F, C) spectra, averaged over neighbouring lines, and over how many (F,)."""
+    repeats, count, channels = spectra.shape
+    cross = np.einsum("rfi,rfj->fij", spectra, spectra.conj()) / repeats
+    total = np.concatenate([np.zeros((1, channels, channels)), np.cumsum(cross, axis=0)])
+    lines = np.arange(count)
+    low, high = np.maximum(lines - LINES_AVERAGED, 1), np.minimum(lines + LINES_AVERAGED + 1, count)
+    density = (total[high] - total[low]) / (high - low)[:, None, None]
+    diagonal = np.einsum("fii->fi", density).real.copy()
+    density *= 1.0 - SHRINKAGE
+    density[:, np.arange(channels), np.arange(channels)] = diagonal + 1e-9
+    return density, high - low
+
+
+@cache
+def inflation(repeats: int, channels: int) -> np.ndarray:
+    """By how much other noise is more than 1, in squares, in units of a density that is averaged over so many lines: (lines + 1,).
+
+    The inverse of a density of few degrees of freedom is too large in the mean, of a Wishart matrix by n / (n - C) (Anderson 2003, ch. 7);
+    a taper's lines are not independent, so it is drawn. But for the shrinkage it is the same for every mixture of white channels.
+    """
+    random, taper = np.random.default_rng([repeats, channels]), taper_of(INFLATION_SAMPLES)
+    squares, counts = np.zeros(2 * LINES_AVERAGED + 2), np.zeros(2 * LINES_AVERAGED + 2)
+    for _ in range(INFLATION_DRAWS):
+        known, other = random.standard_normal((2, repeats, INFLATION_SAMPLES, channels))
+        spectra = [np.fft.rfft(noise * taper[:, None], axis=1) / np.sqrt(INFLATION_SAMPLES) for noise in (known, other)]
+        density, averaged = averaged_density(spectra[0])
+        white = np.einsum("fij,rfj->rfi", np.linalg.inv(np.linalg.cholesky(density)), spectra[1])
+        of_lines = (np.abs(white) ** 2).mean(axis=(0, 2))[1:-1]  # a constant and the highest line have one real part
+        np.add.at(squares, averaged[1:-1], of_lines)
+        np.add.at(counts, averaged[1:-1], 1.0)
+    known_for = np.flatnonzero(counts)
+    return np.interp(np.arange(len(counts)), known_for, squares[known_for] / counts[known_for])
+
+
 class NoiseUnits:
     """Whitening by what differs between repeats.
 
@@ -39,19 +86,12 @@ class NoiseUnits:
         repeats, samples, channels = residuals.shape
         self.repeats, self.samples = repeats, samples
         self.std = residuals.std(axis=(0, 1)) + 1e-300
-        self.taper = np.sin(np.pi * (np.arange(samples) + 0.5) / samples)
-        self.taper *= np.sqrt(samples / np.sum(self.taper**2))
+        self.taper = taper_of(samples)
         spectra = np.fft.rfft((residuals - residuals.mean(axis=1, keepdims=True)) / self.std * self.taper[:, None], axis=1)
-        cross = np.einsum("rfi,rfj->fij", spectra, spectra.conj()) / (repeats * samples)
-        total = np.concatenate([np.zeros((1, channels, channels)), np.cumsum(cross, axis=0)])
-        lines = np.arange(len(cross))
-        low, high = np.maximum(lines - LINES_AVERAGED, 1), np.minimum(lines + LINES_AVERAGED + 1, len(cross))
-        density = (total[high] - total[low]) / (high - low)[:, None, None]
-        diagonal = np.einsum("fii->fi", density).real.copy()
-        density *= 1.0 - SHRINKAGE
-        density[:, np.arange(channels), np.arange(channels)] = diagonal + 1e-9
-        self.density = diagonal
-        self._whitener = np.linalg.inv(np.linalg.cholesky(density))
+        density, averaged = averaged_density(spectra / np.sqrt(samples))
+        self.density = np.einsum("fii->fi", density).real.copy()
+        whitener = np.linalg.inv(np.linalg.cholesky(density))
+        self._whitener = whitener / np.sqrt(inflation(repeats, channels))[averaged, None, None]
 
     def __call__(self, signal: np.ndarray) -> np.ndarray:
         """(N, C) signal as a real vector whose norm is its distance from nothing, over all repeats."""
