@@ -27,10 +27,9 @@ class Compared(NamedTuple):
         return self.reference[part] / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
 
     def _beyond(self, part: int) -> float:
-        """What it leaves more where both motions want both sets, beside errors of what both have: these explain no more of it than is left
-        of what they explain with training's parameters.
+        """What it leaves more where both motions want both sets, beside errors of what both have: of that these explain the share that they
+        explain with training's parameters.
         """
-        explained, left = self.apart[part] - self.beyond[part], self.apart[part] + self.by_moving[part]
-        if self.by_moving[part]:
-            explained = min(max(explained, min(left, 0.0)), max(left, 0.0))
-        return left - explained
+        apart, left = self.apart[part], self.apart[part] + self.by_moving[part]
+        share = min(max(left / apart, 0.0), 1.0) if apart else 1.0
+        return left - share * (apart - self.beyond[part])

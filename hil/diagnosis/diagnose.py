@@ -17,7 +17,8 @@ from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.location import locate_outcome
+from hil.diagnosis.held_out_alone import OnlyHeldOut, only_held_out
+from hil.diagnosis.location import locate, locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
 from hil.diagnosis.naming import (
@@ -42,7 +43,7 @@ from hil.diagnosis.separation import Model
 from hil.diagnosis.spread import spread_of
 from hil.diagnosis.step_error import with_finer_steps
 from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, findings_of, held_out_alone, verdict_of, what_may_act_too, with_read_off
+from hil.diagnosis.verdict import Standing, findings_of, only_there, verdict_of, what_may_act_too, with_read_off
 from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among, with_unsure
 from hil.diagnosis.without_effects import without_effects
 from hil.machine import Machine
@@ -168,6 +169,7 @@ def diagnose(
         misfits = [_energy(runs, rows) for rows in (stages[TRAIN]["nominal"], stages[TRAIN]["retuned"], stages[TRAIN]["extended"])]
         shown = int(np.sum(np.diag(tuning.covariance) < 0.5))
         best_held_out = hypotheses[0].held_out if hypotheses else evidence.base.held_out
+        only = OnlyHeldOut() if passed else only_held_out(runs, tuning, judged, sets.get(HELD_OUT), jobs)
         standing = Standing(
             gates=selection.gates,
             hypotheses=hypotheses,
@@ -180,10 +182,12 @@ def diagnose(
             held_out=None if judged is None else (evidence.base.held_out, best_held_out, evidence.entries_held_out),
             drift=_drift(runs, tuning, judged, selection, chosen),
             further=selection.further if _is_same_set(chosen, selection.chosen) else math.inf,
-            gained=math.inf if chosen is None else next(one.gate.gain for one in selection.contenders if one.fitted is chosen),
+            gained=selection.gained_by_least(chosen),
+            only_held_out=only.times,
             imitated=_imitated(selection, evidence),
         )
         verdict, reason = verdict_of(standing)
+        is_only_there = reason == only_there(standing)
         unsure: tuple[Weighed, ...] = ()
         if verdict == "ambiguous":
             unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
@@ -207,8 +211,6 @@ def diagnose(
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
         retuned, frozen = retuned_values(tuning, chosen, spread)
-        times = held_out_alone(standing.held_out) if verdict == "unknown_physics" and chosen is None else 0.0
-        shown_by = HELD_OUT if times > misfits[1] / noise else TRAIN
         explainable = max(misfits[1] - noise, 0.0)
         diagnosis = Diagnosis(
             verdict=verdict,
@@ -221,9 +223,11 @@ def diagnose(
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
-            location=locate_outcome(
-                sets[shown_by],
-                stages[shown_by]["retuned"],
+            location=locate(sets[HELD_OUT].with_simulated(only.rows))
+            if is_only_there
+            else locate_outcome(
+                train,
+                stages[TRAIN]["retuned"],
                 _change(runs, values, effects),
                 named=bool(findings),
                 unknown=verdict == "unknown_physics",

@@ -175,7 +175,17 @@ class Gate:
 
     @property
     def beats_placebo(self) -> bool:
-        return max(self.gain, self.held_out_gain or 0.0) > PLACEBO_FACTOR * self.placebo_gain
+        return self._beats_placebo_in_training or self._beats_placebo_held_out
+
+    @property
+    def _beats_placebo_in_training(self) -> bool:
+        return self.gain > PLACEBO_FACTOR * self.placebo_gain
+
+    @property
+    def _beats_placebo_held_out(self) -> bool:
+        """Whether held-out recordings follow by more than any placebo gains in training, where placebos were searched."""
+        gain = self.held_out_gain if self.held_out_beyond is None else self.held_out_beyond
+        return self.followed is not None and self.is_followed and gain is not None and gain > PLACEBO_FACTOR * self.placebo_gain
 
     @property
     def explains(self) -> bool:
@@ -189,7 +199,7 @@ class Gate:
     @property
     def training_shows_something(self) -> bool:
         """Whether something is there by training alone, be it another law than this one."""
-        return self.over_simulator > 1.0 and self.trained < TRAINING_ALONE and self.beats_placebo and self.explains
+        return self.over_simulator > 1.0 and self.trained < TRAINING_ALONE and self._beats_placebo_in_training and self.explains
 
     @property
     def passed(self) -> bool:
@@ -200,9 +210,11 @@ class Gate:
         by_chance = f"one of all that was tried gains as much by chance with a probability of {self.chance:.2g}"
         if self.followed is not None:
             by_chance = f"one of all that was tried gains as much and is followed so by chance with a probability of {self.chance:.2g}"
+        only_there = self._beats_placebo_held_out and not self._beats_placebo_in_training
+        beyond_placebo = ", less than held-out recordings follow this one by" if only_there else ""
         lines = [
             (self.significant, f"the sum of squares in units of noise falls by {self.gain:.4g}; {by_chance}"),
-            (self.beats_placebo, f"the best response run backwards in time gains {self.placebo_gain:.4g}"),
+            (self.beats_placebo, f"the best response run backwards in time gains {self.placebo_gain:.4g}{beyond_placebo}"),
             (self.explains, f"explains {self.share:.1%} of what is above noise"),
         ]
         if self.held_out_deviations is not None and self.followed is not None:

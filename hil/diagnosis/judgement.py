@@ -279,7 +279,7 @@ class Judgement:
         stand: Stand,
         fits: Sequence[Fitted],
         tried: Tried,
-        placebo: float,
+        placebos: tuple[float, float],
         limits: Mapping[EffectAt, tuple[float, float]],
         earlier: int = 0,
     ) -> list[Contender]:
@@ -290,8 +290,8 @@ class Judgement:
         stand : Stand
         fits : sequence of Fitted
         tried : Tried
-        placebo : float
-            Largest gain of a placebo.
+        placebos : pair of float
+            Largest gains of a placebo beside the stand and beside nothing.
         limits : mapping
             See `form.lost_form`.
         earlier : int
@@ -302,6 +302,7 @@ class Judgement:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
             after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
             form = lost_form(fitted, limits, self._measured - fitted.predicted)
+            placebo = placebos[0 if before is stand else 1]
             gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=form)
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(

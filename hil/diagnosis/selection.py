@@ -98,6 +98,8 @@ class Selection:
         Sets that would have passed but for their form: what they imitate has no name.
     unsure : tuple of Contender
         The chosen set with one effect more, which training shows and which did not pass the gate.
+    smaller : tuple of Fitted
+        All sets that were fitted on the way.
     """
 
     chosen: Fitted | None
@@ -108,6 +110,18 @@ class Selection:
     further: float = np.inf
     formless: tuple[Contender, ...] = ()
     unsure: tuple[Contender, ...] = ()
+    smaller: tuple[Fitted, ...] = ()
+
+    def gained_by_least(self, chosen: Fitted | None) -> float:
+        """Fall of |residual|^2 by that effect of a set without which it loses least, over the best fit without it: what its last step
+        gained, where none is known. Infinite of no set.
+        """
+        found = next((one for one in self.contenders if one.fitted is chosen), None)
+        if found is None:
+            return np.inf
+        own = set(found.fitted.effects)
+        costs = [part.cost for part in self.smaller if set(part.effects) < own and len(part.effects) == len(own) - 1]
+        return min(found.gate.gain, min(costs) - found.fitted.cost) if costs else found.gate.gain
 
     def moved(self, to: Callable[[Sequence[Contender]], Sequence[Contender]]) -> Selection:
         """With all sets that are weighed, moved side by side."""
@@ -158,7 +172,7 @@ def select(
         way = continued(way, search.to_the_end(from_another(way, closer, judgement.after(closer))))
     competing = [set(one.fitted.effects) for one in way.contenders]
     unsure = tuple(one for one in way.unsure if set(one.fitted.effects) not in competing)  # a rival of the first step may be one
-    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure)
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure, way.smaller)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +191,11 @@ class _Search:
         while not way.is_at_its_end and max(len(way.stand.effects), len(way.gates)) < MOST_EFFECTS:
             way = self.step(way)
         return way
+
+    def is_likelier(self, fit: Fitted, chosen: Fitted | None, tried: Tried) -> bool:
+        """By training than what was found, each against nothing."""
+        nothing = self.judgement.nothing
+        return chosen is not None and in_order([chosen, fit], nothing.cost, self.noise_energy, tried, nothing)[0] is fit
 
     def step(self, way: Way) -> Way:
         """One effect more, or a pair at the first step or in place of what was found."""
@@ -215,7 +234,7 @@ class _Search:
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
             without = without_what_stood(stand.fitted, min(fits, key=lambda fit: fit.cost))
             alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, without) if fit is not None])
-            fits = [*fits, *(fit for fit in alone if fit.cost < stand.cost)]
+            fits = closest_of_each(fits, [fit for fit in alone if self.is_likelier(fit, chosen, tried)])
         first, singles = way.screened, way.singles
         if size == 0:
             fits = [*(way.singles if way.is_wider else ()), *fits]
@@ -240,12 +259,13 @@ class _Search:
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
         closest = min(fits, key=lambda fit: fit.cost)
         placebo = placebo_gain(runs, stand.tuning, screened, residual)
-        judged = judgement.contenders(stand, fits, tried, placebo, limits)
+        placebos = placebo, placebo if size == 0 else way.placebo
+        judged = judgement.contenders(stand, fits, tried, placebos, limits)
 
         after = cache(judgement.after)
 
         def is_there_beside(one: Contender, part: Contender) -> bool:
-            return judgement.contenders(after(part), [one.fitted], tried, placebo, limits)[0].passed
+            return judgement.contenders(after(part), [one.fitted], tried, placebos, limits)[0].passed
 
         def is_no_chance_beside_its_parts(one: Contender) -> bool:
             parts = parts_that_passed(one, judged) if size == 0 else []
@@ -264,13 +284,15 @@ class _Search:
         formless = (*way.formless, *without_form(needed))
         gates = (*way.gates, passed[0].gate if passed else _refused(judged[0], needed))
         further = least_by_chance(judged, stand)
-        end = Way(stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless)
+        end = Way(
+            stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless, placebo=placebos[1]
+        )
         if not passed and chosen is not None:
             larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
             return replace(end, unsure=tuple(one for one in larger if one.gate.shows and not one.gate.lost_form))
         rivals = [one for one in needed if one.passed or competes(one.gate, passed[0].gate if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
-            also = judgement.contenders(stand, doubtful, tried, placebo, limits, len(fits))
+            also = judgement.contenders(stand, doubtful, tried, placebos, limits, len(fits))
             rivals += [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]
             known = not_told_apart_in_training(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
@@ -279,7 +301,7 @@ class _Search:
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(tuning, several, singles, first, there)
             refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
-            more = judgement.contenders(stand, refitted, tried, placebo, limits, len(fits))
+            more = judgement.contenders(stand, refitted, tried, placebos, limits, len(fits))
             more = without_surplus(more, (*smaller, *refitted))
             rivals += [one for one in more if one.passed]
             end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *refitted))
@@ -290,6 +312,16 @@ class _Search:
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
     """The gate of the step that ends a search."""
     return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
+
+
+def closest_of_each(fits: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
+    """The fits and these, of which each is of another set or closer than what was fitted of its set, which it replaces."""
+    kept = list(fits)
+    for one in more:
+        same = [fit for fit in kept if set(fit.effects) == set(one.effects)]
+        if all(one.cost < fit.cost for fit in same):
+            kept = [*(fit for fit in kept if all(fit is not other for other in same)), one]
+    return kept
 
 
 def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int:

@@ -71,8 +71,18 @@ def wave_orders(
     return find
 
 
+def searched_orders(name: str, residual: Residual, typical: Typical) -> tuple[float, float]:
+    """The same of this wave: the matched filter looks further than what is missing at a joint shows."""
+    return range_of_orders(residual, typical) if name in TURNING_WITH_THE_MOTOR else range_in_what_is_missing(residual, typical)
+
+
+def range_in_what_is_missing(residual: Residual, typical: Typical) -> tuple[float, float]:
+    """Radians per radian (or metre) of the joint between which orders of the missing effort are looked for."""
+    return _lowest_order(typical), _order_at(float(np.sqrt(np.mean(residual.speed**2))), HIGHEST_MISSING_Hz, typical)
+
+
 def range_of_orders(residual: Residual, typical: Typical) -> tuple[float, float]:
-    """Radians per radian (or metre) of the joint between which orders are looked for."""
+    """Radians per radian (or metre) of the joint between which orders are looked for by the matched filter."""
     slow_speed = float(np.quantile(np.abs(residual.speed[residual.moves]), SLOW_SHARE)) if np.any(residual.moves) else 0.0
     return _lowest_order(typical), _order_at(slow_speed, HIGHEST_ORDER_Hz, typical)
 
@@ -91,7 +101,7 @@ def _strongest_orders(residual: Residual, values: np.ndarray, typical: Typical, 
     As many (`count`) that stand out most of the orders around them, and as many of the largest power: what is missing is an effort, and
     noise of positions grows in it with the square of frequency, so the largest power is that of noise at high orders.
     """
-    lowest, highest = _lowest_order(typical), _order_at(float(np.sqrt(np.mean(residual.speed**2))), HIGHEST_MISSING_Hz, typical)
+    lowest, highest = range_in_what_is_missing(residual, typical)
     step = 2.0 * np.pi / typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     every = max(1, len(values) // 3000)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.start_frequencies import LIGHTEST, LOWEST_MODE_Hz, highest_mode_Hz, lines, modes
-from hil.diagnosis.start_waves import ONE_HARMONIC, WAVES, encoder_orders, position_friction, range_of_orders, wave_orders
+from hil.diagnosis.start_waves import ONE_HARMONIC, WAVES, encoder_orders, position_friction, searched_orders, wave_orders
 from hil.diagnosis.typical import Start, Typical
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
 from virtual_bus.effects.registry import effects, initial_guess
@@ -65,7 +65,7 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     residual = motion.residual(at, coupled=effect.kind is COUPLING)
     typical = Typical(motion, at, residual)
     if name in WAVES:
-        lowest, highest = range_of_orders(residual, typical)
+        lowest, highest = searched_orders(name, residual, typical)
         return max(WAVES[name] * max(highest - lowest, 0.0) * float(np.std(residual.position)), 1.0)
     if name == "base_motion":
         return max(ONE_HARMONIC * np.pi / typical.sample_s * float(np.std(residual.time_s)), 1.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hil.diagnosis.drift import DRIFTED
 from hil.diagnosis.gate import LEVEL, Gate, certain_excess
+from hil.diagnosis.held_out_alone import OTHER_MOTION
 from hil.diagnosis.judgement import Contender
 from hil.diagnosis.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of, not_told_apart
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
@@ -25,14 +26,6 @@ ALONE_LEFT = 0.1
 wrong, 13 of 117 that left less; the share was chosen on them (5 of 7 between it and a quarter were wrong). Of a gain of a few hundred
 chance leaves as much now and then, and a right name is `ambiguous` then."""
 
-OTHER_MOTION = 5.0
-"""Excess of the held-out misfit over its noise, as a share of it, that another motion's disturbances reach: a narrow line at a frequency of
-its own is 3.5 in development case 12, measured beside the truth itself; 31 nulls have 0.57 at most. Only beyond it is what a set leaves
-held out anything else, and where re-tuning leaves more there, physics is missing that training does not show: of twelve spent nulls whose
-held-out recordings the re-tuned machine missed by most before its numbers followed them the largest excess is 0.07; sealed 4342 (a lost
-sign that training hardly moves), 4114, 4729 (stops that it does not reach) and 4204 have 2 10^9, 42 000, 1357 and 1728, and were
-`retuned`."""
-
 UNNAMED_GAIN = 2.0
 """Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
 recordings by more than the scatter of three repeats says."""
@@ -48,9 +41,6 @@ less."""
 NAMED = 0.5
 """Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
 
-RUNS_AWAY = 1e200
-"""Held-out misfit in units of noise that stands for a simulation that ends nowhere (`held_out.HeldOut.misfit`)."""
-
 TOGETHER = 2
 """Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the
 pairs and of the single effects right. The proof hides no three effects at once, so such a set could not have been right there: this says
@@ -58,11 +48,11 @@ what three known effects that fit together have been so far, not that machines h
 
 
 FAINT_GAIN = 150.0
-"""Fall of |residual|^2 by the last effect of a set, below which its name does not stand alone: of so little, noise hides what the name
-leaves of another law, known or not. Of 398 `explained` answers in which ten tools (45d0676 to f9744f4) named one effect and read nothing
-off, 27 of the 82 that gained less named what is not there (13 where another effect is hidden, 1 where two are, 7 where a law of no
-catalogue is, 6 where nothing is), 24 of the 316 that gained more; the gain was chosen on them. Of seven `explained` pairs of 9f6ebe0 and
-9a7a004 whose last effect gained less, three named what is not there."""
+"""Fall of |residual|^2 by an effect, beside the others of its set, below which the set's name does not stand alone: of so little, noise
+hides what the name leaves of another law, known or not. Of 398 `explained` answers in which ten tools (45d0676 to f9744f4) named one effect
+and read nothing off, 27 of the 82 that gained less named what is not there (13 where another effect is hidden, 1 where two are, 7 where a
+law of no catalogue is, 6 where nothing is), 24 of the 316 that gained more; the gain was chosen on them. Of seven `explained` pairs of
+9f6ebe0 and 9a7a004 whose last effect gained less, three named what is not there."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,8 @@ class Standing:
     held_out: tuple[float, float, float] | None = None  # misfits re-tuned and of the likeliest set, and of a perfect simulation
     drift: float = 1.0  # chance of the values that the held-out recordings want where one law holds, see drift.py
     further: float = math.inf  # effects that gain by chance as much beside the likeliest set as one does, see selection.py
-    gained: float = math.inf  # fall of training's |residual|^2 by the last step of the likeliest set
+    gained: float = math.inf  # fall of training's |residual|^2 by that effect of the likeliest set that it loses least without
+    only_held_out: float = 0.0  # |residual|^2 of held-out recordings in units of noise, see held_out_alone.py
     imitated: str = ""  # why a set that is likelier than all names is none, see naming.py; "" where none is
 
 
@@ -117,10 +108,8 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if closest is not None:
         gains = f"gains {closest.gain:.4g} in training, as chance does with a probability of {closest.trained:.1e}"
         return "unknown_physics", f"the closest known effect {gains}, but held-out recordings do not follow it: it stands for another"
-    if times := held_out_alone(standing.held_out):
-        shows = f"the held-out recordings differ from the re-tuned machine by {times:.3g} times their noise"
-        shows = "the re-tuned machine runs away in the held-out motion" if times > RUNS_AWAY else shows
-        return "unknown_physics", f"{shows}, which training does not show: record such a motion for training, too"
+    if said := only_there(standing):
+        return "unknown_physics", said
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
         return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
     return "consistent", "nothing differs by more than the noise of repeats"
@@ -146,7 +135,7 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
     if standing.gained < FAINT_GAIN:
         which, imitate = ("which", "re-tuning imitates")
         if len(effects) > 1:
-            which, imitate = f"of which {effects[-1]}", "re-tuning and what else is named imitate"
+            which, imitate = "of which one effect", "re-tuning and what else is named imitate"
         shows = f"shows by {math.sqrt(standing.gained):.3g} standard deviations of the noise beyond what {imitate}"
         return f", {which} {shows}; another law, known or not, may look like so little"
     if len(effects) > TOGETHER:
@@ -154,14 +143,12 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
     return ""
 
 
-def held_out_alone(held_out: tuple[float, float, float] | None) -> float:
-    """Misfit of held-out recordings beside the re-tuned machine, its numbers where they may go, in units of their noise; 0 where noise of
-    another motion may be it.
-    """
-    if held_out is None:
-        return 0.0
-    before, _, noise = held_out
-    return before / max(noise, 1e-9) if before - noise > OTHER_MOTION * noise else 0.0
+def only_there(standing: Standing) -> str:
+    """What is said where the held-out recordings alone show something; "" where they do not."""
+    if not standing.only_held_out:
+        return ""
+    shows = f"the held-out recordings' sum of squares is {standing.only_held_out:.3g} times their noise whatever the file's numbers are"
+    return f"{shows}, and training shows nothing: record such a motion for training, too"
 
 
 def _stands_out(gate: Gate, standing: Standing) -> bool:

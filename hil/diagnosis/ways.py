@@ -39,6 +39,7 @@ class Way:
     formless: tuple[Contender, ...] = ()  # of all steps
     unsure: tuple[Contender, ...] = ()
     is_wider: bool = False  # whether candidates behind the best were fitted as well
+    placebo: float = 0.0  # largest gain of one at the first step
 
 
 def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:

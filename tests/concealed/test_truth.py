@@ -232,6 +232,50 @@ def _of_a_standing_joint(kind: int, row: list[float], step_s: float, begun: floa
     return np.array(places)
 
 
+def test_a_mass_that_is_carried_along_pulls_back_by_what_it_takes_to_accelerate_it():
+    """At a constant acceleration of its joint, in the mean over whole cycles once it hardly swings."""
+    from concealed.truth import joint_physics as physics
+
+    mass, w, step_s, a = 0.3, 2.0 * np.pi * 5.0, 9e-4, 2.0
+    for kind, row in ((physics.ADDED_MODE, [mass, mass * w * w, mass * w]), (physics.SLOSH, [mass, w, 10.0, 500.0])):
+        parameters, states, kinds, joint = (
+            np.zeros((1, physics.PARAMETERS)),
+            np.zeros((1, physics.STATES)),
+            np.array([kind]),
+            np.zeros(1, int),
+        )
+        parameters[0, : len(row)] = row
+        pulls = []
+        for k in range(round(4.0 / step_s)):
+            t, applied = (k + 0.5) * step_s, np.zeros(1)
+            moved, speed = np.array([0.5 * a * t * t]), np.array([a * t])
+            physics.add_efforts(
+                kinds, joint, joint, parameters, states, moved, speed, speed, t, step_s, speed, speed, applied, applied.copy()
+            )
+            pulls.append(applied[0])
+        assert np.mean(pulls[-round(1.0 / step_s) :]) == pytest.approx(-mass * a, rel=2e-3)
+
+
+def test_two_poles_in_a_row_give_the_mean_of_what_they_do_in_a_step():
+    """Against a thousandth of the step."""
+    from concealed.truth.loop import through_poles
+
+    whole, fine, step_s = np.array([0.3, -0.2]), np.array([0.3, -0.2]), 9e-4
+    for target in (1.0, -0.5, 0.2):
+        mean = through_poles(whole, target, 130.0, 200.0, step_s)
+        inside = []
+        for _ in range(1000):
+            begun = fine[1]
+            through_poles(fine, target, 130.0, 200.0, 1e-3 * step_s)
+            inside.append(0.5 * (begun + fine[1]))
+        assert mean == pytest.approx(np.mean(inside), abs=1e-6)
+        assert whole == pytest.approx(fine, abs=1e-12)
+        slopes = 2.0 * np.pi * np.array([130.0, 200.0]) * np.array([target - fine[0], fine[0] - fine[1]])
+        moved = fine.copy()
+        through_poles(moved, target, 130.0, 200.0, 1e-9)
+        assert (moved - fine) / 1e-9 == pytest.approx(slopes, rel=1e-3)
+
+
 def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines):
     """A second pole that reads what the first gives at a step's end, as if it were the step's mean, lags by half a step too little."""
     from concealed.truth.catalogue import KINDS

@@ -77,6 +77,18 @@ def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_c
     assert ("another law, known or not, may look like so little" in outcome.diagnosis.reason) == (verdict == "ambiguous")
 
 
+def test_what_the_held_out_recording_alone_shows_is_not_called_other_numbers():
+    """Numbers that are off there explain themselves; a wave that only that motion passes does not, and is located there."""
+    truth = {"mass": 1.09 * MASS_kg, "duration_s": 3.0, "seed": 7}
+    with_wave = repeats(1, experiment=1, at=lambda x: 40.0 * np.cos(900.0 * x), **truth)
+    found = diagnose(MACHINE, repeats(**truth), with_wave, look_further=False).diagnosis
+    assert found.verdict == "unknown_physics" and found.findings == ()
+    assert "record such a motion for training, too" in found.reason
+    assert set(found.location.time_s) <= set(with_wave) and sum(found.location.channels.values()) == pytest.approx(1.0)
+    heavier = repeats(1, experiment=1, **truth | {"mass": 0.93 * MASS_kg})
+    assert diagnose(MACHINE, repeats(**truth), heavier, look_further=False).diagnosis.verdict == "retuned"
+
+
 def test_nothing_is_found_where_nothing_is_missing():
     outcome = diagnose(MACHINE, repeats(seed=5, duration_s=4.0), repeats(1, experiment=1, seed=5, duration_s=4.0))
     assert outcome.diagnosis.verdict == "consistent"

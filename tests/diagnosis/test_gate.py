@@ -169,7 +169,11 @@ def test_a_gain_that_a_response_run_backwards_nearly_has_is_none():
     one = gate(1e-6, 1e-6)  # it gains 30
     assert Gate(**{**vars(one), "placebo_gain": 19.0}).passed
     assert not Gate(**{**vars(one), "placebo_gain": 21.0}).passed
-    assert Gate(**{**vars(one), "placebo_gain": 21.0, "held_out_gain": 32.0}).passed  # nothing was searched there
+    followed = {**vars(one), "placebo_gain": 21.0, "held_out_gain": 32.0}
+    assert Gate(**followed).passed  # nothing was searched there
+    assert not Gate(**followed | {"held_out_beyond": 30.0}).passed
+    assert not Gate(**followed | {"followed": 1.0, "trained": 1e-9}).passed
+    assert not Gate(**followed | {"trained": 1e-9}).training_shows_something
 
 
 def test_a_first_effect_explains_a_share_and_a_further_one_need_not():

@@ -97,6 +97,16 @@ def test_a_set_that_had_to_move_far_leaves_no_less_than_it_leaves_there(form_err
         assert 1000.0 <= compared.in_units(part, 1.0, form_error) <= 1000.0 + left
 
 
+def test_what_errors_explain_of_a_difference_goes_as_it_goes_by_moving():
+    """Where errors explain 600 of 660 with training's parameters, 635 less is no better than the other set."""
+
+    def beyond(by_moving: float) -> float:
+        return Compared((0.0, 0.0), (0.0, 660.0), (0.0, 60.0), by_moving=(0.0, by_moving)).in_units(1, 1.0, 0.01)
+
+    assert [beyond(by) for by in (0.0, -1e-6, -330.0, -635.0)] == pytest.approx([60.0, 60.0, 30.0, 25.0 * 60.0 / 660.0], abs=1e-5)
+    assert beyond(-700.0) == pytest.approx(-40.0)  # errors explain nothing of what the other set leaves more
+
+
 def test_sets_that_fit_alike_share_the_confidence():
     assert confidences(400.0, 0.0, 1e-6) == pytest.approx([0.5 * CERTAIN, 0.5 * CERTAIN], abs=0.02)
 

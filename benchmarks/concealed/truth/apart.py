@@ -32,7 +32,7 @@ LIKENESS_STEPS, ALIKE = 4, 0.05
 """Times at most that a neighbour's strength is scaled to what imitates the truth best, and how near to that it ends."""
 
 DAMPINGS = (0.03, 0.08, 0.16, 0.32)
-"""Ratios of a mode that imitates a mass with a drag, up to those at which no mode swings any more."""
+"""Ratios of a mode that imitates a mass with a drag."""
 
 MORE_SHAPES = 3
 """Names that are nearest to a law off the catalogue in one shape, of which others are tried."""
@@ -113,9 +113,10 @@ def oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: li
     case, machine = shop.case, shop.machine
     clean = {"train": shop.matrix(setup, shop.training), "held_out": shop.matrix(setup, shop.held_out)}
     assert clean["train"] is not None and clean["held_out"] is not None, f"case {case.number}: the plant runs away"
-    smooth = shop.matrix(shop.setup(without_lattices(chosen)), shop.training)
-    assert smooth is not None, f"case {case.number}: the plant runs away"
-    units = NoiseUnits(shop.noise(repeats, smooth))
+    smooth = without_lattices(chosen)
+    beside = shop.matrix(shop.setup(smooth), shop.training)
+    assert beside is not None, f"case {case.number}: the plant runs away"
+    units = NoiseUnits(shop.noise(repeats, beside))
     held_noise = shop.noise([held_out], clean["held_out"])[0]
     answer: dict[str, object] = {
         "noise_rms": dict(zip(case.channels, units.std.tolist(), strict=True)),
@@ -128,7 +129,8 @@ def oracle(shop: Workshop, chosen: tuple[Chosen, ...], setup: Setup, repeats: li
     assert base["train"] is not None and base["held_out"] is not None
     effect = clean["train"] - base["train"]
     measure = Measure(shop, units)
-    each = [apart(shop, chosen, index, measure) for index in range(len(chosen))]
+    lattices = Measure(shop, NoiseUnits(shop.noise(repeats, clean["train"]))) if len(smooth) < len(chosen) else measure
+    each = [apart(shop, chosen, index, lattices if one.hidden.kind.lattice else measure) for index, one in enumerate(chosen)]
     together = Beside.of(shop, (), chosen, measure)
     assert together is not None, f"case {case.number}: the plant runs away"
     both = left_over(together.effect, list(measure.numbers.values()))

@@ -79,7 +79,7 @@ class NoiseUnits:
     Parameters
     ----------
     residuals : (R, N, C) array
-        Recordings minus the truth's noise-free answer.
+        Recordings minus the truth's noise-free answer, of what a hidden lattice acts beside the answer without it.
     """
 
     def __init__(self, residuals: np.ndarray) -> None:
