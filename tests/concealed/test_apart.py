@@ -89,6 +89,17 @@ def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chos
     assert found != pytest.approx(left_over(other - nothing, [one - nothing]), rel=0.1)
 
 
+def test_a_drives_lag_is_asked_for_by_what_it_does_beyond_a_current_read_late(machines, chosen_of):
+    """A lag of nothing reads the current before the command that has just come: one sample late, and everything else as it was."""
+    from concealed.truth.apart import apart
+
+    shop, measure = a_shop(machines, "tilted_arm")
+    measure.numbers = {}
+    found = [apart(shop, (chosen_of("drive_bandwidth", "arm", {"ratio": 1.5}, lag_s),), 0, measure) for lag_s in (1e-6, 3e-4)]
+    assert all(one["detectability"] > 500.0 for one in found)
+    assert [one["separable"] for one in found] == [False, True]
+
+
 def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(machines, chosen_of):
     """What a loop rounds goes around it: of two simulations with a lattice that differ by anything the errors have nothing in common, and
     a gear's error of two deviations was said to stand 40 from nothing (sealed 3920).

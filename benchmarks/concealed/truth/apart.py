@@ -277,6 +277,8 @@ def _neighbours(shop: Workshop, one: Chosen) -> list[tuple[str, str]]:
         place = one.hidden.place if one.hidden.place in places else next(iter(places), None)
         if ":" in name:
             place = name.split(":")[1]
+        if place == "own_current":
+            place = shop.machine.current_of(one.hidden.place)
         if place is not None and not set(neighbour.accepted) & set(kind.accepted):
             found.append((name, place))
     return found

@@ -70,6 +70,10 @@ def _strength(shop: Workshop, hidden: Hidden, drive: Drive, units: NoiseUnits, n
         return min(0.5 * hidden.times_limit * strength, largest)
     wanted = hidden.times_limit * DETECTION_LIMIT * np.sqrt(units.repeats / shop.case.repeats)
     (base, step_s), safe = shop.without_effects(drive), largest
+    if kind.least:
+        hardly = shop.matrix(shop.setup((Chosen(hidden, kind.least),)), drive, step_s)
+        assert hardly is not None, f"case {shop.case.number}: the plant runs away"
+        nominal = [*nominal, units(hardly - base)]
     for _ in range(SEARCH_STEPS):
         answer = shop.matrix(shop.setup((Chosen(hidden, strength),)), drive, step_s)
         if answer is None:

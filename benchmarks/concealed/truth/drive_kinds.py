@@ -66,7 +66,7 @@ KINDS = (
     ),
     Kind(
         "drive_bandwidth", ("drive_bandwidth",), axes, _poles_shape, _poles, number(0.004), number(0.03),
-        ("delay", "structural_mode"), ("ratio",),
+        ("delay", "structural_mode", "clock_offset:own_current"), ("ratio",), least=1e-6,
     ),
     Kind(
         "delay", ("delay",), axes, no_shape, _delay, number(0.003), number(0.02), ("drive_bandwidth",),

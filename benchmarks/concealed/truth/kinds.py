@@ -48,6 +48,8 @@ class Kind:
         Acts in a sensor alone.
     lattice : bool
         Rounds what a loop reads.
+    least : float
+        Strength near none of what does not vanish with it. What it does is no part of what a detection limit counts.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Kind:
     local: bool = False
     sensor: bool = False
     lattice: bool = False
+    least: float = 0.0
 
 
 def axes(machine: Machine) -> list[str]:

@@ -136,6 +136,10 @@ class Machine:
         seen = 1.0 / np.diag(np.linalg.inv(full))
         return {joint: float(seen[model.joint(joint).dofadr[0]]) for joint in self.joints}
 
+    def current_of(self, axis: str) -> str:
+        """The channel of an axis's current or effort."""
+        return f"{self.currents[self.axes.index(axis)]}_{axis}"
+
     def stiffness(self, joint: str) -> float:
         """Of the machine file's spring [Nm/rad or N/m]."""
         return float(next(value for key, value in self._joint(joint).items() if key.startswith("stiffness")))  # type: ignore[arg-type]
