@@ -15,8 +15,8 @@ from hil.errors import BadAnswer
 FAR = 25.0
 """Misfit of held-out recordings, in units of the noise of training's repeats, from which no disturbance explains it: five times the rms. A
 motion that is faster or turns more often disturbs more. Of twelve spent nulls whose held-out recordings the re-tuned machine missed by most
-before its numbers followed them the largest is 1.07 after that; sealed 4342 (a lost sign that training hardly moves), 4114, 4729 (stops that
-it does not reach) and 4204 have 2 10^9, 42 000, 1358 and 1729, and were `retuned`."""
+before its numbers followed them the largest is 1.07 after that; sealed 4342 (a lost sign that training hardly moves), 4114 and 4729 (stops
+that it does not reach) and 4204 have 2 10^9, 42 000, 1358 and 1729, and were `retuned`."""
 
 
 @dataclass(frozen=True, eq=False)
