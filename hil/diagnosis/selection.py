@@ -114,14 +114,14 @@ class Selection:
 
     def gained_by_least(self, chosen: Fitted | None) -> float:
         """Fall of |residual|^2 by that effect of a set without which it loses least, over the best fit without it: what its last step
-        gained, where none is known. Infinite of no set.
+        gained, where none is known. Nothing, where a part was fitted closer. Infinite of no set.
         """
         found = next((one for one in self.contenders if one.fitted is chosen), None)
         if found is None:
             return np.inf
         own = set(found.fitted.effects)
         costs = [part.cost for part in self.smaller if set(part.effects) < own and len(part.effects) == len(own) - 1]
-        return min(found.gate.gain, min(costs) - found.fitted.cost) if costs else found.gate.gain
+        return max(min(found.gate.gain, *(cost - found.fitted.cost for cost in costs)), 0.0) if costs else found.gate.gain
 
     def moved(self, to: Callable[[Sequence[Contender]], Sequence[Contender]]) -> Selection:
         """With all sets that are weighed, moved side by side."""

@@ -72,7 +72,7 @@ def wave_orders(
 
 
 def searched_orders(name: str, residual: Residual, typical: Typical) -> tuple[float, float]:
-    """The same of this wave: the matched filter looks further than what is missing at a joint shows."""
+    """Radians per radian (or metre) between which this wave's orders are looked for, by the matched filter or in the missing effort."""
     return range_of_orders(residual, typical) if name in TURNING_WITH_THE_MOTOR else range_in_what_is_missing(residual, typical)
 
 

@@ -11,13 +11,13 @@ import pytest
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.form import BENDS_BY, lost_form
 from hil.diagnosis.information import Form
-from hil.diagnosis.judgement import Stand, Tried
+from hil.diagnosis.judgement import Contender, Stand, Tried
 from hil.diagnosis.pairs import beside_rivals, pairs, without_what_stood
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
-from hil.diagnosis.selection import has_no_surplus, parts_that_passed
+from hil.diagnosis.selection import Selection, has_no_surplus, parts_that_passed
 from virtual_bus.effects import presliding_hysteresis
 from virtual_bus.effects.motion import ReactionState
 
@@ -230,3 +230,15 @@ def test_what_was_added_is_fitted_without_each_of_what_it_was_added_to():
     ]
     assert without_what_stood(None, mode) == []
     assert without_what_stood(friction, mode) == []  # no larger set: it stands in its place
+
+
+@pytest.mark.parametrize(("costs", "gained"), [((), 1000.0), ((1900.0, 1040.0), 40.0), ((1900.0, 990.0), 0.0)])
+def test_a_set_shows_by_that_effect_which_it_loses_least_without(costs, gained):
+    """A pair that was found at once gained 1000 over nothing; a part that was fitted closer than the set leaves nothing to gain."""
+    names = ("coulomb_friction", "cogging")
+    friction, wave = (fitted(name, [1.0]) for name in names)
+    pair = replace(friction, effects=(*friction.effects, *wave.effects), values=(*friction.values, *wave.values), cost=1000.0)
+    parts = tuple(replace(part, cost=cost) for part, cost in zip((friction, wave), costs, strict=False))
+    found = Selection(pair, (), (Contender(pair, 0.0, 0.0, 0.0, (SimpleNamespace(gain=1000.0),) * 2),), (), None, smaller=(pair, *parts))
+    assert found.gained_by_least(pair) == gained
+    assert found.gained_by_least(None) == np.inf
