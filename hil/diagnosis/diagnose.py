@@ -84,6 +84,9 @@ class Outcome:
         What looks like a wrong unit, a wrong sign or a gross delay.
     proposal : Proposal or None
         The experiment that would tell an ambiguous verdict's hypotheses apart.
+    only_held_out : Mismatch or None
+        The held-out recordings beside the machine that is re-tuned to them alone, where they alone show that physics is missing: that is
+        what the location describes.
     """
 
     diagnosis: Diagnosis
@@ -98,6 +101,7 @@ class Outcome:
     hypotheses: tuple[Weighed, ...]
     suspicions: tuple[str, ...]
     proposal: Proposal | None
+    only_held_out: Mismatch | None = None
 
 
 def diagnose(
@@ -187,7 +191,7 @@ def diagnose(
             imitated=_imitated(selection, evidence),
         )
         verdict, reason = verdict_of(standing)
-        is_only_there = reason == only_there(standing)
+        seen_there = sets[HELD_OUT].with_simulated(only.rows) if reason == only_there(standing) else None
         unsure: tuple[Weighed, ...] = ()
         if verdict == "ambiguous":
             unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
@@ -223,8 +227,8 @@ def diagnose(
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
-            location=locate(sets[HELD_OUT].with_simulated(only.rows))
-            if is_only_there
+            location=locate(seen_there)
+            if seen_there is not None
             else locate_outcome(
                 train,
                 stages[TRAIN]["retuned"],
@@ -237,8 +241,9 @@ def diagnose(
             seconds=time.monotonic() - began,
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))
+    said = suspicions(train)
     return Outcome(
-        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, suspicions(train), proposal
+        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, said, proposal, seen_there
     )
 
 

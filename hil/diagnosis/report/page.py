@@ -29,6 +29,7 @@ from virtual_bus.effects.registry import effects
 _TEMPLATE = Path(__file__).with_name("page.html")
 DRAWN = ("nominal", "retuned", "extended")
 DPI = 100
+ONLY_HELD_OUT = "<p>Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing.</p>"
 
 
 def write_report(outcome: Outcome, folder: Path) -> Path:
@@ -52,12 +53,14 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     sections["overlay"].append((f"{title} recording and simulations", overlay_figure(judged, drawn, title)))
     if named:
         for finding in outcome.diagnosis.findings:
-            found = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
-            sections["effect"].append((str(finding.effect), None if found is None else effect_map_figure(found)))
+            own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
+            sections["effect"].append((str(finding.effect), None if own is None else effect_map_figure(own)))
+    residuals = {STAGE_NAMES[stage]: train.with_simulated(on_train[stage]) for stage in ("retuned", *(("extended",) if named else ()))}
+    if outcome.only_held_out is not None:
+        residuals = {"held-out, re-tuned to it alone": outcome.only_held_out}
     for axis in range(len(train.axes)):
-        for stage in ("retuned", "extended") if named else ("retuned",):
-            maps = heat_map_figure(train.with_simulated(on_train[stage]), axis, STAGE_NAMES[stage])
-            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {STAGE_NAMES[stage]}", maps))
+        for said, found in residuals.items():
+            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {said}", heat_map_figure(found, axis, said)))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
 
@@ -95,7 +98,8 @@ def _document(outcome: Outcome) -> str:
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
         "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions) + _findings(diagnosis, outcome.proposal),
         "hypotheses": _hypotheses(diagnosis),
-        "location": _location(diagnosis, {units.axis: units for units in machine.units}),
+        "location": ("" if outcome.only_held_out is None else ONLY_HELD_OUT)
+        + _location(diagnosis, {units.axis: units for units in machine.units}),
         "fit": _fit(diagnosis),
         "retuned": _retuned(diagnosis),
         **{f"figure_{name}": text or absent.get(name, "") for name, text in figures.items()},
