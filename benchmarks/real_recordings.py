@@ -68,7 +68,7 @@ def entry(data: RealSet, outcome: Outcome) -> dict[str, Any]:
         "removed_share_from_nominal": document["fit"]["removed_share_from_nominal"],
         "rms_train": errors(outcome, TRAIN),
         "rms_held_out": errors(outcome, HELD_OUT),
-        "suspicions": list(outcome.suspicions),
+        "suspicions": list(outcome.diagnosis.suspicions),
         "train": list(data.train),
         "held_out": list(data.held_out),
         "seconds": document["seconds"],

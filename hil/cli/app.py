@@ -79,10 +79,11 @@ def _json_to_standard_output(arguments: list[str]) -> list[str]:
 
 
 def _held_out_each(arguments: list[str]) -> list[str]:
-    """`--held-out A B` is `--held-out A --held-out B`; with nothing after it, it would take the next option for a recording."""
+    """`--held-out A B` and `--held-out=A B` are `--held-out A --held-out B`; with nothing after it, it would take the next option for a recording."""
     complete: list[str] = []
     held_out = False
-    for argument, following in zip_longest(arguments, arguments[1:], fillvalue="-"):
+    apart = [part for one in arguments for part in (one.split("=", 1) if one.startswith("--held-out=") else [one])]
+    for argument, following in zip_longest(apart, apart[1:], fillvalue="-"):
         if argument == "--held-out" and following.startswith("-"):
             raise UnusableInput("--held-out: give a recording or more after it")
         if argument == "--held-out" or argument.startswith("-"):

@@ -129,7 +129,7 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
 
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
-    for suspicion in outcome.suspicions:
+    for suspicion in diagnosis.suspicions:
         answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:
         numbers = ", ".join(

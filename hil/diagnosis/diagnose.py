@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,6 +13,7 @@ import numpy as np
 from hil.diagnosis.align import aligned, suspicions
 from hil.diagnosis.both_motions import with_both_motions
 from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
+from hil.diagnosis.disturbance import disturbance_shares
 from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
@@ -36,7 +37,7 @@ from hil.diagnosis.naming import (
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import Diagnosis, Finding, Fit, Hypothesis
+from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Fit, Hypothesis
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
@@ -55,6 +56,10 @@ NEXT_EXPERIMENT = "next_experiment.toml"
 """File in the answer's folder."""
 
 MOST_RIVALS = 3
+
+ABOVE_NOISE = 2.0
+"""Standard deviations by which noise's own sum of squares scatters, from which something is left to explain."""
+
 """Hypotheses that one experiment is asked to separate."""
 
 
@@ -74,14 +79,12 @@ class Outcome:
     train, held_out : Mismatch
         Beside the nominal simulation; held_out is None where none was given.
     stages : mapping of str to mapping of str to list of (N, C) arrays
-        "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended", and "without_effects": the extended
-        one's numbers without its effects.
+        "train" and "held_out": simulated rows per group at "nominal", "retuned" and "extended", "without_effects", the extended one's
+        numbers without its effects, and `first_effects(1)` and so on, with the first of several.
     selection : Selection
     evidence : Evidence
         What `hypotheses` were weighed from.
     hypotheses : tuple of Weighed
-    suspicions : tuple of str
-        What looks like a wrong unit, a wrong sign or a gross delay.
     proposal : Proposal or None
         The experiment that would tell an ambiguous verdict's hypotheses apart.
     only_held_out : Mismatch or None
@@ -99,9 +102,18 @@ class Outcome:
     selection: Selection
     evidence: Evidence
     hypotheses: tuple[Weighed, ...]
-    suspicions: tuple[str, ...]
     proposal: Proposal | None
     only_held_out: Mismatch | None = None
+
+    @property
+    def best(self) -> Fitted | None:
+        """The likeliest set, which the extended simulation has; None where no set was found."""
+        return self.hypotheses[0].fitted if self.selection.chosen is not None and self.hypotheses else None
+
+    @property
+    def simulated(self) -> tuple[EffectAt, ...]:
+        """Effects of the extended simulation: what was read off the recordings is none."""
+        return () if self.best is None else self.best.effects
 
 
 def diagnose(
@@ -207,6 +219,8 @@ def diagnose(
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
         if verdict == "inconclusive":
             hypotheses = ()
+        fit = _fit(train, sets.get(HELD_OUT), stages)
+        findings = tuple(replace(one, evidence_against=(*one.evidence_against, *_worse_held_out(fit))) for one in findings)
         read_off = tuple(what.finding(channel) for channel, what in train.read_off)
         findings += read_off
         proposal = None
@@ -215,13 +229,13 @@ def diagnose(
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
         retuned, frozen = retuned_values(tuning, chosen, spread)
-        explainable = max(misfits[1] - noise, 0.0)
+        explainable = misfits[1] - noise if misfits[1] - noise > ABOVE_NOISE * math.sqrt(2.0 * noise) else 0.0
         diagnosis = Diagnosis(
             verdict=verdict,
             reason=reason,
             findings=findings,
             hypotheses=tuple(
-                Hypothesis((*(h.fitted.effects if h.fitted is not None else ()), *(f.effect for f in read_off)), h.confidence)
+                _hypothesis(h, evidence, [finding.effect for finding in read_off], judged is not None)
                 for h in with_unsure(hypotheses, unsure, confidence_of(cap_of(runs)))
             ),
             retuned=retuned,
@@ -236,14 +250,15 @@ def diagnose(
                 named=bool(findings),
                 unknown=verdict == "unknown_physics",
             ),
-            fit=_fit(train, sets.get(HELD_OUT), stages),
+            fit=fit,
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
+            disturbance=disturbance_shares(train.with_simulated(stages[TRAIN]["retuned"]), tuning.values),
+            suspicions=suspicions(train),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))
-    said = suspicions(train)
     return Outcome(
-        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, said, proposal, seen_there
+        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, proposal, seen_there
     )
 
 
@@ -279,6 +294,18 @@ def _is_same_set(one: Fitted | None, other: Fitted | None) -> bool:
     return one is other or (one is not None and other is not None and set(one.effects) == set(other.effects))
 
 
+def _hypothesis(weighed: Weighed, evidence: Evidence, read_off: Sequence[EffectAt], has_held_out: bool) -> Hypothesis:
+    found, base = weighed.fitted, evidence.base
+    return Hypothesis(
+        (*(() if found is None else found.effects), *read_off),
+        weighed.confidence,
+        gained=base.train - weighed.train,
+        gained_held_out=base.held_out - weighed.held_out if has_held_out else None,
+        parameters=0 if found is None else found.freedom,
+        is_confirmed=found is not None and weighed.passed,
+    )
+
+
 def _at_most(hypothesis: Weighed, cap: float) -> Weighed:
     return replace(hypothesis, confidence=min(hypothesis.confidence, cap))
 
@@ -303,6 +330,7 @@ def _stages(
     """Simulated rows of every set at nominal, retuned, extended and, where there are effects, with their placebo."""
     trials = {"nominal": Trial(runs.nominal), "retuned": Trial(tuning.values), "extended": Trial(values, effects)}
     trials["without_effects"] = Trial(values)
+    trials |= {first_effects(count): Trial(values, effects[:count]) for count in range(1, len(effects))}
     found: dict[str, dict[str, list[np.ndarray]]] = {}
     for name in runs.sets:
         found[name] = {}
@@ -312,6 +340,11 @@ def _stages(
     if effects:
         add_placebo(runs, found)
     return found
+
+
+def first_effects(count: int) -> str:
+    """Stage of the extended simulation with its first effects alone."""
+    return f"first_{count}"
 
 
 def _change(runs: FreeRuns, values: np.ndarray, effects: tuple[EffectSetting, ...]) -> list[np.ndarray] | None:
@@ -342,6 +375,15 @@ def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mappin
         removed_share=removed_share(judged.retuned, judged.extended, judged.noise_floor),
         removed_share_from_nominal=removed_share(judged.nominal, judged.extended, judged.noise_floor),
     )
+
+
+def _worse_held_out(fit: Fit) -> list[str]:
+    """Evidence against a set with which the held-out simulation, its numbers as training left them, is no closer."""
+    judged = fit.held_out
+    if judged is None or judged.retuned is None or judged.extended is None or judged.extended < judged.retuned:
+        return []
+    said = f"held-out E does not fall, {judged.retuned:.4g} re-tuned and {judged.extended:.4g} with the effects"
+    return [f"{said}: what is gained there takes numbers that training leaves open"]
 
 
 def removed_share(before: float | None, after: float | None, floor: float | None) -> float | None:

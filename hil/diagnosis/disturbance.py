@@ -15,6 +15,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from hil.diagnosis.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.result import DisturbanceShares
 from hil.diagnosis.whitened import in_noise_units
 from hil.machine import Machine
 from virtual_bus.plant.compiled import compile_plant
@@ -59,6 +60,21 @@ class Disturbance:
     sensors: np.ndarray
     joint_share: np.ndarray
     sensor_share: np.ndarray
+
+
+def disturbance_shares(found: Mismatch, values: np.ndarray | None = None) -> DisturbanceShares:
+    """Shares of all groups together, each counted by its power in units of noise; see `disturbance`."""
+    each = [disturbance(found, group, values) for group in found.groups]
+    powers = np.array([_power(found, group.mean - group.simulated) for group in found.groups])  # (groups, C)
+    if not np.isfinite(powers).all() or not powers.sum() > 0.0:
+        return DisturbanceShares()
+    by_joint = np.average([one.joint_share for one in each], axis=0, weights=powers.sum(axis=1))
+    by_sensor = np.sum([one.sensor_share * power for one, power in zip(each, powers, strict=True)], axis=0) / np.maximum(
+        powers.sum(axis=0), 1e-300
+    )
+    return DisturbanceShares(
+        dict(zip(each[0].joints, by_joint.tolist(), strict=True)), dict(zip(found.channels, by_sensor.tolist(), strict=True))
+    )
 
 
 def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None = None) -> Disturbance:
@@ -171,10 +187,15 @@ def _power(found: Mismatch, signal: np.ndarray) -> np.ndarray:
     return np.asarray((in_noise_units(found.noise, signal).rows ** 2).sum(axis=0))
 
 
+def ends(rows: int, rate_Hz: float) -> int:
+    """Rows at either end of a record in which the estimate goes to zero."""
+    return min(max(round(END_s * rate_Hz), 1), rows // 4)
+
+
 def _tapered(values: np.ndarray, rate_Hz: float) -> np.ndarray:
     """(2 N, C) the record brought to zero at both ends and followed by zeros: what was before and after it is not known."""
     rows = len(values)
-    ramp = min(max(round(END_s * rate_Hz), 1), rows // 4)
+    ramp = ends(rows, rate_Hz)
     taper = np.ones(rows)
     taper[:ramp] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     taper[-ramp:] = taper[:ramp][::-1]

@@ -13,7 +13,7 @@ from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.naming import Weighed, not_told_apart
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import Estimate, RetunedValue, Span
-from hil.diagnosis.retune import UNDECIDED, Tuning
+from hil.diagnosis.retune import UNDECIDED, Tuning, tunable
 from hil.diagnosis.spread import TWO_SIDED_95, spread_of
 from virtual_bus.effects.effect import DRIVE_UNIT
 from virtual_bus.effects.places import drive_unit, is_prismatic
@@ -109,22 +109,24 @@ def _turned_back(angle: float) -> float:
 
 
 def retuned_values(tuning: Tuning, fitted: Fitted | None, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
-    """Re-tuned numbers that the recordings show, and the others with the reason why they stay."""
+    """Re-tuned numbers that the recordings show; and those that they do not show, which stay, or do not decide, with the reason."""
     offset = tuning.offset if fitted is None else fitted.offset
     count = len(offset)  # effects beside a number never narrow it
     spread = np.maximum(spread[:count], np.sqrt(np.diag(tuning.covariance)))
     values = tuning.at(offset)
     shown, frozen = {}, {}
     tuned = {int(index): k for k, index in enumerate(tuning.indices)}
-    for index, parameter in enumerate(tuning.parameters):
+    for index in tunable(tuning.parameters):
+        parameter, value = tuning.parameters[index], float(values[index])
         name = f"{parameter.owner}.{parameter.quantity}"
         if index not in tuned:
+            frozen[name] = f"these recordings do not show it; it stays at {value:.5g} {parameter.unit}".rstrip()
             continue
-        k = tuned[index]
+        k = tuned[int(index)]
         if spread[k] > UNDECIDED:
-            frozen[name] = f"the recordings narrow it to {spread[k]:.0%} of what was assumed before; others do the same to them"
+            narrowed = f"these recordings narrow it to {spread[k]:.0%} of what was assumed before, others do the same to them"
+            frozen[name] = f"{narrowed}; machine.toml has {value:.5g} {parameter.unit}".rstrip() + ", beside which the rest was fitted"
             continue
-        value = values[index]
         reach = TWO_SIDED_95 * spread[k] * tuning.scale[k]
-        shown[name] = RetunedValue(parameter.value, float(value), parameter.unit, (float(value - reach), float(value + reach)))
+        shown[name] = RetunedValue(parameter.value, value, parameter.unit, (float(value - reach), float(value + reach)))
     return shown, frozen

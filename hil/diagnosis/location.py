@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     if not np.any(total > 0.0):
         return Location()
     powers = [(signal / found.noise.std) ** 2 - noise for signal, noise in zip(signals, left, strict=True)]
-    return Location(
+    where = Location(
         channels={name: float(share) for name, share in zip(found.channels, total / np.sum(total), strict=True)},
         time_s=_times(found, powers),
         frequency_hz=_bands(whitened, left),
@@ -70,6 +71,44 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
         effort=_by_axis(found, powers, "effort"),
         direction=_directions(found, powers),
     )
+    return replace(where, shares=_shares(found, where, np.concatenate(powers).sum(axis=1), _over_frequency(where, whitened, left)))
+
+
+def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency: float | None) -> dict[str, dict[str, float]]:
+    """Of the power above noise of all rows (rows,), what the spans of every dimension hold; of a direction, what is moved in that way."""
+    shares: dict[str, dict[str, float]] = {}
+    if where.time_s:
+        inside = [_within(group.time_s, where.time_s.get(group.labels[0], ())) for group in found.groups]
+        shares["time_s"] = {"all": _share(power, np.concatenate(inside))}
+    if over_frequency is not None:
+        shares["frequency_hz"] = {"all": over_frequency}
+    for k, axis in enumerate(found.axes):
+        for quantity in ("position", "speed", "effort"):
+            spans = getattr(where, quantity).get(axis, ())
+            if spans:
+                values = np.concatenate([getattr(group, quantity)[:, k] for group in found.groups])
+                shares.setdefault(quantity, {})[axis] = _share(power, _within(values, spans))
+        if where.direction.get(axis, "both") != "both":
+            forward = np.concatenate([group.speed[:, k] for group in found.groups]) > 0.0
+            shares.setdefault("direction", {})[axis] = _share(power, forward == (where.direction[axis] == "positive"))
+    return shares
+
+
+def _over_frequency(where: Location, whitened: Sequence[InNoiseUnits], left: Sequence[float]) -> float | None:
+    """Share of the power above noise that the bands hold; None where there are none."""
+    if not where.frequency_hz:
+        return None
+    power = np.concatenate([(w.power[1:] - noise).sum(axis=1) for w, noise in zip(whitened, left, strict=True)])
+    return _share(power, np.concatenate([_within(w.frequencies_Hz[1:], where.frequency_hz) for w in whitened]))
+
+
+def _within(values: np.ndarray, spans: Sequence[Span]) -> np.ndarray:
+    return np.any([(low <= values) & (values <= high) for low, high in spans], axis=0) if spans else np.zeros(len(values), dtype=bool)
+
+
+def _share(power: np.ndarray, inside: np.ndarray) -> float:
+    whole = float(power.sum())
+    return float(np.clip(power[inside].sum() / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
 def locate_outcome(

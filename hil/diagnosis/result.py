@@ -88,9 +88,20 @@ class Hypothesis:
 
     effects: tuple[EffectAt, ...]  # () : no effect
     confidence: float
+    gained: float = 0.0  # fall of the sum of squares in units of noise, over no effect, in training
+    gained_held_out: float | None = None  # the same held out; None without held-out recordings
+    parameters: int = 0  # that were fitted for it
+    is_confirmed: bool = False  # passed the gate
 
     def document(self) -> dict[str, Any]:
-        return {"effects": [effect.document() for effect in self.effects], "confidence": self.confidence}
+        return {
+            "effects": [effect.document() for effect in self.effects],
+            "confidence": self.confidence,
+            "gained": self.gained,
+            "gained_held_out": self.gained_held_out,
+            "parameters": self.parameters,
+            "is_confirmed": self.is_confirmed,
+        }
 
 
 @dataclass(frozen=True)
@@ -104,6 +115,7 @@ class Location:
     speed: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)
     effort: Mapping[str, tuple[Span, ...]] = field(default_factory=dict)
     direction: Mapping[str, str] = field(default_factory=dict)  # "both", "positive" or "negative"
+    shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # of the power that the dimension's spans hold
 
     def document(self) -> dict[str, Any]:
         document: dict[str, Any] = {"channels": dict(self.channels)}
@@ -115,7 +127,22 @@ class Location:
                 document[name] = {key: [list(span) for span in value] for key, value in spans.items()}
         if self.direction:
             document["direction"] = dict(self.direction)
+        if self.shares:
+            document["shares"] = {dimension: dict(shares) for dimension, shares in self.shares.items()}
         return document
+
+
+@dataclass(frozen=True)
+class DisturbanceShares:
+    """Which equation is short: shares of the re-tuned mismatch's power, in units of noise, that an effort on each joint would reproduce by
+    itself, and of each channel's power that efforts on all joints together leave to its sensor.
+    """
+
+    joints: Mapping[str, float] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    def document(self) -> dict[str, dict[str, float]]:
+        return {"joints": dict(self.joints), "sensors": dict(self.sensors)}
 
 
 @dataclass(frozen=True)
@@ -165,12 +192,14 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     hypotheses: tuple[Hypothesis, ...]
     retuned: Mapping[str, RetunedValue]
-    frozen: Mapping[str, str]  # machine-file numbers the recordings do not show, and why
+    frozen: Mapping[str, str]  # machine-file numbers the recordings do not show or do not decide, and what became of them
     noise: NoiseKind
     location: Location
     fit: Fit
     unexplained_share: float
     seconds: float
+    disturbance: DisturbanceShares = field(default_factory=DisturbanceShares)
+    suspicions: tuple[str, ...] = ()  # what looks like a wrong unit, a wrong sign or a gross delay
 
     def document(self) -> dict[str, Any]:
         """Plain values, as docs/formats.md lays them out."""
@@ -184,6 +213,8 @@ class Diagnosis:
             "noise": self.noise,
             "location": self.location.document(),
             "fit": self.fit.document(),
+            "disturbance": self.disturbance.document(),
+            "suspicions": list(self.suspicions),
             "unexplained_share": self.unexplained_share,
             "seconds": self.seconds,
         }

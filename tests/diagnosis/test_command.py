@@ -43,6 +43,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
         ((*REPEATS, "tuesday/../monday/run_0_0.csv", "-o", "answer"), "monday/run_0_0.csv: is given twice"),
         ((*REPEATS, "--held-out", "copies/run_0_1.csv", "-o", "answer"), "copies/run_0_1.csv: holds the same rows as run_0_1"),
         ((*REPEATS, "copies/run_0_1.csv", "-o", "answer"), "copies/run_0_1.csv: holds the same rows as run_0_1; give each"),
+        ((*REPEATS, "--held-out=tuesday/run_0_0.csv", "copies/run_0_1.csv", "-o", "answer"), "run_0_1, which is fitted to; hold out"),
         ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
     ],
 )

@@ -5,22 +5,36 @@ Recording and fit go through the same estimator (disturbance.py), so what it smo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.diagnosis.disturbance import disturbance
+from hil.diagnosis.disturbance import disturbance, ends
 from hil.diagnosis.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.motion import Motion
 from hil.diagnosis.report.style import BLUE, VERMILION
 from hil.diagnosis.result import EffectAt
-from virtual_bus.effects.effect import CALIBRATION, CLOCK, DROPOUT, ENCODER_ERROR, FRICTION, IMU_CHANGE, LATTICE, SIGN
-from virtual_bus.effects.places import joint_at
+from virtual_bus.effects.effect import (
+    CALIBRATION,
+    CLOCK,
+    DROPOUT,
+    ELASTIC,
+    ENCODER_ERROR,
+    FRICTION,
+    IMU_CHANGE,
+    LATTICE,
+    SIGN,
+    SPRING_CHANGE,
+)
+from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
 
 SENSOR_KINDS = (CALIBRATION, CLOCK, DROPOUT, ENCODER_ERROR, IMU_CHANGE, LATTICE, SIGN)
 BY_SPEED = ("quadratic_friction", "temperature_dependent_friction", "viscous_friction", "presliding_hysteresis")
+OVER_POSITION = ("position_dependent_friction",)
+ON_A_SPRING = (ELASTIC, SPRING_CHANGE)
 CELLS = 40
 LEAST_ROWS = 5
 BAND = 1.96
@@ -48,7 +62,12 @@ class EffectMap:
 
 
 def effect_map(
-    found: Mismatch, bare: Sequence[np.ndarray], extended: Sequence[np.ndarray], effect: EffectAt, values: np.ndarray
+    found: Mismatch,
+    bare: Sequence[np.ndarray],
+    extended: Sequence[np.ndarray],
+    effect: EffectAt,
+    values: np.ndarray,
+    period_s: float | None = None,
 ) -> EffectMap | None:
     """The map of one effect.
 
@@ -60,29 +79,58 @@ def effect_map(
     effect : EffectAt
     values : (parameters,) array
         Plant parameters of both.
+    period_s : float, optional
+        Of an effect that acts by a clock of its own.
     """
     kind = effects()[effect.effect].kind
     if kind in SENSOR_KINDS:
         return _sensor_map(found, bare, extended, effect)
     settings = found.machine.plant
-    joint = [each.name for each in settings.tree.joints].index(joint_at(effect.at, settings))
+    by_name = [each.name for each in settings.tree.joints]
+    spring = spring_at(effect.at, settings) if kind in ON_A_SPRING else None
+    joint = by_name.index(spring or joint_at(effect.at, settings))
     axis = _axis_of(found, joint)
-    by_speed = kind is FRICTION or effect.effect in BY_SPEED
-    units = found.machine.units[axis]
+    over = _abscissa(found, effect, joint, period_s)
     xs, recorded, fitted = [], [], []
     for group, plain, full in zip(found.groups, bare, extended, strict=True):
-        measured = disturbance(found, replace(group, simulated=plain), values).effort[:, joint]
-        model = disturbance(found, _as_measured(group, plain, full), values).effort[:, joint]
-        xs.append((group.speed if by_speed else group.position)[:, axis])
-        recorded.append(measured)
-        fitted.append(model)
+        sign = -np.sign(group.speed[:, axis]) if over.against_motion else np.ones(len(plain))
+        known = slice(ends(len(plain), found.noise.rate_Hz), len(plain) - ends(len(plain), found.noise.rate_Hz))
+        recorded.append((sign * disturbance(found, replace(group, simulated=plain), values).effort[:, joint])[known])
+        fitted.append((sign * disturbance(found, _as_measured(group, plain, full), values).effort[:, joint])[known])
+        xs.append(over.of(Motion(group.machine, values, group, found.channels))[known])
     effort_unit = "Nm" if settings.tree.joints[joint].kind == "revolute" else "N"
-    x_unit = f"{units.position}/s" if by_speed else units.position
-    what = "speed" if by_speed else "position"
+    what = "missing effort against the motion" if over.against_motion else "missing effort"
     return _cells(
-        f"{effect}: missing effort against {what}", f"{what} of {units.axis} [{x_unit}]", f"missing effort on the joint [{effort_unit}]",
+        f"{effect}: {what} over {over.name}", f"{over.name} [{over.unit}]", f"{what}, on {by_name[joint]} [{effort_unit}]",
         np.concatenate(xs), np.concatenate(recorded), np.concatenate(fitted),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Over:
+    """What an effect depends on."""
+
+    name: str
+    unit: str
+    of: Callable[[Motion], np.ndarray]  # (N,) of a group
+    against_motion: bool = False
+
+
+def _abscissa(found: Mismatch, effect: EffectAt, joint: int, period_s: float | None) -> _Over:
+    """Speed, position, a spring's deflection, or, of what acts by a clock, the time in its period."""
+    settings, kind = found.machine.plant, effects()[effect.effect].kind
+    axis = _axis_of(found, joint)
+    units = found.machine.units[axis]
+    if period_s is not None:
+        return _Over("time in the period", "s", lambda motion: motion.group.time_s % period_s)
+    if settings.tree.joints[joint].name not in {drive.joint for drive in settings.drives} and settings.tree.joints[joint].stiffness > 0.0:
+        unit = "rad" if settings.tree.joints[joint].kind == "revolute" else "m"
+        return _Over(f"deflection of {settings.tree.joints[joint].name}", unit, lambda motion: motion.deflection(joint))
+    if effect.effect in OVER_POSITION:
+        return _Over(f"position of {units.axis}", units.position, lambda motion: motion.group.position[:, axis], against_motion=True)
+    if kind is FRICTION or effect.effect in BY_SPEED:
+        return _Over(f"speed of {units.axis}", f"{units.position}/s", lambda motion: motion.group.speed[:, axis])
+    return _Over(f"position of {units.axis}", units.position, lambda motion: motion.group.position[:, axis])
 
 
 def _sensor_map(found: Mismatch, bare: Sequence[np.ndarray], extended: Sequence[np.ndarray], effect: EffectAt) -> EffectMap | None:

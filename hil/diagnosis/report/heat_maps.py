@@ -25,7 +25,7 @@ WINDOW_s = 1.0
 """Of the spectra over pose: its inverse is the width of a line."""
 
 BANDS = 14
-CHANNELS_SHOWN = 6
+SIDE_BY_SIDE = 6
 BRIGHTEST = 100.0
 """In units of noise: the colour scale ends there."""
 
@@ -108,11 +108,17 @@ def _mean_in_cells(x: np.ndarray, y: np.ndarray, power: np.ndarray, x_edges: np.
     return np.where(rows >= LEAST_ROWS, sums / np.maximum(rows, 1.0), np.nan)
 
 
-def heat_map_figure(found: Mismatch, axis: int, stage: str) -> Figure | None:
-    """A row for each kind of map that there is, of the channels with the largest residual; None for an axis that does not move."""
-    units = found.machine.units[axis]
+def heat_map_figures(found: Mismatch, axis: int, stage: str) -> list[Figure]:
+    """Of every channel, some side by side in each figure; none for an axis that does not move."""
     left = residuals(found)
-    channels = _loudest(left)
+    parts = [range(start, min(start + SIDE_BY_SIDE, len(found.channels))) for start in range(0, len(found.channels), SIDE_BY_SIDE)]
+    figures = (_figure(found, left, axis, stage, channels) for channels in parts)
+    return [figure for figure in figures if figure is not None]
+
+
+def _figure(found: Mismatch, left: Sequence[InNoiseUnits], axis: int, stage: str, channels: Sequence[int]) -> Figure | None:
+    """A row for each kind of map that there is; None for an axis that does not move."""
+    units = found.machine.units[axis]
     kinds = [
         (f"speed [{units.position}/s]", "linear", [over_pose_and_speed(found, left, axis, c) for c in channels]),
         ("frequency [Hz]", "log", [over_pose_and_frequency(found, left, axis, c) for c in channels]),
@@ -152,12 +158,6 @@ def _margins(figure: Figure) -> dict[str, float]:
         "left": 0.75 / width, "right": 1.0 - 1.2 / width, "wspace": 0.12,
         "bottom": 0.55 / height, "top": 1.0 - 0.75 / height, "hspace": 0.2,
     }  # fmt: skip
-
-
-def _loudest(left: Sequence[InNoiseUnits]) -> Sequence[int]:
-    power = sum((each.rows**2).mean(axis=0) for each in left)
-    loudest = np.argsort(-np.asarray(power))[:CHANNELS_SHOWN]
-    return sorted(int(c) for c in loudest)
 
 
 def _draw(axes: Axes, heat_map: HeatMap):  # type: ignore[no-untyped-def]

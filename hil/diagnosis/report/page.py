@@ -13,20 +13,23 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hil.diagnosis.diagnose import Outcome
+from hil.diagnosis.diagnose import Outcome, first_effects
 from hil.diagnosis.free_run import HELD_OUT, TRAIN
+from hil.diagnosis.misfit import misfit_E
 from hil.diagnosis.next_experiment import Proposal
 from hil.diagnosis.report.effect_map import effect_map, effect_map_figure
-from hil.diagnosis.report.heat_maps import heat_map_figure
+from hil.diagnosis.report.heat_maps import heat_map_figures
 from hil.diagnosis.report.matrix import matrix_figure
+from hil.diagnosis.report.missing_effort import missing_effort_figure
 from hil.diagnosis.report.overlay import overlay_figure
 from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.waterfall import waterfall_figure
-from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Stages
+from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Finding, Location, Stages
 from hil.machine.model import AxisUnits
 from virtual_bus.effects.registry import effects
 
 _TEMPLATE = Path(__file__).with_name("page.html")
+SECTIONS = ("waterfall", "overlay", "effect", "heat", "disturbance", "matrix")
 DRAWN = ("nominal", "retuned", "extended")
 DPI = 100
 ONLY_HELD_OUT = "<p>Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing.</p>"
@@ -46,29 +49,41 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     stages = outcome.stages[HELD_OUT if outcome.held_out is not None else TRAIN]
     on_train = outcome.stages[TRAIN]
     named = bool(outcome.diagnosis.findings)
-    sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in ("waterfall", "overlay", "effect", "heat", "matrix")}
-    sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis)))
+    sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in SECTIONS}
+    simulated = outcome.simulated
+    first = [misfit_E(judged, stages[first_effects(count)]) for count in range(1, len(simulated))]
+    sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis.fit, simulated, first)))
     title = "Held-out" if outcome.held_out is not None else "Training"
     drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
     sections["overlay"].append((f"{title} recording and simulations", overlay_figure(judged, drawn, title)))
     if named:
         for finding in outcome.diagnosis.findings:
-            own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values)
+            period_s = _period_s(finding)
+            own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values, period_s)
             sections["effect"].append((str(finding.effect), None if own is None else effect_map_figure(own)))
     residuals = {STAGE_NAMES[stage]: train.with_simulated(on_train[stage]) for stage in ("retuned", *(("extended",) if named else ()))}
     if outcome.only_held_out is not None:
         residuals = {"held-out, re-tuned to it alone": outcome.only_held_out}
     for axis in range(len(train.axes)):
         for said, found in residuals.items():
-            sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {said}", heat_map_figure(found, axis, said)))
+            for number, figure in enumerate(heat_map_figures(found, axis, said)):
+                part = f", part {number + 1}" if number else ""
+                sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {said}{part}", figure))
+    missing = missing_effort_figure(train.with_simulated(on_train["retuned"]), outcome.tuning.values, outcome.diagnosis.disturbance)
+    sections["disturbance"].append(("Missing effort on the joints, re-tuned", missing if outcome.diagnosis.location.channels else None))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
+
+
+def _period_s(finding: Finding) -> float | None:
+    """Of what shakes the base; None of what the machine's own motion drives."""
+    return 1.0 / finding.parameters["f"].value if finding.effect.effect == "base_motion" and finding.parameters["f"].value > 0.0 else None
 
 
 def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
     """(M, P + F) columns of tuned numbers and effects' parameters, and their names."""
     columns, names = [outcome.tuning.jacobian], list(outcome.tuning.names)
-    best = outcome.hypotheses[0].fitted if outcome.selection.chosen is not None and outcome.hypotheses else None
+    best = outcome.best
     if best is not None:
         columns.append(best.jacobian)
         names += [f"{best.effects[e]}: {effects()[best.effects[e].effect].parameters[k].name}" for e, k in best.free]
@@ -83,6 +98,7 @@ def _document(outcome: Outcome) -> str:
         "effect": "<p>No effect is named.</p>",
         "heat": "<p>No axis moves in these recordings, or no encoder says where it is.</p>",
         "waterfall": "<p>Nothing stands above noise.</p>",
+        "disturbance": "",
         "matrix": "<p>Fewer than two numbers show in these recordings.</p>",
     }
     groups = outcome.train.groups
@@ -96,10 +112,11 @@ def _document(outcome: Outcome) -> str:
         "noise": {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}[diagnosis.noise],
         "seconds": f"{diagnosis.seconds:.1f}",
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
-        "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in outcome.suspicions) + _findings(diagnosis, outcome.proposal),
+        "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in diagnosis.suspicions) + _findings(diagnosis, outcome.proposal),
         "hypotheses": _hypotheses(diagnosis),
         "location": ("" if outcome.only_held_out is None else ONLY_HELD_OUT)
         + _location(diagnosis, {units.axis: units for units in machine.units}),
+        "disturbance": _disturbance(diagnosis),
         "fit": _fit(diagnosis),
         "retuned": _retuned(diagnosis),
         **{f"figure_{name}": text or absent.get(name, "") for name, text in figures.items()},
@@ -144,25 +161,51 @@ def _estimate(estimate: Estimate) -> str:
 
 
 def _hypotheses(diagnosis: Diagnosis) -> str:
-    rows = [(" and ".join(str(e) for e in h.effects) or "no effect", f"{h.confidence:.3f}") for h in diagnosis.hypotheses]
-    lacking = "<p>What these confidences lack of 1 is for physics that none of them holds.</p>" if rows else ""
-    return _table(("hypothesis", "confidence"), rows) + lacking
+    rows = [
+        (
+            " and ".join(str(e) for e in h.effects) or "no effect",
+            f"{h.confidence:.3f}",
+            f"{h.gained:.4g}",
+            "-" if h.gained_held_out is None else f"{h.gained_held_out:.4g}",
+            str(h.parameters),
+            ("yes" if h.is_confirmed else "no") if h.effects else "-",
+        )
+        for h in diagnosis.hypotheses
+    ]
+    said = "<p>For a set: by how much it lowers the sum of squares in units of noise, in training and held out. Against it: how many"
+    said += " parameters it takes for that, and where chance may gain as much (not confirmed).</p>"
+    lacking = "<p>What these confidences lack of 1 is for physics that none of them holds.</p>"
+    header = ("hypothesis", "confidence", "lowers training by", "lowers held-out by", "parameters", "confirmed")
+    return said + _table(header, rows) + lacking if rows else ""
 
 
 def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> str:
     location = diagnosis.location
-    rows = [("channels", ", ".join(f"{name} {share:.0%}" for name, share in _falling(location.channels)))]
+    rows = [("channels", ", ".join(f"{name} {share:.0%}" for name, share in _falling(location.channels)), "")]
     for name, spans in location.time_s.items():
-        rows.append((f"time in {name}", _spans(spans, "s")))
+        rows.append((f"time in {name}", _spans(spans, "s"), _held(location, "time_s")))
     if location.frequency_hz:
-        rows.append(("frequency", _spans(location.frequency_hz, "Hz")))
+        rows.append(("frequency", _spans(location.frequency_hz, "Hz"), _held(location, "frequency_hz")))
     for quantity in ("position", "speed", "effort"):
         for axis, spans in getattr(location, quantity).items():
             own = units[axis]
             unit = {"position": own.position, "speed": f"{own.position}/s", "effort": own.effort}[quantity]
-            rows.append((f"{quantity} of {axis}", _spans(spans, unit)))
-    rows += [(f"direction of {axis}", way) for axis, way in location.direction.items()]
-    return _table(("dimension", "where"), rows)
+            rows.append((f"{quantity} of {axis}", _spans(spans, unit), _held(location, quantity, axis)))
+    rows += [(f"direction of {axis}", way, _held(location, "direction", axis)) for axis, way in location.direction.items()]
+    return _table(("dimension", "where", "share of the power above noise there"), rows)
+
+
+def _held(location: Location, dimension: str, part: str = "all") -> str:
+    share = location.shares.get(dimension, {}).get(part)
+    return "" if share is None else f"{share:.0%}"
+
+
+def _disturbance(diagnosis: Diagnosis) -> str:
+    """Which equation is short."""
+    rows = [(f"effort on {name}", f"{share:.0%}") for name, share in _falling(diagnosis.disturbance.joints)]
+    rows += [(f"sensor of {name}", f"{share:.0%}") for name, share in _falling(diagnosis.disturbance.sensors)]
+    said = "<p>Of the re-tuned mismatch: what an effort on one joint would reproduce by itself, and what of a channel no effort does.</p>"
+    return said + _table(("equation", "share"), rows) if rows else ""
 
 
 def _falling(shares) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]
@@ -199,4 +242,4 @@ def _retuned(diagnosis: Diagnosis) -> str:
         _table(("number", "machine file", "re-tuned", "95 % interval", "unit"), rows) if rows else "<p>None shows in these recordings.</p>"
     )
     frozen = "".join(f"<li>{html.escape(name)}: {html.escape(reason)}</li>" for name, reason in diagnosis.frozen.items())
-    return table + (f"<p>Left as they are:</p><ul>{frozen}</ul>" if frozen else "")
+    return table + (f"<p>Not shown or not decided by these recordings:</p><ul>{frozen}</ul>" if frozen else "")
