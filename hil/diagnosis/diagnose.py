@@ -222,6 +222,8 @@ def diagnose(
         fit = _fit(train, sets.get(HELD_OUT), stages)
         findings = tuple(replace(one, evidence_against=(*one.evidence_against, *_worse_held_out(fit))) for one in findings)
         read_off = tuple(what.finding(channel) for channel, what in train.read_off)
+        if train.noise.kind == "assumed":
+            read_off = tuple(replace(finding, confidence=min(finding.confidence, cap_of(runs))) for finding in read_off)
         findings += read_off
         proposal = None
         if verdict == "ambiguous" and look_further:

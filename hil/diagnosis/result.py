@@ -11,7 +11,7 @@ NoiseKind = Literal["repeats", "periods", "assumed"]
 Span = tuple[float, float]
 
 READ_OFF = 0.99
-"""Confidence of what recordings show by themselves, without a free run."""
+"""Confidence of what recordings show by themselves, with nothing fitted."""
 
 STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor")
 
