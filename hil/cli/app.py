@@ -79,7 +79,9 @@ def _json_to_standard_output(arguments: list[str]) -> list[str]:
 
 
 def _held_out_each(arguments: list[str]) -> list[str]:
-    """`--held-out A B` and `--held-out=A B` are `--held-out A --held-out B`; with nothing after it, it would take the next option for a recording."""
+    """`--held-out A B` and `--held-out=A B` are `--held-out A --held-out B`; with nothing after it, it would take the next option for a
+    recording.
+    """
     complete: list[str] = []
     held_out = False
     apart = [part for one in arguments for part in (one.split("=", 1) if one.startswith("--held-out=") else [one])]

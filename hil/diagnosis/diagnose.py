@@ -37,7 +37,7 @@ from hil.diagnosis.naming import (
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Fit, Hypothesis
+from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Fit, Hypothesis, PredictedSeparation
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
@@ -257,6 +257,7 @@ def diagnose(
             seconds=time.monotonic() - began,
             disturbance=disturbance_shares(train.with_simulated(stages[TRAIN]["retuned"]), tuning.values),
             suspicions=suspicions(train),
+            separations=() if proposal is None else _predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))
     return Outcome(
@@ -316,7 +317,7 @@ def _next_experiment(
     machine: Machine, train: Mismatch, tuning: Tuning, hypotheses: tuple[Weighed, ...], jobs: int, report: Report
 ) -> Proposal | None:
     """What separates the likeliest set from those that are plausible beside it."""
-    rivals = not_told_apart(hypotheses)[:MOST_RIVALS]
+    rivals = rivals_of(hypotheses)
     models = [Model.of(tuning, h.fitted) for h in rivals if h.fitted is not None]
     shares = [h.confidence for h in rivals]
 
@@ -324,6 +325,19 @@ def _next_experiment(
         report("looking for the next experiment", 0.97 + 0.03 * share)
 
     return propose(machine, models, shares, train.noise, train.channels, jobs=jobs, report=say)
+
+
+def rivals_of(hypotheses: tuple[Weighed, ...]) -> list[Weighed]:
+    """The likeliest set and those that the next experiment is to separate it from."""
+    return list(not_told_apart(hypotheses)[:MOST_RIVALS])
+
+
+def _predicted(proposal: Proposal, sets: Sequence[Fitted | None]) -> tuple[PredictedSeparation, ...]:
+    others = [fitted.effects for fitted in sets if fitted is not None][1:]
+    return tuple(
+        PredictedSeparation(effects, float(if_first), float(if_other))
+        for effects, (if_first, if_other) in zip(others, proposal.separations, strict=True)
+    )
 
 
 def _stages(

@@ -133,6 +133,22 @@ class Location:
 
 
 @dataclass(frozen=True)
+class PredictedSeparation:
+    """Of the likeliest set from another one by the next experiment, in standard deviations of one recording's noise."""
+
+    rival: tuple[EffectAt, ...]
+    if_likeliest: float  # where the likeliest set is right
+    if_rival: float
+
+    def document(self) -> dict[str, Any]:
+        return {
+            "rival": [effect.document() for effect in self.rival],
+            "if_likeliest": self.if_likeliest,
+            "if_rival": self.if_rival,
+        }
+
+
+@dataclass(frozen=True)
 class DisturbanceShares:
     """Which equation is short: shares of the re-tuned mismatch's power, in units of noise, that an effort on each joint would reproduce by
     itself, and of each channel's power that efforts on all joints together leave to its sensor.
@@ -200,6 +216,7 @@ class Diagnosis:
     seconds: float
     disturbance: DisturbanceShares = field(default_factory=DisturbanceShares)
     suspicions: tuple[str, ...] = ()  # what looks like a wrong unit, a wrong sign or a gross delay
+    separations: tuple[PredictedSeparation, ...] = ()  # by the next experiment
 
     def document(self) -> dict[str, Any]:
         """Plain values, as docs/formats.md lays them out."""
@@ -213,6 +230,7 @@ class Diagnosis:
             "noise": self.noise,
             "location": self.location.document(),
             "fit": self.fit.document(),
+            "predicted_separations": [each.document() for each in self.separations],
             "disturbance": self.disturbance.document(),
             "suspicions": list(self.suspicions),
             "unexplained_share": self.unexplained_share,

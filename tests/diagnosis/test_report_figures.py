@@ -81,3 +81,10 @@ def test_a_hypothesis_says_what_it_gains_and_what_it_takes(friction):
 
 def test_several_effects_are_simulated_one_after_another():
     assert first_effects(2) != first_effects(1)
+
+
+def test_the_answer_says_by_how_much_the_next_experiment_would_separate_its_rivals(friction):
+    diagnosis, proposal = friction.diagnosis, friction.proposal
+    assert [each.if_likeliest for each in diagnosis.separations] == pytest.approx(proposal.separations[:, 0].tolist())
+    listed = {one for finding in diagnosis.findings for one in finding.ambiguous_sets}
+    assert all(each.rival in listed for each in diagnosis.separations) and diagnosis.separations
