@@ -54,7 +54,7 @@ def test_of_a_friction_the_joint_is_short_and_no_sensor(friction):
     shares = friction.diagnosis.disturbance
     assert shares.joints == {"carriage": pytest.approx(1.0, abs=0.2)}
     assert max(shares.sensors.values()) < 0.25 < shares.joints["carriage"]
-    (caption, figure), *_ = report_figures(friction)["disturbance"]
+    (_, figure), *_ = report_figures(friction)["disturbance"]
     assert figure.axes[0].get_ylabel() == "on carriage [N]" and figure.axes[-1].get_xlabel() == "time [s]"
 
 
