@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,8 +17,10 @@ from hil.diagnosis.disturbance import disturbance_shares
 from hil.diagnosis.drift import chance_of_drift
 from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.held_out_alone import OnlyHeldOut, only_held_out
+from hil.diagnosis.hypotheses import against_held_out, hypothesis_of, predicted, rivals_of
 from hil.diagnosis.location import locate, locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
@@ -30,14 +32,13 @@ from hil.diagnosis.naming import (
     confidence_of,
     erring,
     imitated,
-    not_told_apart,
     ranking,
     tempers_of,
 )
 from hil.diagnosis.next_experiment import Proposal, propose
 from hil.diagnosis.placebo import add_placebo
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Fit, Hypothesis, PredictedSeparation
+from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit
 from hil.diagnosis.retune import Tuning, retune
 from hil.diagnosis.selection import Selection, select
 from hil.diagnosis.separation import Model
@@ -54,13 +55,6 @@ from virtual_bus.settings import EffectSetting
 Report = Callable[[str, float], None]
 NEXT_EXPERIMENT = "next_experiment.toml"
 """File in the answer's folder."""
-
-MOST_RIVALS = 3
-
-ABOVE_NOISE = 2.0
-"""Standard deviations by which noise's own sum of squares scatters, from which something is left to explain."""
-
-"""Hypotheses that one experiment is asked to separate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +81,15 @@ class Outcome:
     hypotheses : tuple of Weighed
     proposal : Proposal or None
         The experiment that would tell an ambiguous verdict's hypotheses apart.
-    only_held_out : Mismatch or None
-        The held-out recordings beside the machine that is re-tuned to them alone, where they alone show that physics is missing: that is
-        what the location describes.
+    chosen : Fitted or None
+        The set that the extended simulation has; what was read off the recordings is not in it.
+    short : Mismatch
+        Training beside the re-tuned simulation, whose equations are short; where held-out recordings alone show that physics is missing,
+        these beside the machine that is re-tuned to them alone.
+    short_values : (parameters,) array
+        Plant parameters of that simulation.
+    is_only_held_out : bool
+        Which of both.
     """
 
     diagnosis: Diagnosis
@@ -103,17 +103,15 @@ class Outcome:
     evidence: Evidence
     hypotheses: tuple[Weighed, ...]
     proposal: Proposal | None
-    only_held_out: Mismatch | None = None
-
-    @property
-    def best(self) -> Fitted | None:
-        """The likeliest set, which the extended simulation has; None where no set was found."""
-        return self.hypotheses[0].fitted if self.selection.chosen is not None and self.hypotheses else None
+    chosen: Fitted | None
+    short: Mismatch
+    short_values: np.ndarray
+    is_only_held_out: bool
 
     @property
     def simulated(self) -> tuple[EffectAt, ...]:
-        """Effects of the extended simulation: what was read off the recordings is none."""
-        return () if self.best is None else self.best.effects
+        """Effects of the extended simulation."""
+        return () if self.chosen is None else self.chosen.effects
 
 
 def diagnose(
@@ -181,7 +179,7 @@ def diagnose(
         chosen = hypotheses[0].fitted if selection.chosen is not None else None
         values = tuning.values if chosen is None else tuning.at(chosen.offset)
         effects = () if chosen is None else chosen.settings
-        stages = _stages(runs, tuning, values, effects)
+        stages = simulated_stages(runs, tuning, values, effects)
         misfits = [_energy(runs, rows) for rows in (stages[TRAIN]["nominal"], stages[TRAIN]["retuned"], stages[TRAIN]["extended"])]
         shown = int(np.sum(np.diag(tuning.covariance) < 0.5))
         best_held_out = hypotheses[0].held_out if hypotheses else evidence.base.held_out
@@ -203,7 +201,10 @@ def diagnose(
             imitated=_imitated(selection, evidence),
         )
         verdict, reason = verdict_of(standing)
-        seen_there = sets[HELD_OUT].with_simulated(only.rows) if reason == only_there(standing) else None
+        is_only_held_out = reason == only_there(standing)
+        short, short_values = train.with_simulated(stages[TRAIN]["retuned"]), tuning.values
+        if is_only_held_out:
+            short, short_values = sets[HELD_OUT].with_simulated(only.rows), only.values
         unsure: tuple[Weighed, ...] = ()
         if verdict == "ambiguous":
             unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
@@ -220,7 +221,7 @@ def diagnose(
         if verdict == "inconclusive":
             hypotheses = ()
         fit = _fit(train, sets.get(HELD_OUT), stages)
-        findings = tuple(replace(one, evidence_against=(*one.evidence_against, *_worse_held_out(fit))) for one in findings)
+        findings = tuple(replace(one, evidence_against=(*one.evidence_against, *against_held_out(fit))) for one in findings)
         read_off = tuple(what.finding(channel) for channel, what in train.read_off)
         if train.noise.kind == "assumed":
             read_off = tuple(replace(finding, confidence=min(finding.confidence, cap_of(runs))) for finding in read_off)
@@ -231,20 +232,23 @@ def diagnose(
         if proposal is not None:
             findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
         retuned, frozen = retuned_values(tuning, chosen, spread)
-        explainable = misfits[1] - noise if misfits[1] - noise > ABOVE_NOISE * math.sqrt(2.0 * noise) else 0.0
+        explainable = misfits[1] - noise if misfits[1] - noise > certain_excess(noise) else 0.0
+        has_excess = explainable > 0.0 or is_only_held_out
+        disturbed = disturbance_shares(short, short_values) if has_excess else DisturbanceShares()
+        contenders = (*selection.contenders, *selection.unsure)
         diagnosis = Diagnosis(
             verdict=verdict,
             reason=reason,
             findings=findings,
             hypotheses=tuple(
-                _hypothesis(h, evidence, [finding.effect for finding in read_off], judged is not None)
+                hypothesis_of(h, contenders, [finding.effect for finding in read_off], judged is not None)
                 for h in with_unsure(hypotheses, unsure, confidence_of(cap_of(runs)))
             ),
             retuned=retuned,
             frozen=frozen,
             noise=train.noise.kind,
-            location=locate(seen_there)
-            if seen_there is not None
+            location=locate(short)
+            if is_only_held_out
             else locate_outcome(
                 train,
                 stages[TRAIN]["retuned"],
@@ -255,14 +259,15 @@ def diagnose(
             fit=fit,
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
-            disturbance=disturbance_shares(train.with_simulated(stages[TRAIN]["retuned"]), tuning.values),
+            disturbance=disturbed,
             suspicions=suspicions(train),
-            separations=() if proposal is None else _predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
+            separations=() if proposal is None else predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))
     return Outcome(
-        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, proposal, seen_there
-    )
+        diagnosis, found, values, tuning, train, sets.get(HELD_OUT), stages, selection, evidence, hypotheses, proposal, chosen, short,
+        short_values, is_only_held_out,
+    )  # fmt: skip
 
 
 def _never_back(report: Report) -> Report:
@@ -297,18 +302,6 @@ def _is_same_set(one: Fitted | None, other: Fitted | None) -> bool:
     return one is other or (one is not None and other is not None and set(one.effects) == set(other.effects))
 
 
-def _hypothesis(weighed: Weighed, evidence: Evidence, read_off: Sequence[EffectAt], has_held_out: bool) -> Hypothesis:
-    found, base = weighed.fitted, evidence.base
-    return Hypothesis(
-        (*(() if found is None else found.effects), *read_off),
-        weighed.confidence,
-        gained=base.train - weighed.train,
-        gained_held_out=base.held_out - weighed.held_out if has_held_out else None,
-        parameters=0 if found is None else found.freedom,
-        is_confirmed=found is not None and weighed.passed,
-    )
-
-
 def _at_most(hypothesis: Weighed, cap: float) -> Weighed:
     return replace(hypothesis, confidence=min(hypothesis.confidence, cap))
 
@@ -327,23 +320,12 @@ def _next_experiment(
     return propose(machine, models, shares, train.noise, train.channels, jobs=jobs, report=say)
 
 
-def rivals_of(hypotheses: tuple[Weighed, ...]) -> list[Weighed]:
-    """The likeliest set and those that the next experiment is to separate it from."""
-    return list(not_told_apart(hypotheses)[:MOST_RIVALS])
-
-
-def _predicted(proposal: Proposal, sets: Sequence[Fitted | None]) -> tuple[PredictedSeparation, ...]:
-    others = [fitted.effects for fitted in sets if fitted is not None][1:]
-    return tuple(
-        PredictedSeparation(effects, float(if_first), float(if_other))
-        for effects, (if_first, if_other) in zip(others, proposal.separations, strict=True)
-    )
-
-
-def _stages(
+def simulated_stages(
     runs: FreeRuns, tuning: Tuning, values: np.ndarray, effects: tuple[EffectSetting, ...]
 ) -> dict[str, dict[str, list[np.ndarray]]]:
-    """Simulated rows of every set at nominal, retuned, extended and, where there are effects, with their placebo."""
+    """Simulated rows of every set at nominal, retuned and extended, there also with none and the first of its effects and, where there are
+    effects, with their placebo; see `Outcome`.
+    """
     trials = {"nominal": Trial(runs.nominal), "retuned": Trial(tuning.values), "extended": Trial(values, effects)}
     trials["without_effects"] = Trial(values)
     trials |= {first_effects(count): Trial(values, effects[:count]) for count in range(1, len(effects))}
@@ -391,15 +373,6 @@ def _fit(train: Mismatch, held_out: Mismatch | None, stages: Mapping[str, Mappin
         removed_share=removed_share(judged.retuned, judged.extended, judged.noise_floor),
         removed_share_from_nominal=removed_share(judged.nominal, judged.extended, judged.noise_floor),
     )
-
-
-def _worse_held_out(fit: Fit) -> list[str]:
-    """Evidence against a set with which the held-out simulation, its numbers as training left them, is no closer."""
-    judged = fit.held_out
-    if judged is None or judged.retuned is None or judged.extended is None or judged.extended < judged.retuned:
-        return []
-    said = f"held-out E does not fall, {judged.retuned:.4g} re-tuned and {judged.extended:.4g} with the effects"
-    return [f"{said}: what is gained there takes numbers that training leaves open"]
 
 
 def removed_share(before: float | None, after: float | None, floor: float | None) -> float | None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.mismatch import Mismatch, RepeatGroup
 from hil.diagnosis.result import DisturbanceShares
 from hil.diagnosis.whitened import in_noise_units
@@ -49,32 +50,46 @@ class Disturbance:
         Missing effort on each joint [Nm or N], positive towards positive position; it goes to zero within END_s of either end.
     sensors : (N, C) array
         What no effort explains, in the channels' units.
-    joint_share : (joints,) array
-        Share of the residual's power, in units of noise, that each joint's effort reproduces alone.
-    sensor_share : (C,) array
-        Share of each channel's power that is left to its sensor.
+    power, left : (C,) arrays
+        Energies of the residual and of what no effort explains, in units of noise, without what noise has in the mean of the repeats.
+    left_by_joint : (joints, C) array
+        The same of what an effort on each joint does not explain by itself.
+    is_used : (C,) array of bool
+        Channels that efforts are estimated from.
     """
 
     joints: tuple[str, ...]
     effort: np.ndarray
     sensors: np.ndarray
-    joint_share: np.ndarray
-    sensor_share: np.ndarray
+    power: np.ndarray
+    left: np.ndarray
+    left_by_joint: np.ndarray
+    is_used: np.ndarray
 
 
 def disturbance_shares(found: Mismatch, values: np.ndarray | None = None) -> DisturbanceShares:
-    """Shares of all groups together, each counted by its power in units of noise; see `disturbance`."""
-    each = [disturbance(found, group, values) for group in found.groups]
-    powers = np.array([_power(found, group.mean - group.simulated) for group in found.groups])  # (groups, C)
-    if not np.isfinite(powers).all() or not powers.sum() > 0.0:
+    """Of all groups together, in the channels that efforts are estimated from and that stand above noise for certain; nothing where none
+    does or the simulation has no finite rows.
+
+    Parameters
+    ----------
+    found : Mismatch
+        Beside the simulation whose equations are short.
+    values : (parameters,) array, optional
+        Its plant parameters; the machine file's by default.
+    """
+    if not all(np.isfinite(group.simulated).all() for group in found.groups):
         return DisturbanceShares()
-    by_joint = np.average([one.joint_share for one in each], axis=0, weights=powers.sum(axis=1))
-    by_sensor = np.sum([one.sensor_share * power for one, power in zip(each, powers, strict=True)], axis=0) / np.maximum(
-        powers.sum(axis=0), 1e-300
-    )
-    return DisturbanceShares(
-        dict(zip(each[0].joints, by_joint.tolist(), strict=True)), dict(zip(found.channels, by_sensor.tolist(), strict=True))
-    )
+    each = [disturbance(found, group, values) for group in found.groups]
+    power, left, left_by_joint = (sum(getattr(one, name) for one in each) for name in ("power", "left", "left_by_joint"))
+    noise = sum(len(group.mean) / group.repeats for group in found.groups)
+    counts = each[0].is_used & (power > certain_excess(noise))
+    if not counts.any():
+        return DisturbanceShares()
+    joints = np.clip(1.0 - left_by_joint[:, counts].sum(axis=1) / power[counts].sum(), 0.0, 1.0)
+    sensors = np.clip(left[counts] / power[counts], 0.0, 1.0)
+    channels = [name for name, is_counted in zip(found.channels, counts, strict=True) if is_counted]
+    return DisturbanceShares(dict(zip(each[0].joints, joints.tolist(), strict=True)), dict(zip(channels, sensors.tolist(), strict=True)))
 
 
 def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None = None) -> Disturbance:
@@ -88,34 +103,61 @@ def disturbance(found: Mismatch, group: RepeatGroup, values: np.ndarray | None =
     values : (parameters,) array, optional
         Plant parameters the group was simulated with; the machine file's by default.
     """
-    residual = group.mean - group.simulated
-    extended = _tapered(residual, found.noise.rate_Hz)
-    frequencies = np.fft.rfftfreq(len(extended), 1.0 / found.noise.rate_Hz)
-    lines = np.fft.rfft(extended, axis=0)
-    response = loop_response(group.machine, group.position.mean(axis=0), found.channels, frequencies, values)
-    response = response[:, :, : len(group.machine.plant.tree.joints)]
-    weight = _noise_weight(found, frequencies, group.repeats) * _is_linear(found.channels)
-    machine = group.machine
-    plant = compile_plant(machine.plant)
-    gains = plant.drive_gains(plant.model(values), np.zeros(plant.joints))
-    prior = max(PRIOR_OF_EFFORT * float((np.sqrt(np.mean(group.effort**2, axis=0)) * gains).max()), LEAST_PRIOR)
-    t = response * weight[:, :, None]
-    normal = t.conj().transpose(0, 2, 1)
-    density = prior**2 * found.noise.rate_Hz / (np.pi * PRIOR_CORNER_Hz) / (1.0 + (frequencies / PRIOR_CORNER_Hz) ** 2)
-    hessian = normal @ t + np.eye(t.shape[2]) / density[:, None, None]
-    d = np.linalg.solve(hessian, normal @ (lines * weight)[:, :, None])[:, :, 0]
-    rows = len(residual)
-    effort = np.fft.irfft(d, len(extended), axis=0)[:rows]
-    left = residual - np.fft.irfft((response @ d[:, :, None])[:, :, 0], len(extended), axis=0)[:rows]
-    whole = _power(found, residual)
-    shares = []
-    for j in range(d.shape[1]):
-        t_j = t[:, :, j]
-        alone = (t_j.conj() * lines * weight).sum(axis=1) / ((np.abs(t_j) ** 2).sum(axis=1) + 1.0 / density)
-        rest = residual - np.fft.irfft(response[:, :, j] * alone[:, None], len(extended), axis=0)[:rows]
-        shares.append(1.0 - _power(found, rest).sum() / max(whole.sum(), 1e-300))
-    names = tuple(joint.name for joint in machine.plant.tree.joints)
-    return Disturbance(names, effort, left, np.clip(shares, 0.0, 1.0), np.clip(_power(found, left) / np.maximum(whole, 1e-300), 0.0, 1.0))
+    return Estimator(found, group, values).of(group)
+
+
+class Estimator:
+    """Estimates missing efforts along one group's motion: of its residual, and of others that the same loop would leave.
+
+    Parameters
+    ----------
+    found, group, values
+        See `disturbance`.
+    """
+
+    def __init__(self, found: Mismatch, group: RepeatGroup, values: np.ndarray | None = None) -> None:
+        machine, plant = group.machine, compile_plant(group.machine.plant)
+        self._found = found
+        self._joints = tuple(joint.name for joint in machine.plant.tree.joints)
+        self._is_used = _is_linear(found.channels)
+        frequencies = np.fft.rfftfreq(2 * len(group.mean), 1.0 / found.noise.rate_Hz)
+        response = loop_response(machine, group.position.mean(axis=0), found.channels, frequencies, values)
+        self._response = response[:, :, : len(self._joints)]
+        self._weight = _noise_weight(found, frequencies, group.repeats) * self._is_used
+        gains = plant.drive_gains(plant.model(values), np.zeros(plant.joints))
+        prior = max(PRIOR_OF_EFFORT * float((np.sqrt(np.mean(group.effort**2, axis=0)) * gains).max()), LEAST_PRIOR)
+        self._density = prior**2 * found.noise.rate_Hz / (np.pi * PRIOR_CORNER_Hz) / (1.0 + (frequencies / PRIOR_CORNER_Hz) ** 2)
+        weighted = self._response * self._weight[:, :, None]
+        self._normal = weighted.conj().transpose(0, 2, 1)
+        self._hessian = self._normal @ weighted + np.eye(weighted.shape[2]) / self._density[:, None, None]
+
+    def effort(self, residual: np.ndarray) -> np.ndarray:
+        """(N, joints) missing efforts [Nm or N] of a residual (N, C)."""
+        return np.fft.irfft(self._lines_of_effort(residual), 2 * len(residual), axis=0)[: len(residual)]
+
+    def of(self, group: RepeatGroup) -> Disturbance:
+        """What the group's residual asks of the equations."""
+        residual = group.mean - group.simulated
+        rows, d = len(residual), self._lines_of_effort(residual)
+        lines = np.fft.rfft(_tapered(residual, self._found.noise.rate_Hz), axis=0) * self._weight
+        left = residual - np.fft.irfft((self._response @ d[:, :, None])[:, :, 0], 2 * rows, axis=0)[:rows]
+        by_joint = []
+        for j in range(d.shape[1]):
+            normal = self._normal[:, j]
+            alone = (normal * lines).sum(axis=1) / ((np.abs(normal) ** 2).sum(axis=1) + 1.0 / self._density)
+            rest = residual - np.fft.irfft(self._response[:, :, j] * alone[:, None], 2 * rows, axis=0)[:rows]
+            by_joint.append(self._above_noise(rest, group))
+        effort = np.fft.irfft(d, 2 * rows, axis=0)[:rows]
+        power, unexplained = (self._above_noise(signal, group) for signal in (residual, left))
+        return Disturbance(self._joints, effort, left, power, unexplained, np.array(by_joint), self._is_used > 0.0)
+
+    def _lines_of_effort(self, residual: np.ndarray) -> np.ndarray:
+        """(L, joints) of the record and as much silence after it."""
+        lines = np.fft.rfft(_tapered(residual, self._found.noise.rate_Hz), axis=0)
+        return np.linalg.solve(self._hessian, self._normal @ (lines * self._weight)[:, :, None])[:, :, 0]
+
+    def _above_noise(self, signal: np.ndarray, group: RepeatGroup) -> np.ndarray:
+        return np.maximum(_power(self._found, signal) - len(signal) / group.repeats, 0.0)
 
 
 def loop_response(

@@ -55,6 +55,9 @@ step with these 1070 above it still."""
 TWICE = 2.0
 """Where a run is quadratic in its numbers, sensitivities change along a step by twice what they missed of it."""
 
+NOT_FOLLOWED = 1e300
+"""Misfit of what cannot be simulated along the held-out motion."""
+
 
 @dataclass(frozen=True, eq=False)
 class Followed:
@@ -198,7 +201,7 @@ class HeldOut:
 
     def misfit(self, followed: Followed | None) -> float:
         """Of a run that could be simulated; else larger than any."""
-        return 1e300 if followed is None else followed.misfit
+        return NOT_FOLLOWED if followed is None else followed.misfit
 
     def information(self, response: np.ndarray, acts: np.ndarray) -> np.ndarray:
         """(F, F) on what changes held-out runs by these columns (M, F), the numbers that do something (P,) free to follow as the linear

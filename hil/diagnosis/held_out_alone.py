@@ -30,10 +30,13 @@ class OnlyHeldOut:
         motion's disturbances may.
     rows : list of (N, C) arrays
         Its simulated rows per group.
+    values : (parameters,) array
+        Its plant parameters.
     """
 
     times: float = 0.0
     rows: list[np.ndarray] = field(default_factory=list)
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def only_held_out(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, found: Mismatch | None, jobs: int) -> OnlyHeldOut:
@@ -67,4 +70,4 @@ def only_held_out(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, found:
         rows = own.rows(Trial(tuned.values))
     if misfit < FAR * entries or rows is None:
         return OnlyHeldOut()
-    return OnlyHeldOut(misfit / entries, rows)
+    return OnlyHeldOut(misfit / entries, rows, tuned.values)

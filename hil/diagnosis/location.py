@@ -89,8 +89,8 @@ def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency:
                 values = np.concatenate([getattr(group, quantity)[:, k] for group in found.groups])
                 shares.setdefault(quantity, {})[axis] = _share(power, _within(values, spans))
         if where.direction.get(axis, "both") != "both":
-            forward = np.concatenate([group.speed[:, k] for group in found.groups]) > 0.0
-            shares.setdefault("direction", {})[axis] = _share(power, forward == (where.direction[axis] == "positive"))
+            speed = np.concatenate([group.speed[:, k] for group in found.groups]) * (1.0 if where.direction[axis] == "positive" else -1.0)
+            shares.setdefault("direction", {})[axis] = _share(power, speed > MOVING * float(np.abs(speed).max(initial=0.0)))
     return shares
 
 
@@ -103,7 +103,10 @@ def _over_frequency(where: Location, whitened: Sequence[InNoiseUnits], left: Seq
 
 
 def _within(values: np.ndarray, spans: Sequence[Span]) -> np.ndarray:
-    return np.any([(low <= values) & (values <= high) for low, high in spans], axis=0) if spans else np.zeros(len(values), dtype=bool)
+    """(N,) whether values are in one of the spans; its end is the next bin's, unless it is the last of all."""
+    last = values.max(initial=-np.inf)
+    inside = [(low <= values) & ((values < high) | ((values == last) & (last <= high))) for low, high in spans]
+    return np.any(inside, axis=0) if inside else np.zeros(len(values), dtype=bool)
 
 
 def _share(power: np.ndarray, inside: np.ndarray) -> float:

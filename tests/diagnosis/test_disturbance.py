@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pushed_mass import RAIL, recorded
 
-from hil.diagnosis.disturbance import disturbance
+from hil.diagnosis.disturbance import disturbance, disturbance_shares
 from hil.diagnosis.mismatch import mismatch
 
 TIME = np.arange(2000) / RAIL.sample_rate_Hz
@@ -32,8 +34,18 @@ def test_the_missing_effort_is_the_push(seen):
     assert found.joints == ("carriage",)
     assert (along, across, constant) == (pytest.approx(6.0, rel=0.03), pytest.approx(0.0, abs=0.3), pytest.approx(0.0, abs=0.3))
     assert np.sqrt(rest[0] / len(shapes)) < 0.6
-    assert found.joint_share[0] > 0.95
+    assert disturbance_shares(seen).joints["carriage"] > 0.95
 
 
 def test_nothing_is_left_for_the_sensors(seen):
-    assert disturbance(seen, seen.groups[0]).sensor_share.max() < 0.05
+    assert max(disturbance_shares(seen).sensors.values()) < 0.05
+
+
+def test_what_one_channel_reads_too_much_is_left_to_its_sensor(seen):
+    """An effort that did that to the command would be seen in the position, which is read a thousand times as well."""
+    (group,) = seen.groups
+    error = 10.0 * seen.noise.std * np.sin(2.0 * np.pi * 20.0 * TIME)[:, None] * [name == "command_carriage" for name in seen.channels]
+    wrong = replace(seen, groups=(replace(group, measured=group.simulated + error + (group.measured - group.mean)),))
+    shares = disturbance_shares(wrong)
+    assert list(shares.sensors) == ["command_carriage"]
+    assert shares.sensors["command_carriage"] > 0.9 and shares.joints["carriage"] < 0.1

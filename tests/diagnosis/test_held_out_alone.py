@@ -22,7 +22,8 @@ def test_a_stop_that_training_does_not_reach_is_located_and_drawn_in_the_held_ou
     outcome = diagnose(MACHINE, repeats(3, DURATION_s, at=stop), {"further": further}, look_further=False)
     assert outcome.diagnosis.verdict == "unknown_physics" and outcome.diagnosis.findings == ()
     assert outcome.diagnosis.location.channels
-    assert outcome.only_held_out is not None and outcome.only_held_out.groups[0].labels == ("further",)
+    assert outcome.is_only_held_out and outcome.short.groups[0].labels == ("further",)
+    assert outcome.diagnosis.disturbance.joints["carriage"] > 0.5
     assert [caption for caption, _ in report_figures(outcome)["heat"]] == [
         "Residual over the pose of carriage, held-out, re-tuned to it alone"
     ]
@@ -31,4 +32,5 @@ def test_a_stop_that_training_does_not_reach_is_located_and_drawn_in_the_held_ou
 def test_the_same_motion_without_a_stop_is_no_more_than_its_numbers_say():
     wanted = reference(DURATION_s)
     outcome = diagnose(MACHINE, repeats(3, DURATION_s), {"further": recording(1.5 * wanted, *run(1.5 * wanted))}, look_further=False)
-    assert outcome.diagnosis.verdict in ("consistent", "retuned") and outcome.only_held_out is None
+    assert outcome.diagnosis.verdict in ("consistent", "retuned") and not outcome.is_only_held_out
+    assert outcome.diagnosis.disturbance.joints == {} and outcome.diagnosis.unexplained_share == 0.0

@@ -59,6 +59,16 @@ def test_a_burst_is_found_in_its_channel_and_its_time():
     assert overlap(np.log(location.frequency_hz), np.log(36.0), np.log(44.5)) > 0.5
 
 
+def test_the_share_of_a_span_is_of_all_power_above_noise():
+    """A burst of 4.7 s of noise's power, and 0.72 of it all the time, too little to be marked: 5.8 s."""
+    envelope = np.where((TIME > 3.0) & (TIME < 4.0), np.sin(np.pi * (TIME - 3.0)) ** 2, 0.0)
+    added = 0.01 * np.sin(2.0 * np.pi * 40.0 * TIME) * envelope + 1.2 * NOISE["command_carriage"] * np.sin(2.0 * np.pi * 70.0 * TIME)
+    location = locate(mismatch_of({"command_carriage": added}))
+    burst, always = 25.0 / 2.0 * 3.0 / 8.0, 1.2**2 / 2.0
+    ((begin, end),) = location.time_s["repeat 0"]
+    assert location.shares["time_s"]["all"] == pytest.approx((burst + always * (end - begin)) / (burst + always * 8.0), abs=0.06)
+
+
 def test_of_a_constant_a_fifth_counts():
     """What a sine's half wave leaves of it beyond line 0: of it every recording has one line, and that does not say what its noise is."""
     wave, shift = NOISE["command_carriage"] * np.sin(2.0 * np.pi * 25.0 * TIME), 1.5 * NOISE["position_carriage"]
@@ -80,6 +90,7 @@ def test_a_mismatch_in_one_direction_is_said_to_be_one_way():
     location = locate(mismatch_of({"command_carriage": 0.05 * np.sin(2.0 * np.pi * 60.0 * TIME) * (speed > 0.02)}))
     assert location.direction["carriage"] == "positive"
     assert overlap(location.speed["carriage"], 0.02, speed.max()) > 0.8
+    assert location.shares["direction"]["carriage"] > 0.98
 
 
 def test_a_mismatch_that_is_everywhere_is_not_localised_in_time_or_pose():

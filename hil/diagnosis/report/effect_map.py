@@ -6,13 +6,13 @@ Recording and fit go through the same estimator (disturbance.py), so what it smo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.diagnosis.disturbance import disturbance, ends
-from hil.diagnosis.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.disturbance import Estimator, ends
+from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.motion import Motion
 from hil.diagnosis.report.style import BLUE, VERMILION
 from hil.diagnosis.result import EffectAt
@@ -95,8 +95,9 @@ def effect_map(
     for group, plain, full in zip(found.groups, bare, extended, strict=True):
         sign = -np.sign(group.speed[:, axis]) if over.against_motion else np.ones(len(plain))
         known = slice(ends(len(plain), found.noise.rate_Hz), len(plain) - ends(len(plain), found.noise.rate_Hz))
-        recorded.append((sign * disturbance(found, replace(group, simulated=plain), values).effort[:, joint])[known])
-        fitted.append((sign * disturbance(found, _as_measured(group, plain, full), values).effort[:, joint])[known])
+        estimator = Estimator(found, group, values)
+        recorded.append((sign * estimator.effort(group.mean - plain)[:, joint])[known])
+        fitted.append((sign * estimator.effort(full - plain)[:, joint])[known])
         xs.append(over.of(Motion(group.machine, values, group, found.channels))[known])
     effort_unit = "Nm" if settings.tree.joints[joint].kind == "revolute" else "N"
     what = "missing effort against the motion" if over.against_motion else "missing effort"
@@ -122,7 +123,7 @@ def _abscissa(found: Mismatch, effect: EffectAt, joint: int, period_s: float | N
     axis = _axis_of(found, joint)
     units = found.machine.units[axis]
     if period_s is not None:
-        return _Over("time in the period", "s", lambda motion: motion.group.time_s % period_s)
+        return _Over("time in the period", "s", lambda motion: (motion.group.time_s - motion.group.time_s[0] + motion.start_s) % period_s)
     if settings.tree.joints[joint].name not in {drive.joint for drive in settings.drives} and settings.tree.joints[joint].stiffness > 0.0:
         unit = "rad" if settings.tree.joints[joint].kind == "revolute" else "m"
         return _Over(f"deflection of {settings.tree.joints[joint].name}", unit, lambda motion: motion.deflection(joint))
@@ -147,11 +148,6 @@ def _sensor_map(found: Mismatch, bare: Sequence[np.ndarray], extended: Sequence[
     name, unit = found.channels[c], found.units[c]
     title = f"{effect}: reading against the machine"
     return _cells(title, f"{name} simulated without it [{unit}]", f"{name} [{unit}]", x, recorded, fitted)
-
-
-def _as_measured(group: RepeatGroup, plain: np.ndarray, full: np.ndarray) -> RepeatGroup:
-    """The group as if the extended simulation had been measured, as often as the group was."""
-    return replace(group, measured=np.repeat(full[None], group.repeats, axis=0), simulated=plain)
 
 
 def _axis_of(found: Mismatch, joint: int) -> int:

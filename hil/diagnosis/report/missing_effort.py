@@ -16,7 +16,7 @@ LEAST_SHARE = 0.01
 
 
 def missing_effort_figure(found: Mismatch, values: np.ndarray, shares: DisturbanceShares) -> Figure | None:
-    """A row for each of the joints that reproduce most of the first group's residual; None where no joint does.
+    """A row for each of the joints that reproduce most, along the group with the largest residual; None where no joint does.
 
     Parameters
     ----------
@@ -29,7 +29,8 @@ def missing_effort_figure(found: Mismatch, values: np.ndarray, shares: Disturban
     drawn = [name for name, share in sorted(shares.joints.items(), key=lambda pair: -pair[1]) if share >= LEAST_SHARE][:MOST_JOINTS]
     if not drawn:
         return None
-    group, joints = found.groups[0], found.machine.plant.tree.joints
+    group = max(found.groups, key=lambda one: float(np.sum(((one.mean - one.simulated) / found.noise.std) ** 2)))
+    joints = found.machine.plant.tree.joints
     estimated = disturbance(found, group, values)
     figure = Figure(figsize=(9.0, 1.4 + 1.5 * len(drawn)), layout="constrained")
     rows = figure.subplots(len(drawn), squeeze=False, sharex=True)[:, 0]
@@ -38,7 +39,7 @@ def missing_effort_figure(found: Mismatch, values: np.ndarray, shares: Disturban
         unit = "Nm" if joints[at].kind == "revolute" else "N"
         axes.plot(group.time_s, estimated.effort[:, at], color=BLUE, lw=0.8)
         axes.set_ylabel(f"on {name} [{unit}]")
-        axes.set_title(f"{name}: reproduces {shares.joints[name]:.0%} of the mismatch by itself", fontsize="small", loc="left")
+        axes.set_title(f"{name}: reproduces {shares.joints[name]:.0%} of all mismatch by itself", fontsize="small", loc="left")
         axes.grid(alpha=0.3, lw=0.5)
     rows[-1].set_xlabel("time [s]")
     of = group.labels[0] if group.repeats == 1 else f"mean of {group.repeats} repeats from {group.labels[0]} on"

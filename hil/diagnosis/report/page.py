@@ -51,7 +51,8 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
     named = bool(outcome.diagnosis.findings)
     sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in SECTIONS}
     simulated = outcome.simulated
-    first = [misfit_E(judged, stages[first_effects(count)]) for count in range(1, len(simulated))]
+    partial = [stages[first_effects(count)] for count in range(1, len(simulated))]
+    first = [misfit_E(judged, rows) if all(np.isfinite(each).all() for each in rows) else None for rows in partial]
     sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis.fit, simulated, first)))
     title = "Held-out" if outcome.held_out is not None else "Training"
     drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
@@ -61,16 +62,16 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
             period_s = _period_s(finding)
             own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values, period_s)
             sections["effect"].append((str(finding.effect), None if own is None else effect_map_figure(own)))
-    residuals = {STAGE_NAMES[stage]: train.with_simulated(on_train[stage]) for stage in ("retuned", *(("extended",) if named else ()))}
-    if outcome.only_held_out is not None:
-        residuals = {"held-out, re-tuned to it alone": outcome.only_held_out}
+    residuals = {"held-out, re-tuned to it alone" if outcome.is_only_held_out else STAGE_NAMES["retuned"]: outcome.short}
+    if named and simulated:
+        residuals[STAGE_NAMES["extended"]] = train.with_simulated(on_train["extended"])
     for axis in range(len(train.axes)):
         for said, found in residuals.items():
             for number, figure in enumerate(heat_map_figures(found, axis, said)):
                 part = f", part {number + 1}" if number else ""
                 sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {said}{part}", figure))
-    missing = missing_effort_figure(train.with_simulated(on_train["retuned"]), outcome.tuning.values, outcome.diagnosis.disturbance)
-    sections["disturbance"].append(("Missing effort on the joints, re-tuned", missing if outcome.diagnosis.location.channels else None))
+    missing = missing_effort_figure(outcome.short, outcome.short_values, outcome.diagnosis.disturbance)
+    sections["disturbance"].append(("Missing effort on the joints, re-tuned", missing))
     sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
     return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
 
@@ -83,7 +84,7 @@ def _period_s(finding: Finding) -> float | None:
 def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
     """(M, P + F) columns of tuned numbers and effects' parameters, and their names."""
     columns, names = [outcome.tuning.jacobian], list(outcome.tuning.names)
-    best = outcome.best
+    best = outcome.chosen
     if best is not None:
         columns.append(best.jacobian)
         names += [f"{best.effects[e]}: {effects()[best.effects[e].effect].parameters[k].name}" for e, k in best.free]
@@ -98,7 +99,6 @@ def _document(outcome: Outcome) -> str:
         "effect": "<p>No effect is named.</p>",
         "heat": "<p>No axis moves in these recordings, or no encoder says where it is.</p>",
         "waterfall": "<p>Nothing stands above noise.</p>",
-        "disturbance": "",
         "matrix": "<p>Fewer than two numbers show in these recordings.</p>",
     }
     groups = outcome.train.groups
@@ -114,7 +114,7 @@ def _document(outcome: Outcome) -> str:
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
         "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in diagnosis.suspicions) + _findings(diagnosis, outcome.proposal),
         "hypotheses": _hypotheses(diagnosis),
-        "location": ("" if outcome.only_held_out is None else ONLY_HELD_OUT)
+        "location": (ONLY_HELD_OUT if outcome.is_only_held_out else "")
         + _location(diagnosis, {units.axis: units for units in machine.units}),
         "disturbance": _disturbance(diagnosis),
         "fit": _fit(diagnosis),
@@ -168,7 +168,7 @@ def _hypotheses(diagnosis: Diagnosis) -> str:
             f"{h.gained:.4g}",
             "-" if h.gained_held_out is None else f"{h.gained_held_out:.4g}",
             str(h.parameters),
-            ("yes" if h.is_confirmed else "no") if h.effects else "-",
+            ("yes" if h.is_confirmed else "no") if h.parameters else "-",
         )
         for h in diagnosis.hypotheses
     ]
@@ -204,8 +204,9 @@ def _disturbance(diagnosis: Diagnosis) -> str:
     """Which equation is short."""
     rows = [(f"effort on {name}", f"{share:.0%}") for name, share in _falling(diagnosis.disturbance.joints)]
     rows += [(f"sensor of {name}", f"{share:.0%}") for name, share in _falling(diagnosis.disturbance.sensors)]
-    said = "<p>Of the re-tuned mismatch: what an effort on one joint would reproduce by itself, and what of a channel no effort does.</p>"
-    return said + _table(("equation", "share"), rows) if rows else ""
+    said = "<p>Of the re-tuned mismatch above noise: what an effort on one joint would reproduce by itself (joints move together, so these"
+    said += " need not add up to 1), and what of a channel no efforts do. Readings of an IMU count where no encoder is recorded.</p>"
+    return said + _table(("equation", "share"), rows) if rows else "<p>Nothing is above noise for certain.</p>"
 
 
 def _falling(shares) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]

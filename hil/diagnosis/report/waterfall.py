@@ -10,16 +10,19 @@ from matplotlib.figure import Figure
 from hil.diagnosis.report.style import GREEN, ORANGE, SKY, VERMILION
 from hil.diagnosis.result import EffectAt, Fit, Stages
 
+RISES = 1e-3
+"""Of what was above noise, by which one more effect may leave more than before in its own bar."""
+
 
 def left_above_noise(stages: Stages, first: Sequence[float | None] = ()) -> list[float] | None:
     """What is left of the nominal mismatch above noise after re-tuning, with the first of the effects, the first two, ..., and all of
     them; None where nothing is above noise.
     """
     misfits = (stages.nominal, stages.retuned, *first, stages.extended)
-    known = [value for value in (*misfits, stages.noise_floor) if value is not None]
-    if len(known) <= len(misfits) or not np.isfinite(known).all():
+    known = [value for value in misfits if value is not None]
+    if stages.noise_floor is None or len(known) < len(misfits) or not np.isfinite(known).all():
         return None
-    nominal, *left = (max(value**2 - known[-1] ** 2, 0.0) for value in known[:-1])
+    nominal, *left = (max(value**2 - stages.noise_floor**2, 0.0) for value in known)
     return [value / nominal for value in left] if nominal > 0.0 else None
 
 
@@ -32,10 +35,13 @@ def waterfall_figure(fit: Fit, effects: Sequence[EffectAt] = (), first: Sequence
     effects : sequence of EffectAt
         Of the extended simulation.
     first : sequence of float or None
-        E with the first of several effects, with the first two, and so on: all but the last.
+        E with the first of several effects, with the first two, and so on: all but the last. Where one of them is unknown, or larger
+        than without the effect, all effects are one bar.
     """
     judged = fit.held_out or fit.train
-    left = left_above_noise(judged, first) or left_above_noise(judged)
+    left = left_above_noise(judged, first)
+    if left is None or np.any(np.diff(left) > RISES):  # one effect without the others that it was fitted beside
+        left = left_above_noise(judged)
     if left is None:
         return None
     levels = [1.0, *left]
