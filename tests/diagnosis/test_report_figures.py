@@ -80,10 +80,9 @@ def test_a_number_that_is_not_decided_is_said_with_the_value_that_the_file_gets(
 
 
 def test_a_number_that_these_recordings_do_not_move_is_named_too(friction):
-    blind = replace(
-        friction.tuning, indices=friction.tuning.indices[:0], scale=np.zeros(0), offset=np.zeros(0), covariance=np.zeros((0, 0))
-    )
-    shown, frozen = retuned_values(blind, None, np.zeros(0))
+    none = np.zeros(0)
+    blind = replace(friction.tuning, indices=none.astype(int), scale=none, offset=none, covariance=np.zeros((0, 0)))
+    shown, frozen = retuned_values(blind, None, none)
     assert shown == {} and frozen["carriage.mass"] == "these recordings do not show it; it stays at 95.109 kg"
 
 
