@@ -20,7 +20,7 @@ from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.held_out import HeldOut
 from hil.diagnosis.held_out_alone import OnlyHeldOut, only_held_out
-from hil.diagnosis.hypotheses import against_held_out, hypothesis_of, predicted, rivals_of
+from hil.diagnosis.hypotheses import against_held_out, hypothesis_of, predicted, read_off_findings, rivals_of
 from hil.diagnosis.location import locate, locate_outcome
 from hil.diagnosis.misfit import channel_stages, total_stages
 from hil.diagnosis.mismatch import Mismatch, mismatch
@@ -222,9 +222,7 @@ def diagnose(
             hypotheses = ()
         fit = _fit(train, sets.get(HELD_OUT), stages)
         findings = tuple(replace(one, evidence_against=(*one.evidence_against, *against_held_out(fit))) for one in findings)
-        read_off = tuple(what.finding(channel) for channel, what in train.read_off)
-        if train.noise.kind == "assumed":
-            read_off = tuple(replace(finding, confidence=min(finding.confidence, cap_of(runs))) for finding in read_off)
+        read_off = read_off_findings(train)
         findings += read_off
         proposal = None
         if verdict == "ambiguous" and look_further:

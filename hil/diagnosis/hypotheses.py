@@ -1,15 +1,17 @@
-"""What is said of every hypothesis: what it gains and takes, and what the next experiment is to separate."""
+"""What is said of hypotheses and of what is read off: what they gain and take, and what the next experiment is to separate."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hil.diagnosis.held_out import NOT_FOLLOWED
 from hil.diagnosis.judgement import Contender
-from hil.diagnosis.naming import Weighed, not_told_apart
+from hil.diagnosis.mismatch import Mismatch
+from hil.diagnosis.naming import CAP_ASSUMED, Weighed, not_told_apart
 from hil.diagnosis.next_experiment import Proposal
 from hil.diagnosis.refit import Fitted
-from hil.diagnosis.result import EffectAt, Fit, Hypothesis, PredictedSeparation
+from hil.diagnosis.result import READ_OFF, EffectAt, Finding, Fit, Hypothesis, PredictedSeparation
 
 MOST_RIVALS = 3
 """Hypotheses that one experiment is asked to separate."""
@@ -38,6 +40,13 @@ def hypothesis_of(weighed: Weighed, contenders: Sequence[Contender], read_off: S
         parameters=0 if fitted is None else fitted.freedom,
         is_confirmed=bool(read_off) if fitted is None else weighed.passed,
     )
+
+
+def read_off_findings(found: Mismatch) -> tuple[Finding, ...]:
+    """What training recordings show by themselves, no surer than anything is where their noise is assumed."""
+    most = CAP_ASSUMED if found.noise.kind == "assumed" else READ_OFF
+    findings = (what.finding(channel) for channel, what in found.read_off)
+    return tuple(replace(finding, confidence=min(finding.confidence, most)) for finding in findings)
 
 
 def rivals_of(hypotheses: tuple[Weighed, ...]) -> list[Weighed]:

@@ -10,8 +10,11 @@ import pytest
 from carriage import MACHINE, repeats
 
 from hil.diagnosis.diagnose import diagnose, removed_share
+from hil.diagnosis.dropout import Dropout
 from hil.diagnosis.gate import Gate
+from hil.diagnosis.hypotheses import hypothesis_of, read_off_findings
 from hil.diagnosis.judgement import Contender
+from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -317,3 +320,20 @@ def test_most_of_a_large_held_out_mismatch_left_is_no_explanation():
 def test_a_law_whose_numbers_change_with_the_motion_is_no_explanation():
     assert named(drift=0.01) == "explained"
     assert named(drift=1e-6) == "unknown_physics"
+
+
+@pytest.mark.parametrize(("count", "kind", "confidence"), [(3, "repeats", 0.99), (1, "assumed", 0.9)])
+def test_what_is_read_off_is_no_surer_than_anything_without_repeats(count, kind, confidence):
+    lost = Dropout(0.02, (0.01, 0.03), 1.0, "", 5.0)
+    found = replace(mismatch(MACHINE, repeats(count, 1.0)), lost={"position_carriage": lost})
+    (finding,) = read_off_findings(found)
+    assert (found.noise.kind, str(finding.effect)) == (kind, "sample_dropout at position_carriage")
+    assert finding.confidence == pytest.approx(confidence)
+
+
+def test_what_is_read_off_alone_is_confirmed_and_nothing_at_all_is_not():
+    nothing, lost = Weighed(None, 100.0, 50.0, confidence=0.9), EffectAt("sample_dropout", "position_carriage")
+    alone, none = (hypothesis_of(nothing, [], read_off, True) for read_off in ([lost], []))
+    assert (alone.effects, alone.is_confirmed, alone.parameters) == ((lost,), True, 0)
+    assert (none.effects, none.is_confirmed, none.gained_held_out) == ((), False, 0.0)
+    assert hypothesis_of(nothing, [], [], False).gained_held_out is None
