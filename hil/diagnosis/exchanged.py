@@ -18,10 +18,15 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened, scaled
+from virtual_bus.effects.places import part_at
 from virtual_bus.effects.registry import effects
+from virtual_bus.settings import PlantSettings
 
 MOST_EXCHANGED = 3
 """Sets that are fitted: each costs a fit and its polishing."""
+
+MOST_NEIGHBOURS = 2
+"""The same of every effect's neighbours."""
 
 LEAST_ALIKE = 0.5
 """Squared cosine below which another shape of the candidate will not make it the same either."""
@@ -74,6 +79,39 @@ def exchanged(
                 kept = tuple(own for other, own in zip(found.effects, found.values, strict=True) if other != effect)
                 each.append((along**2 / (size * energy), ((*rest, name), (*kept, start))))
     return [start for _, start in sorted(each, key=lambda one: -one[0])[:MOST_EXCHANGED]]
+
+
+def neighbours_instead(
+    found: Fitted, number: int, bank: Sequence[tuple[EffectAt, np.ndarray]], there: Collection[set[EffectAt]], settings: PlantSettings
+) -> list[Start]:
+    """Starts of the set with a neighbour of one of its effects at the same part in place of that: what is mistaken for a name is fitted
+    before the name stands, wherever a filter had it.
+
+    Parameters
+    ----------
+    found : Fitted
+    number : int
+        Of the effect.
+    bank : sequence of (EffectAt, (parameters,) array)
+        Where other effects may start, the most promising first.
+    there : collection of sets
+        That were fitted already.
+    settings : PlantSettings
+
+    Notes
+    -----
+    A friction that warms and a hysteresis (5420, spent): alone presliding bristles end at a bound and are no name, and beside the warming
+    they were never fitted.
+    """
+    own, starts = found.effects[number], []
+    kept = [k for k in range(len(found.effects)) if k != number]
+    rest, values = tuple(found.effects[k] for k in kept), tuple(found.values[k] for k in kept)
+    for effect, start in bank:
+        is_near = effect.effect in effects()[own.effect].neighbours or own.effect in effects()[effect.effect].neighbours
+        is_new = effect not in found.effects and {*rest, effect} not in there
+        if is_near and is_new and part_at(effect.at, settings) == part_at(own.at, settings):
+            starts.append(((*rest, effect), (*values, start)))
+    return starts[:MOST_NEIGHBOURS]
 
 
 def _strengths(found: Fitted, number: int) -> np.ndarray:

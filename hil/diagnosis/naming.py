@@ -18,6 +18,7 @@ set leaves above noise for certain, as a share of what there was to explain, is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -324,7 +325,29 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     unknown = -0.5 * left + for_the_unknown(best, entries, (train, held_out)) - price
     shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
-    return [float(s) for s in (1.0 - weights.exact) * shares + weights.exact * _normalised(_evidence(exact, nothing, tried))]
+    holds = exactness(best, base, entries, weights)
+    return [float(s) for s in (1.0 - holds) * shares + holds * _normalised(_evidence(exact, nothing, tried))]
+
+
+def exactness(best: Weighed, base: Weighed, entries: tuple[float, float], weights: Weights = WEIGHTS) -> float:
+    """Probability that the right name's equation errs by nothing that these recordings show, now that this set is known to be the best.
+
+    An equation that errs leaves something: of an energy whose mean is `form_error` of what is removed, and which is of one function of
+    unknown size (chi-squared of one degree of freedom), no more than what nobody tells from noise. Where the best set leaves that little in
+    training and held out, all is as `weights.exact` has it where little is removed, and the more is removed the surer no equation erred.
+    Both recordings are of one law: what is rarer in one of them counts, and not both.
+    """
+    rare = 1.0
+    for part, noise in enumerate(entries):
+        left, before = (best.train, best.held_out)[part] - noise, (base.train, base.held_out)[part]
+        removed = before - noise - best.by_numbers[part]
+        if noise <= 0.0 or removed <= 0.0:
+            continue
+        unseen = certain_excess(noise)
+        if left > unseen:
+            return weights.exact
+        rare = min(rare, math.erf(math.sqrt(0.5 * unseen / (weights.form_error * removed))))
+    return weights.exact / (weights.exact + (1.0 - weights.exact) * rare)
 
 
 def tempers_of(

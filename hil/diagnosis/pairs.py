@@ -134,5 +134,14 @@ def without_what_stood(chosen: Fitted | None, larger: Fitted) -> list[Start]:
     """
     if chosen is None or not set(chosen.effects) < set(larger.effects):
         return []
-    kept = [[k for k, effect in enumerate(larger.effects) if effect != left_out] for left_out in chosen.effects]
-    return [(tuple(larger.effects[k] for k in ks), tuple(larger.values[k] for k in ks)) for ks in kept]
+    return [_without(larger, left_out) for left_out in chosen.effects]
+
+
+def without_one(pair: Fitted) -> list[Start]:
+    """Every set that lacks one of these effects, from where the others are beside it: alone their fits may have ended elsewhere."""
+    return [_without(pair, left_out) for left_out in pair.effects] if len(pair.effects) > 1 else []
+
+
+def _without(larger: Fitted, left_out: EffectAt) -> Start:
+    kept = [k for k, effect in enumerate(larger.effects) if effect != left_out]
+    return tuple(larger.effects[k] for k in kept), tuple(larger.values[k] for k in kept)

@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.exchanged import exchanged
+from hil.diagnosis.exchanged import exchanged, neighbours_instead
 from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.from_nominal import with_numbers_from_nominal
@@ -20,8 +20,9 @@ from hil.diagnosis.judgement import Contender, Judgement, Stand, Tried
 from hil.diagnosis.naming import Removing, are_of_the_file, numbers_of, price_of_a_parameter, ranking, temperature, temperature_of
 from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.onset import onset
-from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_what_stood
+from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_one, without_what_stood
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
+from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.same_order import with_others_of_its_order
 from hil.diagnosis.screening import Screened, screen, shortlist
@@ -197,6 +198,24 @@ class _Search:
         nothing = self.judgement.nothing
         return chosen is not None and in_order([chosen, fit], nothing.cost, self.noise_energy, tried, nothing)[0] is fit
 
+    def neighbours(
+        self,
+        found: Fitted,
+        stand: Stand,
+        screened: Sequence[Screened],
+        alone: Sequence[tuple[EffectAt, np.ndarray]],
+        there: Sequence[set[EffectAt]],
+    ) -> list[Start]:
+        """Starts of a set with neighbours in place of each of its effects: as this step's filter has them beside the stand in place of what
+        was added to it, else as they came out alone.
+        """
+        starts: list[Start] = []
+        for number, effect in enumerate(found.effects):
+            is_beside = bool(stand.effects) and set(found.effects) - {effect} == set(stand.effects)
+            fitted = [*there, *(set(names) for names, _ in starts)]
+            starts += neighbours_instead(found, number, _bank((), screened) if is_beside else alone, fitted, self.runs.machine.plant)
+        return starts
+
     def step(self, way: Way) -> Way:
         """One effect more, or a pair at the first step or in place of what was found."""
         runs, tuning, judgement, noise_energy = self.runs, self.tuning, self.judgement, self.noise_energy
@@ -227,14 +246,16 @@ class _Search:
         rarer = rarer_by_chance(fits, worth_finishing, [judgement.by_chance(stand, fit, tried) for fit in fits])
         fits = [*(fit for fit in fits if fit not in rarer), *polish(runs, tuning, measured, rarer)]
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
-        best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
+        best, leaner = min(fits, key=lambda fit: fit.cost), []  # those that were finished are no longer in order
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
-            without = without_what_stood(stand.fitted, min(fits, key=lambda fit: fit.cost))
+            best = min(fits, key=lambda fit: fit.cost)
+            without = without_what_stood(stand.fitted, best)
             alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, without) if fit is not None])
-            fits = closest_of_each(fits, [fit for fit in alone if self.is_likelier(fit, chosen, tried)])
+            leaner = [fit for fit in alone if leaves_as_little(fit, best, tried, len(residual))]
+            fits = closest_of_each(fits, [fit for fit in alone if fit in leaner or self.is_likelier(fit, chosen, tried)])
         first, singles = way.screened, way.singles
         if size == 0:
             fits = [*(way.singles if way.is_wider else ()), *fits]
@@ -242,9 +263,13 @@ class _Search:
             ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
             twos = sorted((fit for fit in refit(runs, tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
-            fits = [*fits, *polish(runs, tuning, measured, twos[:1]), *twos[1:]]
-        exact = [fit for fit in fits if _needs_all(fit, stand, singles, None, tried, len(residual))]
-        fits = [fit for fit in exact if _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
+            closest_pair = polish(runs, tuning, measured, twos[:1])
+            parts = [start for pair in closest_pair for start in without_one(pair)]
+            alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, parts) if fit is not None])
+            fits = closest_of_each([*fits, *closest_pair, *twos[1:]], alone)
+            singles = tuple(fit for fit in fits if len(fit.effects) == 1)
+        exact = [fit for fit in fits if fit in leaner or _needs_all(fit, stand, singles, None, tried, len(residual))]
+        fits = [fit for fit in exact if fit in leaner or _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
@@ -276,7 +301,7 @@ class _Search:
             needed = [one for one in needed if not one.passed or all(is_there_beside(one, part) for part in closer_parts(one, way))]
             return [one for one in needed if not one.passed or is_no_chance_beside_its_parts(one)]
 
-        needed = without_surplus(judged, way.smaller)
+        needed = without_surplus(judged, (*way.smaller, *leaner))
         smaller = (*way.smaller, *fits)
         passed = [one for one in needed if one.passed]
         if size == 0 and not passed and behind and not way.is_wider and any(one.gate.training_shows_something for one in judged):
@@ -300,6 +325,7 @@ class _Search:
             several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(tuning, several, singles, first, there)
+            starts += self.neighbours(several, stand, screened, _bank(singles, first), [*there, *(set(names) for names, _ in starts)])
             refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
             more = judgement.contenders(stand, refitted, tried, placebos, limits, len(fits))
             more = without_surplus(more, (*smaller, *refitted))
@@ -307,6 +333,14 @@ class _Search:
             end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *refitted))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
         return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
+
+
+def _bank(fits: Sequence[Fitted], screened: Sequence[Screened]) -> list[tuple[EffectAt, np.ndarray]]:
+    """Effects with parameters that fits of them came to or, of the others, a filter wants; the best first."""
+    bank = [(fit.effects[0], fit.values[0]) for fit in sorted(fits, key=lambda fit: fit.cost) if len(fit.effects) == 1]
+    known = {effect for effect, _ in bank}
+    found = [one for one in screened if one.score > 0.0 and one.effect not in known]
+    return bank + [(one.effect, one.values) for one in sorted(found, key=lambda one: -one.score)]
 
 
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
@@ -389,10 +423,22 @@ def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float
     for single in singles:
         if single.effects[0] in fit.effects:
             added = [effect for effect in fit.effects if effect not in single.effects]
-            temper = 1.0 if base is None else temperature(base - single.cost, fit.cost - entries)
+            temper = 1.0 if base is None else temperature_of([Removing(single.cost, _by_numbers(single, base))], base, single.cost)
+            temper += 0.0 if base is None else temperature(0.0, fit.cost - entries) - 1.0
             if single.cost - fit.cost < temper * needed_gain(tried.sets(added), fit.freedom - single.freedom, fit.cost, entries):
                 return False
     return True
+
+
+def _by_numbers(single: Fitted, base: float) -> float:
+    """Energy that an effect removes alone, if of it numbers alone are unknown."""
+    return base - single.cost if numbers_of(single) else 0.0
+
+
+def leaves_as_little(part: Fitted, larger: Fitted, tried: Tried, entries: int) -> bool:
+    """Whether a set leaves no more than chance beyond one that it is a part of: what that one has more is surplus beside the others."""
+    more = [effect for effect in larger.effects if effect not in part.effects]
+    return part.cost - larger.cost < needed_gain(tried.sets(more), max(larger.freedom - part.freedom, 1), larger.cost, entries)
 
 
 def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: Tried, entries: int) -> bool:
@@ -400,10 +446,8 @@ def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: 
     effect that stood for others is surplus beside them.
     """
     for part in smaller:
-        if set(part.effects) < set(fit.effects) and set(part.effects) != set(stand.effects):
-            added = [effect for effect in fit.effects if effect not in part.effects]
-            if part.cost - fit.cost < needed_gain(tried.sets(added), max(fit.freedom - part.freedom, 1), fit.cost, entries):
-                return False
+        if set(part.effects) < set(fit.effects) and set(part.effects) != set(stand.effects) and leaves_as_little(part, fit, tried, entries):
+            return False
     return True
 
 

@@ -14,7 +14,7 @@ from hil.diagnosis.motion import Motion
 from hil.diagnosis.start_frequencies import LIGHTEST, LOWEST_MODE_Hz, highest_mode_Hz, lines, modes
 from hil.diagnosis.start_waves import ONE_HARMONIC, WAVES, encoder_orders, position_friction, searched_orders, wave_orders
 from hil.diagnosis.typical import Start, Typical
-from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.effect import COUPLING, SIGN, Effect, Parameter
 from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual
 
@@ -45,7 +45,7 @@ def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     first = _first(effect, guessed, typical)
     others = _OTHERS.get(name, _nothing)(first, residual, typical)
     found: list[np.ndarray] = []
-    for start in (*others, first):
+    for start in others if effect.kind is SIGN else (*others, first):  # a sign is whole: none has a typical size
         values = np.array([np.clip(start[p.name], p.low, p.high) for p in effect.parameters])
         if np.isfinite(values).all() and not is_neutral(effect, values) and not any(np.array_equal(values, other) for other in found):
             found.append(values)

@@ -84,12 +84,13 @@ def another_first(
         return None
     own = stand.fitted.predicted - nothing.tuning.predicted
     known = not_told_apart_in_training(contenders, contenders, nothing.cost, noise_energy)
+    others = []
     for one in contenders:
         response = one.fitted.predicted - nothing.tuning.predicted
         is_another = not set(one.fitted.effects) <= set(found) and squared_cosine(own, response) < UNLIKE
         if one.fitted in known and is_another:
-            return one
-    return None
+            others.append(one)
+    return max(others, key=lambda one: one.gained, default=None)
 
 
 def closer_parts(one: Contender, way: Way) -> list[Contender]:

@@ -138,19 +138,23 @@ def with_unsure(hypotheses: Sequence[Weighed], unsure: Sequence[Weighed], whole:
 def closer_than(
     stand: Stand, contenders: Sequence[Contender], entries: int, likeliest_of: Callable[[Sequence[Contender]], Fitted | None]
 ) -> Contender | None:
-    """The likeliest set where it passed the gate, is not the one that a search ended with and leaves less than that by more than chance.
+    """The likeliest set where it passed the gate, is not the one that a search ended with and leaves less than that by more than chance,
+    in training or in both motions together.
 
     Where both leave as much, what is missing is the same beside both.
     """
-    others = [one for one in contenders if set(one.fitted.effects) != set(stand.effects)]
-    if stand.fitted is None or all(one.fitted.cost >= stand.cost for one in others):
+    own = next((one for one in contenders if one.fitted is stand.fitted), None)
+    if own is None:
         return None
-    likeliest = likeliest_of(contenders)
-    one = next((one for one in others if one.fitted is likeliest), None)
-    if one is None or not one.passed:
-        return None
-    more = max(one.fitted.freedom - stand.fitted.freedom, 1)
-    return one if stand.cost - one.fitted.cost > needed_gain(1.0, more, one.fitted.cost, entries) else None
+
+    def leaves_less(one: Contender) -> bool:
+        needed = needed_gain(1.0, max(one.fitted.freedom - own.fitted.freedom, 1), one.fitted.cost, entries)
+        in_training = own.fitted.cost - one.fitted.cost
+        return max(in_training, in_training + own.left_held_out - one.left_held_out) > needed
+
+    others = [one for one in contenders if set(one.fitted.effects) != set(stand.effects) and one.passed and leaves_less(one)]
+    likeliest = likeliest_of(contenders) if others else None
+    return next((one for one in others if one.fitted is likeliest), None)
 
 
 def without_form(judged: Sequence[Contender]) -> list[Contender]:

@@ -16,6 +16,7 @@ from hil.diagnosis.gate import (
     LEVEL,
     PRIOR_FREEDOM,
     PRIOR_VARIANCE,
+    SHORT,
     SIMULATOR_ERROR,
     Gate,
     Scatter,
@@ -196,8 +197,8 @@ def test_of_a_gain_what_chance_gains_more_where_repeats_scatter_is_not_certain()
         (0.0, 0.0, True),  # nothing of it would show
         (1.0, -0.5, True),  # too short to be confirmed by anything
         (3.0, 1.5, True),  # no more behind than noise is
-        (3.0, 0.9, False),
-        (4.5, 2.4, False),
+        (3.0, 0.4, False),
+        (4.5, 1.9, False),
         (6.0, 4.1, True),  # followed by itself
         (6.0, 3.1, False),  # a recording that would show it shows half of it
     ],
@@ -244,7 +245,7 @@ def test_what_training_shows_beyond_any_chance_is_something_though_no_held_out_r
     assert one.training_shows_something is shows
 
 
-@pytest.mark.parametrize("predicted", [4.6, 6.0, 10.0])
+@pytest.mark.parametrize("predicted", [SHORT, 6.5, 10.0])
 def test_where_enough_is_predicted_what_agrees_is_followed_as_well(predicted):
     seen = predicted - AS_PREDICTED
     assert chance_held_out(2.0 * predicted * seen - predicted**2, 1.0) < HELD_OUT_LEVEL

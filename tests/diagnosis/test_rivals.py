@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,17 +11,23 @@ import pytest
 
 from hil.diagnosis import judgement, selection, ways
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.exchanged import MOST_NEIGHBOURS, neighbours_instead
 from hil.diagnosis.form_error import NO_ERROR, FormError
+from hil.diagnosis.pairs import Pair
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.screening import Screened
+from hil.machine import load_machine
 
 ENTRIES = 4000
 FRICTION, MODE, LOAD, DAMPER, NOT_THERE = (
     EffectAt(name, "carriage")
     for name in ("coulomb_friction", "structural_mode", "constant_load", "viscous_friction", "quadratic_friction")
 )
+FAR = 2.0
+"""Where an effect is that a fit does not come to alone."""
+
 SWINGS, LOST = np.array([1.0, 16.0, 0.01]), np.array([1.0, 16.0, 1.0])
 """J, f and zeta of a mode, and of one that no longer swings."""
 
@@ -51,11 +58,15 @@ def selected(
     candidates_of=candidates_beside,
     what_acts=lambda runs, tuning, measured, fits, stand, may_stand: fits,
     polished=lambda runs, tuning, measured, fits, *_: list(fits),
+    neighbours=lambda *_: [],
+    stuck: EffectAt | None = None,
+    paired: Sequence[Pair] = (),
 ) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
     `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there, `pulls` how strong the
-    load is, `backwards` what the best response run backwards in time gains beside an effect, `damps` how strong a damper is.
+    load is, `backwards` what the best response run backwards in time gains beside an effect, `damps` how strong a damper is. Alone `stuck`
+    finds nothing but from where it is beside others; `paired` are the pairs that a filter finds.
     """
     noise = np.random.default_rng(3).standard_normal(ENTRIES)
     noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE, DAMPS, NOWHERE))
@@ -63,7 +74,8 @@ def selected(
     tuning = Tuning((), np.zeros(0, dtype=int), np.ones(0), np.zeros(0), np.zeros(0), np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.eye(0))
     sets = {"train": SimpleNamespace(channels=("a",), groups=[SimpleNamespace(time_s=np.zeros(ENTRIES))])}
     layout = SimpleNamespace(size=lambda rows: rows, rate_Hz=10.0)
-    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [[noise]], sets=sets, noise=layout, count=0)
+    machine = SimpleNamespace(plant=None)
+    runs = SimpleNamespace(measured=lambda: measured, repeats=lambda name: [[noise]], sets=sets, noise=layout, count=0, machine=machine)
 
     def fitted(effects: tuple[EffectAt, ...]) -> Fitted:
         basis = np.stack([ALONG[effect] for effect in effects], axis=1)
@@ -76,6 +88,13 @@ def selected(
         own = tuple(values[effect] for effect in effects)
         return Fitted(effects, own, np.zeros(0), predicted, cost, free, basis, np.full(len(effects), 100.0))
 
+    def refitted(effects: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...]) -> Fitted:
+        found = fitted(effects)
+        is_stuck = effects == (stuck,) and starts[0][0] != FAR
+        found = replace(found, predicted=np.zeros(ENTRIES), cost=float(measured @ measured)) if is_stuck else found
+        each = zip(effects, found.values, strict=True)
+        return replace(found, values=tuple(np.full(1, FAR) if effect == stuck else own for effect, own in each))
+
     def screened(runs, tuning, found, residual, present) -> list[Screened]:
         def one(effect: EffectAt) -> Screened:
             along = float(ALONG[effect] @ residual)
@@ -84,11 +103,12 @@ def selected(
         return sorted((one(candidate.effect) for candidate in found), key=lambda s: -s.score)
 
     monkeypatch.setattr(selection, "screen", screened)
-    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [fitted(effects) for effects, _ in starts])
+    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [refitted(*start) for start in starts])
     monkeypatch.setattr(selection, "polish", polished)
     monkeypatch.setattr(selection, "with_what_acts", what_acts)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
-    monkeypatch.setattr(selection, "pairs", lambda *_: [])
+    monkeypatch.setattr(selection, "pairs", lambda *_: paired)
+    monkeypatch.setattr(selection, "neighbours_instead", neighbours)
     monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
     monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
@@ -224,6 +244,63 @@ def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(m
     found = selected(monkeypatch, SWINGS, candidates_of=beside_something)
     assert asked == [(FRICTION,), (FRICTION, LOAD)]
     assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]
+
+
+def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch):
+    """The damper stood for the load before that was a candidate beside it; without the damper the load leaves as little."""
+    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setitem(ALONG, DAMPER, np.sqrt(0.5) * (PULLS + DAMPS))
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        there = () if chosen is None else chosen.effects
+        return [Candidate(effect, ()) for effect in (FRICTION, *([LOAD] if DAMPER in there else [DAMPER]))]
+
+    found = selected(monkeypatch, SWINGS, pulls=14.0, candidates_of=candidates_of)
+    assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
+    assert {FRICTION, DAMPER, LOAD} not in [set(one.fitted.effects) for one in found.contenders]
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_what_a_fit_comes_to_beside_another_effect_alone_is_found_where_both_were_a_pair(monkeypatch, paired):
+    """Alone the friction's fit gets stuck, and the load is found first; the damper beside the friction does nothing."""
+    monkeypatch.setattr(selection, "PAIR_MARGIN", np.inf)
+    monkeypatch.setattr(selection, "closer_than", lambda *_: None)
+    monkeypatch.setattr(selection, "with_numbers_of_the_file", lambda runs, tuning, measured, fits, *_: fits)
+    both = Pair(((FRICTION, DAMPER), (np.ones(1), np.ones(1))), 900.0, 100.0, 2)
+    alone = [Candidate(effect, ()) for effect in (FRICTION, DAMPER, LOAD)]
+    asked = {"candidates_of": lambda chosen: alone, "stuck": FRICTION, "paired": [both] if paired else []}
+    found = selected(monkeypatch, SWINGS, **asked)
+    assert found.chosen is not None
+    assert found.chosen.effects == ((FRICTION, LOAD) if paired else (LOAD, FRICTION))
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_what_is_mistaken_for_a_name_competes_with_it(monkeypatch, beside):
+    """A mode in place of the friction beside the load is what no search came to."""
+    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+
+    def neighbours(found, number, bank, there, settings):
+        rest = tuple(effect for effect in found.effects if effect != FRICTION)
+        is_asked = beside and found.effects[number] == FRICTION and len(rest) == 1
+        return [((MODE, *rest), (np.ones(1), np.ones(1)))] if is_asked else []
+
+    found = selected(monkeypatch, SWINGS, neighbours=neighbours)
+    assert ({MODE, LOAD} in [set(one.fitted.effects) for one in found.contenders]) is beside
+
+
+def test_neighbours_are_effects_that_the_catalogue_says_are_mistaken_for_one_at_the_same_part():
+    plant = load_machine("carm").plant
+    load, gap = EffectAt("constant_load", "propeller"), EffectAt("backlash", "roll")
+    found = SimpleNamespace(effects=(load, gap), values=(np.ones(1), np.ones(2)))
+    near = [EffectAt(name, "roll") for name in ("nonlinear_stiffness", "presliding_hysteresis", "delay", "joint_compliance")]
+    far = [EffectAt("presliding_hysteresis", "propeller"), EffectAt("cogging", "roll"), gap]
+    bank = [(effect, np.full(3, float(k))) for k, effect in enumerate([*far, *near])]
+    starts = neighbours_instead(found, 1, bank, [{load, near[0]}], plant)
+    assert [names for names, _ in starts] == [(load, effect) for effect in near[1 : 1 + MOST_NEIGHBOURS]]
+    assert all(values[0] is found.values[0] and values[1] is bank[bank_of][1] for bank_of, (_, values) in enumerate(starts, 4))
+    (alone,) = {names for names, _ in neighbours_instead(SimpleNamespace(effects=(gap,), values=(np.ones(2),)), 0, bank[3:4], [], plant)}
+    assert alone == (near[0],)
 
 
 def test_rarer_than_all_that_were_finished_are_the_rarest_three():

@@ -25,7 +25,8 @@ def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool
     nothing = np.zeros((ENTRIES, 0))
     cost = NOTHING.cost - gained
     fitted = Fitted(effects, (np.ones(1),) * len(effects), np.zeros(0), response, cost, (), nothing, np.zeros(0))
-    return SimpleNamespace(fitted=fitted, gained=gained, gained_held_out=held_out, passed=passed, by_numbers=(0.0, 0.0), searched=0.0)
+    gains = {"gained": gained, "gained_held_out": held_out, "left_held_out": NOTHING.cost - held_out}
+    return SimpleNamespace(fitted=fitted, passed=passed, by_numbers=(0.0, 0.0), searched=0.0, **gains)
 
 
 def another(*rivals, found=(RUBBING, DELAY), first=(RUBBING,)):
@@ -41,6 +42,13 @@ def test_another_first_effect_is_one_that_the_equations_errors_may_hold():
     assert another(contender(17_000.0, COGGING, response=ALONG[1])) is not None  # one of more parameters comes closer and comes second
     assert another(contender(14_000.0, COGGING, response=ALONG[1])) is None
     assert another(contender(15_200.0, COGGING, response=ALONG[1], passed=False)) is None
+
+
+def test_another_first_effect_is_the_one_of_them_that_gains_most():
+    """A friction over position and a cogging were both within what an equation errs by, and the cogging, one place behind, gained more."""
+    rivals = [contender(gained, effect, response=ALONG[1]) for gained, effect in ((15_200.0, DELAY), (15_400.0, COGGING))]
+    assert another(*rivals) is rivals[1]
+    assert another(*rivals[::-1]) is rivals[1]
 
 
 def test_another_first_effect_does_something_else():
@@ -119,6 +127,14 @@ def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_than_the_one_a
     stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects, cost=end.fitted.cost)
     best = rival if likeliest else end
     assert closer_than(stand, (end, rival), ENTRIES, lambda some: best.fitted) is (rival if goes_on else None)
+
+
+@pytest.mark.parametrize(("held_out", "goes_on"), [(15_100.0, False), (15_200.0, True)])
+def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_in_both_motions_together(held_out, goes_on):
+    """Beside 100 that it leaves more in training, it leaves 100 or 200 less held out."""
+    end, rival = contender(19_600.0, RUBBING, held_out=15_000.0), contender(19_500.0, COGGING, held_out=held_out)
+    stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects, cost=end.fitted.cost)
+    assert closer_than(stand, (end, rival), ENTRIES, lambda some: rival.fitted) is (rival if goes_on else None)
 
 
 def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
