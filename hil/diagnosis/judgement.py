@@ -20,7 +20,7 @@ from hil.diagnosis.naming import NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
+from hil.diagnosis.retune import Tuning, linearised
 from hil.diagnosis.structure_left import StructureLeft
 from virtual_bus.effects.registry import effects
 
@@ -243,7 +243,7 @@ class Judgement:
         self.scatter = Scatter(runs)
         self._equations = equations
         self._structure = {} if equations is None else {name: StructureLeft(runs, name) for name in runs.sets}
-        self._measured = runs.measured()
+        self._runs, self._measured = runs, runs.measured()
         self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
         self._projection = Projection.of(tuning)
         self._begins = cache(begins)
@@ -264,6 +264,8 @@ class Judgement:
         tuning = self._tuning
         if fitted is not None:
             tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
+            if len(tuning.offset):  # beside a wrong sign, a gap or a stop the numbers do something else than without
+                tuning = linearised(self._runs, tuning, fitted.settings)
         residual = self._measured - tuning.predicted
         response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]
         held_out = None

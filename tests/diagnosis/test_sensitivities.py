@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from carriage import MACHINE
 
-from hil.diagnosis.free_run import TRAIN, FreeRuns
+from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.judgement import Judgement, Tried
 from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.refit import refit
 from hil.diagnosis.result import EffectAt
@@ -63,3 +65,20 @@ def test_fits_of_a_machine_of_many_numbers_come_as_low_as_those_of_one_of_few(wi
             costs.append([fit.cost for fit in refit(runs, tuning, runs.measured(), starts)])
     assert costs[1] == pytest.approx(costs[0], abs=3.0)
     assert costs[1] != costs[0]
+
+
+def test_beside_a_channel_of_the_wrong_sign_the_file_s_numbers_move_it_the_other_way(with_friction):
+    """What is looked for beside it is what they do not imitate there (5240, spent: with the sensitivities from before, a drag of ten
+    deviations was none).
+    """
+    turned = EffectAt("rectified_sensor", "position_carriage")
+    with FreeRuns({TRAIN: (found := mismatch(MACHINE, with_friction[0]))}, found.noise) as runs:
+        tuning = retune(runs)
+        judgement = Judgement(runs, tuning, None, float(len(tuning.predicted)))
+        (fit,) = refit(runs, tuning, runs.measured(), [((turned,), (np.array([0.0, -1.0]),))])
+        stand = judgement.after(judgement.contenders(judgement.nothing, [fit], Tried([Candidate(turned, ())]), (0.0, 0.0), {})[0])
+        for column, (here, before) in enumerate(zip(stand.tuning.jacobian.T, tuning.jacobian.T, strict=True)):
+            step = np.where(np.arange(len(tuning.offset)) == column, 1e-4, 0.0)
+            moved, back = (runs.run_one(Trial(tuning.at(fit.offset + s * step), fit.settings)) for s in (1.0, -1.0))
+            assert here == pytest.approx((moved - back) / 2e-4, abs=0.02 * np.abs(here).max())
+            assert np.linalg.norm(here - before) > 0.5 * np.linalg.norm(here)
