@@ -16,7 +16,7 @@ from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
 from hil.diagnosis.information import Narrowed
-from hil.diagnosis.naming import NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
+from hil.diagnosis.naming import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -27,11 +27,6 @@ from virtual_bus.effects.registry import effects
 Equations = Callable[[str, Tuning, Fitted], FormError]
 """Errors of fitted effects in the recordings of a set, beside this tuning."""
 
-
-BEYOND_FUNCTIONS = 3e-6
-"""Share of the energy removed by an effect by which its equation errs in ways that none of its error functions spans: 0.17 % of its
-response. Beside a drive's lag of 3390 deviations a clock's offset gained 41.8, beside a clipped current of 16 360 one gained 731, with
-nothing else there (5527, 5197, spent)."""
 
 SEARCHED_TERM = {"encoder_eccentricity": "b"}
 """Strength of the term of a law whose order was searched, of laws that have a term of a known order too."""
@@ -184,7 +179,7 @@ class Stand:
         numbers = sum(energy for effect, energy in beyond if effect in known)
         unknown = sum(energy for effect, energy in beyond if effect not in known)
         within = sum(energy for effect, energy in each if effect in errors.effects and effect not in known)
-        return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers + BEYOND_FUNCTIONS * within
+        return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers + LEAST_ERROR * within
 
 
 def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, float]]:

@@ -405,3 +405,11 @@ def test_names_whose_difference_exact_equations_show_are_told_apart_where_much_i
     """A delay left 550 000 of 58 million that a drive's lag beside a friction left nothing of, and was the likelier (5675, spent)."""
     near = confidences(58e6, 0.0, 5e5, freedom=[6, 1])
     assert near[0] > 0.8 * CERTAIN
+
+
+@pytest.mark.parametrize(("more", "stands_alone"), [(477.0, False), (1e5, True)])
+def test_of_much_that_was_removed_a_little_tells_no_exact_equations_apart(more, stands_alone):
+    """A thousandth of the response left where a friction removes 775 million, and a hundredth (5758, spent)."""
+    asymmetric, viscous = confidences(775e6, 0.0, more, freedom=[2, 1])
+    assert (asymmetric > ALONE) is stands_alone
+    assert (viscous > asymmetric) is not stands_alone
