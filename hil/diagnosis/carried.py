@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.ndimage
@@ -56,13 +56,23 @@ class CarriedImu:
 
     def without(self, rows: np.ndarray) -> np.ndarray:
         """Rows (..., N, C) with the IMU channels less what the encoder channels say of them. Linear."""
-        rows = np.ascontiguousarray(rows, dtype=float)
-        left = rows.copy()
-        window = _window(self.rate_Hz)
-        weights = ONLY_VALUES if rows.shape[-2] < window else _weights_of_all(window, self.rate_Hz)
-        for one, its_left in zip(rows.reshape(-1, *rows.shape[-2:]), left.reshape(-1, *rows.shape[-2:]), strict=True):
-            take_carried(self.gradients, weights, self.imu, self.encoders, one, its_left)
+        left = np.array(rows, dtype=float, order="C")
+        for one in left.reshape(-1, *left.shape[-2:]):
+            one[:] = self.without_by_channel(one).T
         return left
+
+    def without_by_channel(self, rows: np.ndarray) -> np.ndarray:
+        """(C, N) of rows (N, C)."""
+        values = np.array(rows.T, dtype=float, order="C")
+        window = _window(self.rate_Hz)
+        weights = ONLY_VALUES if len(rows) < window else _weights_of_all(window, self.rate_Hz)
+        take_carried(self._gradients_by_channel, weights, self.imu, self.encoders, values)
+        return values
+
+    @cached_property
+    def _gradients_by_channel(self) -> np.ndarray:
+        """(3, A, I, N): rows side by side, as the kernel goes through them."""
+        return np.ascontiguousarray(self.gradients.transpose(0, 3, 2, 1))
 
     def without_taken_back(self, rows: np.ndarray) -> np.ndarray:
         """(N, C), the adjoint of `without`."""

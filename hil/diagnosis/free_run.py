@@ -120,10 +120,11 @@ class _Runner:
 
     def join(self, name: str, rows: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) rows of all groups in units of the noise of the repeats' mean."""
-        pairs = zip(self._sets[name].groups, rows, strict=True)
-        return np.concatenate(
-            [np.sqrt(group.repeats) * self._noise.of_mean(group.repeats).whiten(values, group.imu) for group, values in pairs]
-        )
+        parts = []
+        for group, values in zip(self._sets[name].groups, rows, strict=True):
+            parts.append(self._noise.of_mean(group.repeats).whiten(values, group.imu))
+            parts[-1] *= np.sqrt(group.repeats)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _largest(values: np.ndarray) -> float:

@@ -116,9 +116,8 @@ class NoiseModel:
 
     def _lines(self, values: np.ndarray, imu: CarriedImu | None, length: int) -> np.ndarray:
         """(K, C) of `spectrum`."""
-        if imu is not None and self.kind != "assumed":
-            values = imu.without(values)
-        lines = lines_by_channel(self.filters, values, self.rate_Hz, self.end_s, length)
+        by_channel = values.T if imu is None or self.kind == "assumed" else imu.without_by_channel(values)
+        lines = lines_by_channel(self.filters, by_channel, self.rate_Hz, self.end_s, length)
         mixed = np.empty(lines.shape[::-1], dtype=complex)
         mix_channels(_roots_of(self, length), np.ascontiguousarray(lines.T), mixed)
         return mixed
@@ -132,8 +131,9 @@ class NoiseModel:
         length = self._length_of(count)
         lines = self._lines(values, imu, length)
         fade, end = fading(count, self.end_s * self.rate_Hz)
-        rows = np.asarray(scipy.fft.irfft(lines, length, axis=0))[end : count - end]
-        return rows.ravel() * (np.sqrt(count) / fade.max())
+        whitened = np.asarray(scipy.fft.irfft(lines, length, axis=0))[end : count - end].ravel()
+        whitened *= np.sqrt(count) / fade.max()
+        return whitened
 
     def taken_back(self, whitened: np.ndarray, rows: int, imu: CarriedImu | None = None) -> np.ndarray:
         """(rows, C), the adjoint of `whiten`: its product with values is that of their whitened numbers with `whitened` (M,)."""

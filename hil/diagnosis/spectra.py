@@ -48,13 +48,13 @@ GRID_LINES = 400
 def filter_channels(filters: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Prediction errors (N - order, C) of every channel."""
     count = len(values) - (filters.shape[1] - 1)
-    return np.ascontiguousarray(_filtered(filters, values, np.ones(count), count).T)
+    return np.ascontiguousarray(_filtered(filters, values.T, np.ones(count), count).T)
 
 
 def _filtered(filters: np.ndarray, values: np.ndarray, weights: np.ndarray, length: int) -> np.ndarray:
-    """(C, length) prediction errors (C, N - order) times weights (N - order,), zeros behind."""
+    """(C, length) prediction errors (C, N - order) of values (C, N) times weights (N - order,), zeros behind."""
     filtered = np.zeros((len(filters), max(length, len(weights))))
-    filter_and_weigh(filters, np.ascontiguousarray(values.T, dtype=float), weights, filtered)
+    filter_and_weigh(filters, np.ascontiguousarray(values, dtype=float), weights, filtered)
     return filtered[:, :length]
 
 
@@ -85,14 +85,14 @@ def fading(count: int, longest: float) -> tuple[np.ndarray, int]:
 def lines_of(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float = END_s) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (K,) and lines (K, C) of the filtered channels of a record (N, C) that fades; white noise keeps its variance."""
     length = len(values) - (filters.shape[1] - 1)
-    return np.fft.rfftfreq(length, 1.0 / rate_Hz), lines_by_channel(filters, values, rate_Hz, end_s, length).T
+    return np.fft.rfftfreq(length, 1.0 / rate_Hz), lines_by_channel(filters, values.T, rate_Hz, end_s, length).T
 
 
 def lines_by_channel(filters: np.ndarray, values: np.ndarray, rate_Hz: float, end_s: float, length: int) -> np.ndarray:
-    """(C, K) lines of `lines_of`, of a transform of this length: where that is longer than the record zeros follow, and lines are as much
-    closer, not independent of each other.
+    """(C, K) lines of `lines_of` from (C, N), of a transform of this length: where that is longer than the record zeros follow, and lines
+    are as much closer, not independent of each other.
     """
-    count = len(values) - (filters.shape[1] - 1)
+    count = values.shape[1] - (filters.shape[1] - 1)
     faded = fading(count, end_s * rate_Hz)[0] / np.sqrt(count)
     return np.asarray(scipy.fft.rfft(_filtered(filters, values, faded, length)))
 

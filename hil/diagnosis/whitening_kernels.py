@@ -57,26 +57,26 @@ def mix_channels(roots, lines, mixed):
 
 
 @compiled
-def take_carried(gradients, weights, imu, encoders, rows, left):
-    """Rows less what local polynomials of some of their channels say of others, see carried.py.
+def take_carried(gradients, weights, imu, encoders, values):
+    """Values less what local polynomials of some of their channels say of others, see carried.py.
 
     Parameters
     ----------
-    gradients : (orders, N, I, A)
+    gradients : (orders, A, I, N)
     weights : (orders, window, window)
         Of the values in a window, for the derivative of their polynomial at each of its rows.
     imu : (I,)
-        Columns that change.
+        Channels that change.
     encoders : (A,)
-        Columns they change by.
-    rows, left : (N, C)
-        `left` holds the rows already.
+        Others, which they change by.
+    values : (C, N)
+        Changed in place.
     """
-    orders, count, window = len(weights), len(rows), weights.shape[1]
+    orders, count, window = len(weights), values.shape[1], weights.shape[1]
     half = window // 2
     inner = count - window + 1
     for axis in range(len(encoders)):
-        column = rows[:, encoders[axis]].copy()
+        column = values[encoders[axis]]
         for order in range(orders):
             slopes = np.zeros(count)
             for row in range(half):
@@ -85,6 +85,6 @@ def take_carried(gradients, weights, imu, encoders, rows, left):
             for k in range(window):
                 add_scaled(weights[order, half, k], column[k : k + inner], slopes[half : half + inner])
             for channel in range(len(imu)):
-                to = imu[channel]
+                left, gradient = values[imu[channel]], gradients[order, axis, channel]
                 for row in range(count):
-                    left[row, to] -= gradients[order, row, channel, axis] * slopes[row]
+                    left[row] -= gradient[row] * slopes[row]
