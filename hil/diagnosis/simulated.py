@@ -62,4 +62,7 @@ def _columns(machine: Machine) -> dict[str, tuple[str, int]]:
 def simulated_matrix(machine: Machine, outputs: Outputs, channels: Sequence[str]) -> np.ndarray:
     """(N, C) simulated channels in this order."""
     columns = _columns(machine)
-    return np.column_stack([getattr(outputs, kind)[:, column] for kind, column in (columns[name] for name in channels)])
+    matrix = np.empty((len(outputs.command), len(channels)))
+    for number, (kind, column) in enumerate(columns[name] for name in channels):
+        matrix[:, number] = getattr(outputs, kind)[:, column]
+    return matrix

@@ -177,9 +177,10 @@ class Simulator:
         return SideBySide(self.plant, sections)
 
     def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswer:
-        broken = ~np.isfinite(taken.command).all(axis=1) if inputs.command is None else np.zeros(1, dtype=bool)
-        if broken.any() or not taken.ends_finite:
-            return self._diverged(int(np.argmax(broken)) if broken.any() else -1)
+        if inputs.command is None and not np.isfinite(taken.command).all():
+            return self._diverged(int(np.argmin(np.isfinite(taken.command).all(axis=1))))
+        if not taken.ends_finite:
+            return self._diverged(-1)
         return Outputs(taken.command, taken.effort, taken.position, taken.link_position, taken.speed, taken.imu)
 
     def _diverged(self, row: int) -> BadAnswer:
