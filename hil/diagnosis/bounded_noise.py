@@ -47,7 +47,8 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
         motions = [Motion(train.machine, values, group, train.channels, assumed=assumed) for group in groups]
         longest = max(len(simulated) for simulated in rows)
         first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
-        tried = candidates(replace(first, others=tuple(others)), train.channels, () if found is None else found.effects)
+        present = () if found is None else found.effects
+        tried = candidates(replace(first, others=tuple(others)), train.channels, present, runs.at_once)
         return with_filtered_starts(loop, tried, motions, runs.measured() - runs.joined(rows))
 
     return found_beside

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +45,12 @@ def setting_of(effect: EffectAt, values: np.ndarray) -> EffectSetting:
     return EffectSetting(effect.effect, effect.at, dict(zip(names, (float(value) for value in values), strict=True)))
 
 
-def candidates(motion: Motion, channels: Sequence[str], present: Sequence[EffectAt] = ()) -> list[Candidate]:
+def candidates(
+    motion: Motion,
+    channels: Sequence[str],
+    present: Sequence[EffectAt] = (),
+    at_once: Callable[[Callable[[EffectAt], Candidate | None], Sequence[EffectAt]], Iterable[Candidate | None]] = map,
+) -> list[Candidate]:
     """All effects of the catalogue at the places of this machine where recordings could show them.
 
     Parameters
@@ -56,16 +61,20 @@ def candidates(motion: Motion, channels: Sequence[str], present: Sequence[Effect
         Recorded and compared.
     present : sequence of EffectAt
         Found already. Of those that may act at a place several times, the next one is tried there.
+    at_once : callable
+        Looks at every place, as `map` does one after another.
     """
-    found = []
-    for place in places_to_try(motion.machine.plant, channels):
+
+    def at(place: EffectAt) -> Candidate | None:
         if effects()[place.effect].several:
             place = replace(place, number=1 + sum((one.effect, one.at) == (place.effect, place.at) for one in present))
         starts = starts_of(place.effect, place.at, motion)
-        if starts:
-            shapes = shapes_of(place.effect, place.at, motion, len(starts))
-            found.append(Candidate(place, tuple(starts), shapes, shape_limits(place.effect, place.at, motion)))
-    return found
+        if not starts:
+            return None
+        shapes = shapes_of(place.effect, place.at, motion, len(starts))
+        return Candidate(place, tuple(starts), shapes, shape_limits(place.effect, place.at, motion))
+
+    return [found for found in at_once(at, places_to_try(motion.machine.plant, channels)) if found is not None]
 
 
 def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[EffectAt]:

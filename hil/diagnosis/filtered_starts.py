@@ -41,7 +41,8 @@ def with_filtered_starts(
     behind = loop.efforts_behind(left[: len(residual)])
 
     def starts(candidate: Candidate) -> tuple[np.ndarray, ...]:
-        filtered = STARTS.get(candidate.effect.effect)
-        return () if filtered is None else tuple(filtered(loop, loop.tuning, candidate, motions, behind, left))
+        of_effect = STARTS.get(candidate.effect.effect)
+        return () if of_effect is None else tuple(of_effect(loop, loop.tuning, candidate, motions, behind, left))
 
-    return [replace(candidate, starts=(*starts(candidate), *candidate.starts)) for candidate in found]
+    filtered = loop.runs.at_once(starts, found)
+    return [replace(candidate, starts=(*first, *candidate.starts)) for candidate, first in zip(found, filtered, strict=True)]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import islice, pairwise
 from types import TracebackType
+from typing import TypeVar
 
 import numpy as np
 
@@ -44,6 +45,9 @@ than one, but whoever asks works meanwhile."""
 SIDE_BY_SIDE_FROM = 2000
 """Rows from which machines run side by side: compiling that for a plant takes half a minute once, which shorter recordings do not bring
 in. By the recording and not by what is compiled already, since answers differ by rounding."""
+
+Part = TypeVar("Part")
+Said = TypeVar("Said")
 
 RUN_AWAY = 1e12
 """A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""
@@ -165,8 +169,8 @@ class FreeRuns:
         self._local = _Runner(self.sets, noise)
         self._asked: list[_Asked] = []
         self._jobs = jobs
-        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self._of_thread = threading.local()
+        self._pool = ThreadPoolExecutor(jobs, initializer=self._begin_thread) if jobs > 1 else None
 
     def __enter__(self) -> FreeRuns:
         return self
@@ -220,28 +224,44 @@ class FreeRuns:
 
     def _batches(self, name: str, trials: Sequence[Trial]) -> Iterator[tuple[Callable[[], list[np.ndarray | None]], int]]:
         """What waits for each batch, and its size: about equal ones, as many as leave no thread without work."""
+        work = partial(self._worked, name, self._whitened_correction.get(name), self._line_weights.get(name))
         count = max(-(-len(trials) // LANES), min(self._jobs, len(trials) // WORTH_A_BATCH))
         ends = [len(trials) * k // count for k in range(count + 1)] if count else []
         for first, end in pairwise(ends):
             batch = trials[first:end]
             if self._pool is None:
-                yield cache(partial(self._local.whitened, name, batch)), len(batch)
+                yield cache(partial(work, batch)), len(batch)
             else:
-                yield self._pool.submit(self._run_in_thread, name, batch).result, len(batch)
+                yield self._pool.submit(work, batch).result, len(batch)
 
-    def _run_in_thread(self, name: str, batch: Sequence[Trial]) -> list[np.ndarray | None]:
-        if not hasattr(self._of_thread, "runner"):
-            self._of_thread.runner = _Runner(self.sets, self.noise)
-        self._of_thread.runner.finer = self._local.finer
-        return self._of_thread.runner.whitened(name, batch)
+    def _begin_thread(self) -> None:
+        self._of_thread.runner = _Runner(self.sets, self.noise)
+
+    def _worked(
+        self, name: str, correction: np.ndarray | None, weights: Sequence[np.ndarray | None] | None, batch: Sequence[Trial]
+    ) -> list[np.ndarray | None]:
+        """A batch's answers, corrected and weighted as was due when they were asked for."""
+        runner: _Runner = getattr(self._of_thread, "runner", self._local)
+        runner.finer = self._local.finer
+        answers = runner.whitened(name, batch)
+        for answer in answers:
+            if answer is not None and correction is not None:
+                answer += correction
+        return [None if answer is None else self._weighted_by(weights, answer, name) for answer in answers]
 
     def _answers(self, asked: _Asked) -> list[np.ndarray | None]:
         if asked.answers is None:
             self._send()
         assert asked.answers is not None
-        correction = self._whitened_correction.get(asked.name, 0.0)
-        each = [batch()[k] for batch, k in asked.answers]
-        return [None if answer is None else self._weighted(answer + correction, asked.name) for answer in each]
+        return [batch()[k] for batch, k in asked.answers]
+
+    def at_once(self, work: Callable[[Part], Said], parts: Sequence[Part]) -> list[Said]:
+        """What work says of every part, on other threads where there are any. It asks for no runs, and says of one part the same whatever
+        is done of the others.
+        """
+        if self._pool is None or hasattr(self._of_thread, "runner"):  # who is on another thread already would wait for itself
+            return [work(part) for part in parts]
+        return list(self._pool.map(work, parts))
 
     def run_one(self, trial: Trial, name: str = TRAIN) -> np.ndarray | None:
         return self.run([trial], name)[0]
@@ -265,10 +285,13 @@ class FreeRuns:
             self._line_weights[name] = list(weights)
 
     def _weighted(self, whitened: np.ndarray, name: str) -> np.ndarray:
-        if name not in self._line_weights:
+        return self._weighted_by(self._line_weights.get(name), whitened, name)
+
+    def _weighted_by(self, weights: Sequence[np.ndarray | None] | None, whitened: np.ndarray, name: str) -> np.ndarray:
+        if weights is None:
             return whitened
-        pairs = zip(self.by_group(whitened, name), self._line_weights[name], strict=True)
-        return np.concatenate([(rows if weights is None else weighted(rows, weights)).ravel() for rows, weights in pairs])
+        pairs = zip(self.by_group(whitened, name), weights, strict=True)
+        return np.concatenate([(rows if own is None else weighted(rows, own)).ravel() for rows, own in pairs])
 
     def taken_back(self, whitened: np.ndarray, name: str = TRAIN) -> list[np.ndarray]:
         """(N, C) per group, the adjoint of `joined`."""

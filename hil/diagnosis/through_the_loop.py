@@ -87,8 +87,12 @@ class ThroughTheLoop:
 
     def responses(self, efforts: Sequence[Sequence[tuple[int, np.ndarray]]]) -> np.ndarray:
         """(K, M) whitened, of K joints' numbers and their efforts (N,) per group."""
-        answers = [[loop.response(joint, effort) for joint, effort in own] for loop, own in zip(self.loops, efforts, strict=True)]
-        return np.stack([self.runs.joined(rows, self.name) for rows in zip(*answers, strict=True)])
+        loops = self.loops
+
+        def whitened(each: tuple[tuple[int, np.ndarray], ...]) -> np.ndarray:
+            return self.runs.joined([loop.response(joint, effort) for loop, (joint, effort) in zip(loops, each, strict=True)], self.name)
+
+        return np.stack(self.runs.at_once(whitened, list(zip(*efforts, strict=True))))
 
     def efforts_behind(self, whitened: np.ndarray) -> list[np.ndarray]:
         """(N, joints + axes) per group, whose product with efforts is that of their whitened responses with `whitened` (M,)."""

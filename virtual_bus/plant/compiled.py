@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -157,9 +158,16 @@ class CompiledPlant:
     def _work_dtype(self) -> np.dtype:
         return records.work_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), len(self.settings.watched_bodies))
 
-    @cached_property
+    @property
     def _query(self) -> np.ndarray:
-        return self.new_work()
+        """This thread's own."""
+        if not hasattr(self._of_thread, "query"):
+            self._of_thread.query = self.new_work()
+        return self._of_thread.query
+
+    @cached_property
+    def _of_thread(self) -> threading.local:
+        return threading.local()
 
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint-space inertia (..., n, n), armature included, and effort (..., n) asked for at zero acceleration by gravity, velocities,
