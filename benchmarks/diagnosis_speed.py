@@ -21,6 +21,7 @@ import numpy as np
 
 from hil.diagnosis import candidates
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.kept_memory import keep_memory
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
@@ -85,6 +86,7 @@ def main() -> None:
         inputs = driven(machine, arguments.seconds, experiment)
         clean = simulate(machine, inputs, [friction])
         sets.append({f"run_{experiment}_{n}": noisy(machine, inputs, clean, 10 * experiment + n) for n in range(count)})
+    keep_memory()  # as the command does
     wall, processor = time.monotonic(), time.process_time()
     outcome = diagnose(machine, *sets, jobs=arguments.jobs, look_further=not arguments.without_search)
     wall = time.monotonic() - wall

@@ -49,7 +49,9 @@ def diagnose(
     """Diagnose and write DIR."""
     from hil.diagnosis.diagnose import diagnose as run_diagnosis
     from hil.diagnosis.files import write_diagnosis
+    from hil.diagnosis.kept_memory import keep_memory
 
+    keep_memory()
     answer = Answer(json_to)
     machine = load(machine_name)
     folder_can_be_written(out)
