@@ -9,15 +9,15 @@ mode's answer is no longer linear, and what the linear answer was short of stood
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.own_lines import own_lines
-from hil.diagnosis.refit import WORTH_LINEARISING, Fitted, are_costly
+from hil.diagnosis.refit import WORTH_LINEARISING, Answers, Fitted, are_costly
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, quick_sensitivities
 from virtual_bus.settings import EffectSetting
 
@@ -57,6 +57,13 @@ TWICE = 2.0
 
 NOT_FOLLOWED = 1e300
 """Misfit of what cannot be simulated along the held-out motion."""
+
+
+SETS_TOGETHER = 2
+"""Sets from which on their first runs are begun together: so many are WORTH_A_BATCH at once. Fewer would wait, and a step's single run,
+which goes by itself, would go with them."""
+
+_Name = tuple[bytes, tuple[object, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +138,8 @@ class HeldOut:
         self._is_large = are_costly(tuning)
         self._worth = WORTH_LINEARISING if self._is_large else SETTLED
         self._beside_effects: deque[_Sensitivities] = deque(maxlen=KEPT if self._is_large else 0)
-        self._followed: dict[tuple[bytes, tuple[object, ...]], Followed | None] = {}
+        self._followed: dict[_Name, Followed | None] = {}
+        self._begun: dict[_Name, Callable[[], Answers]] = {}
         at = self._at(tuning.offset, self._moved, ())
         for _ in range(STEPS):
             if at is None:
@@ -150,6 +158,7 @@ class HeldOut:
         runs, none = self._runs, self.follow(self._tuning.offset, ())
         if none is None:
             return False
+        self.expect(fits)
         there, here = [runs.measured() - self._tuning.predicted], [self.measured - none.predicted]
         for fit in fits:
             followed = self.follow(fit.offset, fit.settings)
@@ -165,17 +174,29 @@ class HeldOut:
         self._begin()
         return True
 
+    def expect(self, fits: Sequence[Fitted]) -> None:
+        """Begin with the runs that following each of these sets begins with: together they take less than one after another."""
+        sets = {_named(fit.offset, fit.settings): (fit.offset, fit.settings) for fit in fits}
+        new = {name: one for name, one in sets.items() if name not in self._followed and name not in self._begun}
+        if len(new) < SETS_TOGETHER:
+            return
+        trials = [self._trial(offset, moved, effects) for offset, effects in new.values() for moved in self._starts(offset)]
+        answers, each = cache(self._runs.begin(trials, HELD_OUT)), len(trials) // len(new)
+        for number, name in enumerate(new):
+            self._begun[name] = partial(_part, answers, slice(each * number, each * (number + 1)))
+
     def follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
         """These effects at these tuned coordinates; None where they cannot be simulated. A set that was chosen is asked for again."""
-        asked = offset.tobytes(), tuple((one.name, one.at, *one.parameters.items()) for one in effects)
+        asked = _named(offset, effects)
         if asked not in self._followed:
             self._followed[asked] = self._follow(offset, effects)
         return self._followed[asked]
 
     def _follow(self, offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
-        bound = LARGEST_CHANGE / PRIOR
-        starts = np.zeros(len(offset)), np.clip(offset + self._moved, -bound, bound) - offset
-        found = [one for one in self._at_all(offset, starts, effects) if one is not None]
+        starts = self._starts(offset)
+        begun = self._begun.pop(_named(offset, effects), None)
+        answers = self._answers(offset, starts, effects) if begun is None else begun()
+        found = [one for one in self._followed_by_all(answers, starts) if one is not None]
         if not found:
             return None
         at = min(found, key=lambda one: one.misfit)
@@ -236,10 +257,20 @@ class HeldOut:
         return float(change @ change + moved @ self._weights @ moved)
 
     def _at(self, offset: np.ndarray, moved: np.ndarray, effects: tuple[EffectSetting, ...]) -> Followed | None:
-        return self._at_all(offset, [moved], effects)[0]
+        return self._followed_by_all(self._answers(offset, [moved], effects), [moved])[0]
 
-    def _at_all(self, offset: np.ndarray, moves: Sequence[np.ndarray], effects: tuple[EffectSetting, ...]) -> list[Followed | None]:
-        answers = self._runs.run([Trial(self._tuning.at(offset + moved), effects) for moved in moves], HELD_OUT)
+    def _starts(self, offset: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Moves that following begins with: none, and that of the machine without effects."""
+        bound = LARGEST_CHANGE / PRIOR
+        return np.zeros(len(offset)), np.clip(offset + self._moved, -bound, bound) - offset
+
+    def _trial(self, offset: np.ndarray, moved: np.ndarray, effects: tuple[EffectSetting, ...]) -> Trial:
+        return Trial(self._tuning.at(offset + moved), effects)
+
+    def _answers(self, offset: np.ndarray, moves: Sequence[np.ndarray], effects: tuple[EffectSetting, ...]) -> Answers:
+        return self._runs.run([self._trial(offset, moved, effects) for moved in moves], HELD_OUT)
+
+    def _followed_by_all(self, answers: Answers, moves: Sequence[np.ndarray]) -> list[Followed | None]:
         return [None if predicted is None else self._followed_by(predicted, moved) for predicted, moved in zip(answers, moves, strict=True)]
 
     def _followed_by(self, predicted: np.ndarray, moved: np.ndarray) -> Followed:
@@ -277,3 +308,12 @@ class HeldOut:
             if found is not None and found.misfit < at.misfit:
                 return found, (at.misfit - found.misfit) / expected, expected
         return None, 0.0, expected
+
+
+def _named(offset: np.ndarray, effects: tuple[EffectSetting, ...]) -> _Name:
+    """By which a set at these tuned coordinates is known again."""
+    return offset.tobytes(), tuple((one.name, one.at, *one.parameters.items()) for one in effects)
+
+
+def _part(answers: Callable[[], Answers], places: slice) -> Answers:
+    return answers()[places]
