@@ -26,7 +26,7 @@ MOST_EXCHANGED = 3
 """Sets that are fitted: each costs a fit and its polishing."""
 
 MOST_NEIGHBOURS = 2
-"""The same of every effect's neighbours."""
+"""Neighbours that are fitted in place of each effect."""
 
 LEAST_ALIKE = 0.5
 """Squared cosine below which another shape of the candidate will not make it the same either."""
@@ -112,6 +112,42 @@ def neighbours_instead(
         if is_near and is_new and part_at(effect.at, settings) == part_at(own.at, settings):
             starts.append(((*rest, effect), (*values, start)))
     return starts[:MOST_NEIGHBOURS]
+
+
+def bank_of(fits: Sequence[Fitted], screened: Sequence[Screened]) -> list[tuple[EffectAt, np.ndarray]]:
+    """Effects with parameters that fits of them alone came to, the best first, or of the others, in their order, a filter wants."""
+    bank = [(fit.effects[0], fit.values[0]) for fit in sorted(fits, key=lambda fit: fit.cost) if len(fit.effects) == 1]
+    known = {effect for effect, _ in bank}
+    return bank + [(one.effect, one.values) for one in screened if one.score > 0.0 and one.effect not in known]
+
+
+def neighbours_of_all(
+    found: Fitted,
+    before: Sequence[EffectAt],
+    banks: tuple[Sequence[tuple[EffectAt, np.ndarray]], Sequence[tuple[EffectAt, np.ndarray]]],
+    there: Collection[set[EffectAt]],
+    settings: PlantSettings,
+) -> list[Start]:
+    """Starts of a set with neighbours in place of each of its effects.
+
+    Parameters
+    ----------
+    found : Fitted
+    before : sequence of EffectAt
+        What the last one was added to, if anything was.
+    banks : pair of sequences of (EffectAt, (parameters,) array)
+        Where other effects start beside those, and where they start alone.
+    there : collection of sets
+        That were fitted already.
+    settings : PlantSettings
+    """
+    beside, alone = banks
+    starts: list[Start] = []
+    for number, effect in enumerate(found.effects):
+        was_added = bool(before) and set(found.effects) - {effect} == set(before)
+        fitted = [*there, *(set(names) for names, _ in starts)]
+        starts += neighbours_instead(found, number, beside if was_added else alone, fitted, settings)
+    return starts
 
 
 def _strengths(found: Fitted, number: int) -> np.ndarray:

@@ -249,7 +249,7 @@ class FreeRuns:
     def _worked(
         self, name: str, correction: np.ndarray | None, weights: Sequence[np.ndarray | None] | None, batch: Sequence[Trial]
     ) -> list[np.ndarray | None]:
-        """A batch's answers, corrected and weighted as was due when they were asked for."""
+        """A batch's answers, corrected and weighted as was due when it was sent."""
         runner: _Runner = getattr(self._of_thread, "runner", self._local)
         runner.finer = self._local.finer
         answers = runner.whitened(name, batch)

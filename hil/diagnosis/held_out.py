@@ -15,7 +15,7 @@ from functools import cache, cached_property, partial
 
 import numpy as np
 
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.free_run import HELD_OUT, TRAIN, WORTH_A_BATCH, FreeRuns, Trial
 from hil.diagnosis.own_lines import own_lines
 from hil.diagnosis.refit import WORTH_LINEARISING, Answers, Fitted, are_costly
 from hil.diagnosis.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, quick_sensitivities
@@ -57,11 +57,6 @@ TWICE = 2.0
 
 NOT_FOLLOWED = 1e300
 """Misfit of what cannot be simulated along the held-out motion."""
-
-
-SETS_TOGETHER = 2
-"""Sets from which on their first runs are begun together: so many are WORTH_A_BATCH at once. Fewer would wait, and a step's single run,
-which goes by itself, would go with them."""
 
 _Name = tuple[bytes, tuple[object, ...]]
 
@@ -178,9 +173,9 @@ class HeldOut:
         """Begin with the runs that following each of these sets begins with: together they take less than one after another."""
         sets = {_named(fit.offset, fit.settings): (fit.offset, fit.settings) for fit in fits}
         new = {name: one for name, one in sets.items() if name not in self._followed and name not in self._begun}
-        if len(new) < SETS_TOGETHER:
-            return
         trials = [self._trial(offset, moved, effects) for offset, effects in new.values() for moved in self._starts(offset)]
+        if len(trials) < WORTH_A_BATCH:  # they would wait, and go with the single run of a step
+            return
         answers, each = cache(self._runs.begin(trials, HELD_OUT)), len(trials) // len(new)
         for number, name in enumerate(new):
             self._begun[name] = partial(_part, answers, slice(each * number, each * (number + 1)))

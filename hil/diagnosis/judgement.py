@@ -10,13 +10,14 @@ from functools import cache
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
+from hil.diagnosis.exactness import LEAST_ERROR
 from hil.diagnosis.form import lost_form
 from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.held_out import Followed, HeldOut
 from hil.diagnosis.information import Narrowed
-from hil.diagnosis.naming import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
+from hil.diagnosis.naming import NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.projection import Projection
 from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
@@ -172,7 +173,9 @@ class Stand:
         return here, there
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
-        """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out."""
+        """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out; of which
+        numbers alone are unknown and it is known how they err, they do so by that alone.
+        """
         each = _each(self.effects, self.gates, energy_of)
         beyond = [(effect, energy) for effect, energy in each if effect not in errors.effects]
         known = numbers_of(self.fitted)

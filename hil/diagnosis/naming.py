@@ -10,7 +10,7 @@ one law: as far as sets of several known effects are likely, it is charged with 
 set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here has hidden them. An order
 or frequency that was searched costs the logarithm of how many were (`searched`).
 
-Whether equations err is not known: sets are weighed with T and, as sets that hold exactly, with T = 1, and both count, so that a name
+Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
 level that it leaves in each, where that is above the noise model's (a disturbance is not the same in another motion). What even the best
 set leaves above noise for certain, as a share of what there was to explain, is the weight of something without a name.
@@ -18,7 +18,6 @@ set leaves above noise for certain, as a share of what there was to explain, is 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -26,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.diagnosis.compared import Compared
+from hil.diagnosis.exactness import Part, exactness, level_left
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.information import Narrowed
 from hil.diagnosis.refit import Fitted
@@ -45,7 +45,7 @@ class Weights:
     left_weight : float
         The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little.
     exact : float
-        Probability that the right name's equation errs by nothing that these recordings show.
+        Probability, beforehand, that the right name's equation errs by nothing that these recordings show.
     unknown_freedom : float
         Parameters that something without a name is charged with: it could explain whatever is above noise.
     outside : float
@@ -115,13 +115,6 @@ WHOLE = 0.01
 NUMBERS_ERROR = 1e-5
 """Share of the energy removed by an effect of numbers alone by which it may err all the same: 0.3 % of its response. Beside a viscous
 friction a thousand times above noise another friction gained 4e-6 of its energy (development case 102), with nothing else there."""
-
-
-LEAST_ERROR = 3e-6
-"""Share of the energy removed by which an equation errs however exact it is: 0.17 % of its response, in ways that none of its error
-functions spans. Beside a drive's lag of 3390 deviations a clock's offset gained 41.8, beside a clipped current of 16 360 one gained 731,
-with nothing else there (5527, 5197, spent); beside a gear's error that was not found, of 18.7 deviations, a viscous friction of 27 840 was
-an asymmetric one by 477 (5758, spent)."""
 
 
 def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
@@ -332,29 +325,9 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     unknown = -0.5 * left + for_the_unknown(best, entries, (train, held_out)) - price
     shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
-    holds = exactness(best, base, entries, weights)
-    return [float(s) for s in (1.0 - holds) * shares + holds * _normalised(_evidence(exact, nothing, tried))]
-
-
-def exactness(best: Weighed, base: Weighed, entries: tuple[float, float], weights: Weights = WEIGHTS) -> float:
-    """Probability that the right name's equation errs by nothing that these recordings show, now that this set is known to be the best.
-
-    An equation that errs leaves something: of an energy whose mean is `form_error` of what is removed, and which is of one function of
-    unknown size (chi-squared of one degree of freedom), no more than what nobody tells from noise. Where the best set leaves that little in
-    training and held out, all is as `weights.exact` has it where little is removed, and the more is removed the surer no equation erred.
-    Both recordings are of one law: what is rarer in one of them counts, and not both.
-    """
-    rare = 1.0
-    for part, noise in enumerate(entries):
-        left, before = (best.train, best.held_out)[part] - noise, (base.train, base.held_out)[part]
-        removed = before - noise - best.by_numbers[part]
-        if noise <= 0.0 or removed <= 0.0:
-            continue
-        unseen = certain_excess(noise)
-        if left > unseen:
-            return weights.exact
-        rare = min(rare, math.erf(math.sqrt(0.5 * unseen / (weights.form_error * removed))))
-    return weights.exact / (weights.exact + (1.0 - weights.exact) * rare)
+    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, best.by_numbers, strict=True)]
+    share = exactness(parts, weights.exact, weights.form_error)
+    return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]
 
 
 def tempers_of(
@@ -384,10 +357,8 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     best set leaves there, where that is more than the noise model says, and what equations err by however exact they are.
     """
     best, base = min(sets, key=lambda h: h.misfit), sets[-1]
-    levels = []
-    for left, before, noise in zip((best.train, best.held_out), (base.train, base.held_out), entries, strict=True):
-        level = left / noise if noise > 0.0 else 1.0
-        levels.append(max(level, 1.0 + LEAST_ERROR * max(before - left, 0.0)))
+    each = zip((best.train, best.held_out), (base.train, base.held_out), entries, strict=True)
+    levels = [level_left(Part(*part)) for part in each]
     return [h.in_units(*levels) for h in sets]
 
 

@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.exchanged import exchanged, neighbours_instead
+from hil.diagnosis.exchanged import bank_of, exchanged, neighbours_of_all
 from hil.diagnosis.form_error import form_error
 from hil.diagnosis.free_run import FreeRuns
 from hil.diagnosis.from_nominal import with_numbers_from_nominal
@@ -22,10 +22,10 @@ from hil.diagnosis.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.onset import onset
 from hil.diagnosis.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_one, without_what_stood
 from hil.diagnosis.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
-from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning
 from hil.diagnosis.same_order import with_others_of_its_order
 from hil.diagnosis.screening import Screened, screen, shortlist
+from hil.diagnosis.surplus import has_no_surplus, leaves_as_little, needs_all, parts_that_passed
 from hil.diagnosis.ways import (
     Way,
     another_first,
@@ -63,6 +63,9 @@ PAIR_MARGIN = 8.0
 """Logarithm of the evidence by which a pair's filter may stay behind the best single effect and still be worth a fit."""
 
 MOST_EFFECTS = 3
+MOST_STEPS = 5
+"""Steps of one way: a set that gave way to one without one of its effects is looked beside as any other, twice at most."""
+
 WIDER = 3
 """Times as many candidates are fitted first where training shows something for certain and none of the best explains it: a far or nearly
 degenerate machine's screening is wrong by more than candidates differ by. On sealed 1242 (spent) gravity was first with 255 and gained 9,
@@ -189,7 +192,7 @@ class _Search:
 
     def to_the_end(self, way: Way) -> Way:
         """Steps until none passes the gate."""
-        while not way.is_at_its_end and max(len(way.stand.effects), len(way.gates)) < MOST_EFFECTS:
+        while not way.is_at_its_end and len(way.stand.effects) < MOST_EFFECTS and len(way.gates) < MOST_STEPS:
             way = self.step(way)
         return way
 
@@ -197,24 +200,6 @@ class _Search:
         """By training than what was found, each against nothing."""
         nothing = self.judgement.nothing
         return chosen is not None and in_order([chosen, fit], nothing.cost, self.noise_energy, tried, nothing)[0] is fit
-
-    def neighbours(
-        self,
-        found: Fitted,
-        stand: Stand,
-        screened: Sequence[Screened],
-        alone: Sequence[tuple[EffectAt, np.ndarray]],
-        there: Sequence[set[EffectAt]],
-    ) -> list[Start]:
-        """Starts of a set with neighbours in place of each of its effects: as this step's filter has them beside the stand in place of what
-        was added to it, else as they came out alone.
-        """
-        starts: list[Start] = []
-        for number, effect in enumerate(found.effects):
-            is_beside = bool(stand.effects) and set(found.effects) - {effect} == set(stand.effects)
-            fitted = [*there, *(set(names) for names, _ in starts)]
-            starts += neighbours_instead(found, number, _bank((), screened) if is_beside else alone, fitted, self.runs.machine.plant)
-        return starts
 
     def step(self, way: Way) -> Way:
         """One effect more, or a pair at the first step or in place of what was found."""
@@ -256,9 +241,10 @@ class _Search:
             alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, without) if fit is not None])
             leaner = [fit for fit in alone if leaves_as_little(fit, best, tried, len(residual))]
             fits = closest_of_each(fits, [fit for fit in alone if fit in leaner or self.is_likelier(fit, chosen, tried)])
+            leaner = [fit for fit in fits if set(fit.effects) in [set(part.effects) for part in leaner]]  # the closest of each
         first, singles = way.screened, way.singles
         if size == 0:
-            fits = [*(way.singles if way.is_wider else ()), *fits]
+            fits = closest_of_each(way.singles, fits) if way.is_wider else fits
             first, singles = tuple(screened), tuple(fits)
             ordered = in_order(fits, nothing.cost, noise_energy, tried, nothing)
             starts = _pairs_worth_a_fit(tuning, residual, ordered, screened, nothing.cost, tried)
@@ -268,8 +254,8 @@ class _Search:
             alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, parts) if fit is not None])
             fits = closest_of_each([*fits, *closest_pair, *twos[1:]], alone)
             singles = tuple(fit for fit in fits if len(fit.effects) == 1)
-        exact = [fit for fit in fits if fit in leaner or _needs_all(fit, stand, singles, None, tried, len(residual))]
-        fits = [fit for fit in exact if fit in leaner or _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
+        exact = [fit for fit in fits if fit in leaner or needs_all(fit, stand, singles, None, tried, len(residual))]
+        fits = [fit for fit in exact if fit in leaner or needs_all(fit, stand, singles, nothing.cost, tried, len(residual))]
         doubtful = [] if stand.effects else [fit for fit in exact if fit not in fits]
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(end, screened=first, singles=singles, limits=limits, tried=tried)
@@ -278,7 +264,7 @@ class _Search:
 
         def may_stand(fit: Fitted) -> bool:
             """As what was found: a set without one of the stand's effects is judged against nothing."""
-            return fit.cost < stand.cost and _needs_all(fit, stand, singles, nothing.cost, tried, len(residual))
+            return fit.cost < stand.cost and needs_all(fit, stand, singles, nothing.cost, tried, len(residual))
 
         fits = with_what_acts(runs, tuning, measured, fits, stand.effects, may_stand)
         fits = in_order(fits, nothing.cost, noise_energy, tried, stand)
@@ -325,22 +311,16 @@ class _Search:
             several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(tuning, several, singles, first, there)
-            starts += self.neighbours(several, stand, screened, _bank(singles, first), [*there, *(set(names) for names, _ in starts)])
+            there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
+            banks = bank_of((), screened), bank_of(singles, first)
+            starts += neighbours_of_all(several, stand.effects, banks, there, runs.machine.plant)
             refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
             more = judgement.contenders(stand, refitted, tried, placebos, limits, len(fits))
             more = without_surplus(more, (*smaller, *refitted))
             rivals += [one for one in more if one.passed]
             end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *refitted))
         end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
-        return replace(end, stand=judgement.after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
-
-
-def _bank(fits: Sequence[Fitted], screened: Sequence[Screened]) -> list[tuple[EffectAt, np.ndarray]]:
-    """Effects with parameters that fits of them came to or, of the others, a filter wants; the best first."""
-    bank = [(fit.effects[0], fit.values[0]) for fit in sorted(fits, key=lambda fit: fit.cost) if len(fit.effects) == 1]
-    known = {effect for effect, _ in bank}
-    found = [one for one in screened if one.score > 0.0 and one.effect not in known]
-    return bank + [(one.effect, one.values) for one in sorted(found, key=lambda one: -one.score)]
+        return replace(end, stand=after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
 
 
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
@@ -412,50 +392,6 @@ def _pairs_worth_a_fit(
         and pair.added > needed_gain(tried.count, 1, base - pair.gain, entries)
     ]
     return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
-
-
-def _needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float | None, tried: Tried, entries: int) -> bool:
-    """Whether a pair without the chosen set gains more over each of its own effects than chance and, with the cost of no effect at all as
-    `base`, that one's equation allow.
-    """
-    if set(stand.effects) <= set(fit.effects) and (stand.effects or len(fit.effects) == 1):
-        return True
-    for single in singles:
-        if single.effects[0] in fit.effects:
-            added = [effect for effect in fit.effects if effect not in single.effects]
-            temper = 1.0 if base is None else temperature_of([Removing(single.cost, _by_numbers(single, base))], base, single.cost)
-            temper += 0.0 if base is None else temperature(0.0, fit.cost - entries) - 1.0
-            if single.cost - fit.cost < temper * needed_gain(tried.sets(added), fit.freedom - single.freedom, fit.cost, entries):
-                return False
-    return True
-
-
-def _by_numbers(single: Fitted, base: float) -> float:
-    """Energy that an effect removes alone, if of it numbers alone are unknown."""
-    return base - single.cost if numbers_of(single) else 0.0
-
-
-def leaves_as_little(part: Fitted, larger: Fitted, tried: Tried, entries: int) -> bool:
-    """Whether a set leaves no more than chance beyond one that it is a part of: what that one has more is surplus beside the others."""
-    more = [effect for effect in larger.effects if effect not in part.effects]
-    return part.cost - larger.cost < needed_gain(tried.sets(more), max(larger.freedom - part.freedom, 1), larger.cost, entries)
-
-
-def has_no_surplus(fit: Fitted, stand: Stand, smaller: Sequence[Fitted], tried: Tried, entries: int) -> bool:
-    """Whether a set gains more than chance over every part of it that was fitted before, the stand apart, which the gate asks about: an
-    effect that stood for others is surplus beside them.
-    """
-    for part in smaller:
-        if set(part.effects) < set(fit.effects) and set(part.effects) != set(stand.effects) and leaves_as_little(part, fit, tried, entries):
-            return False
-    return True
-
-
-def parts_that_passed(one: Contender, singles: Sequence[Contender]) -> list[Contender]:
-    """Smaller sets that are there for certain. A pair is judged against nothing, and beside such a part of it the other effect must gain
-    more than chance, too: along its response noise may be stronger than the model says, which a pair's whole response hides.
-    """
-    return [part for part in singles if part.passed and set(part.fitted.effects) < set(one.fitted.effects)]
 
 
 def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:

@@ -143,14 +143,14 @@ def closer_than(
 
     Where both leave as much, what is missing is the same beside both.
     """
-    own = next((one for one in contenders if one.fitted is stand.fitted), None)
-    if own is None:
+    if stand.fitted is None:
         return None
+    freedom = stand.fitted.freedom
 
     def leaves_less(one: Contender) -> bool:
-        needed = needed_gain(1.0, max(one.fitted.freedom - own.fitted.freedom, 1), one.fitted.cost, entries)
-        in_training = own.fitted.cost - one.fitted.cost
-        return max(in_training, in_training + own.left_held_out - one.left_held_out) > needed
+        in_training = stand.cost - one.fitted.cost
+        held_out = 0.0 if stand.held_out is None else stand.held_out.misfit - one.left_held_out
+        return max(in_training, in_training + held_out) > needed_gain(1.0, max(one.fitted.freedom - freedom, 1), one.fitted.cost, entries)
 
     others = [one for one in contenders if set(one.fitted.effects) != set(stand.effects) and one.passed and leaves_less(one)]
     likeliest = likeliest_of(contenders) if others else None

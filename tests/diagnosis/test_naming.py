@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.compared import Compared
+from hil.diagnosis.exactness import Part, exactness
 from hil.diagnosis.gate import certain_excess
 from hil.diagnosis.information import Form
 from hil.diagnosis.naming import (
@@ -20,7 +21,6 @@ from hil.diagnosis.naming import (
     Evidence,
     Removing,
     Weighed,
-    exactness,
     imitated,
     not_told_apart,
     numbers_of,
@@ -378,10 +378,9 @@ def test_sets_that_are_not_told_apart_have_forty_nine_fiftieths_of_what_known_on
 
 def exact_after(removed: float, left: float = 0.0, held_out: tuple[float, float] | None = None) -> float:
     """Probability that equations are exact once a set has removed this energy and left this much above noise."""
-    here, there = (removed, left), held_out or (0.0, 0.0)
-    best = Weighed(None, ENTRIES + here[1], ENTRIES + there[1])
-    base = Weighed(None, ENTRIES + sum(here), ENTRIES + sum(there))
-    return exactness(best, base, (ENTRIES, ENTRIES if held_out else 0.0))
+    each = [(removed, left), *([held_out] if held_out else [])]
+    parts = [Part(ENTRIES + left, ENTRIES + removed + left, ENTRIES) for removed, left in each]
+    return exactness(parts, WEIGHTS.exact, WEIGHTS.form_error)
 
 
 def test_the_more_is_removed_down_to_the_noise_the_surer_no_equation_erred():

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import judgement, selection, ways
+from hil.diagnosis import exchanged, judgement, selection, ways
 from hil.diagnosis.candidates import Candidate
 from hil.diagnosis.exchanged import MOST_NEIGHBOURS, neighbours_instead
 from hil.diagnosis.form_error import NO_ERROR, FormError
@@ -108,7 +108,7 @@ def selected(
     monkeypatch.setattr(selection, "with_what_acts", what_acts)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: paired)
-    monkeypatch.setattr(selection, "neighbours_instead", neighbours)
+    monkeypatch.setattr(exchanged, "neighbours_instead", neighbours)
     monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
     monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))

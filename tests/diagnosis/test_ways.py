@@ -29,6 +29,12 @@ def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool
     return SimpleNamespace(fitted=fitted, passed=passed, by_numbers=(0.0, 0.0), searched=0.0, **gains)
 
 
+def stand_of(found):
+    """What a search ended with."""
+    held_out = SimpleNamespace(misfit=found.left_held_out)
+    return SimpleNamespace(fitted=found.fitted, effects=found.fitted.effects, cost=found.fitted.cost, held_out=held_out)
+
+
 def another(*rivals, found=(RUBBING, DELAY), first=(RUBBING,)):
     stand = contender(16_000.0, *first)
     own = SimpleNamespace(fitted=stand.fitted, effects=first)
@@ -124,17 +130,19 @@ def test_of_two_ways_it_is_known_what_either_tried():
 def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_than_the_one_at_its_end(gained, passed, likeliest, goes_on):
     """Of one parameter, where 4 of noise are left per entry, chance gains some forty."""
     end, rival = contender(19_600.0, RUBBING), contender(gained, COGGING, passed=passed)
-    stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects, cost=end.fitted.cost)
     best = rival if likeliest else end
-    assert closer_than(stand, (end, rival), ENTRIES, lambda some: best.fitted) is (rival if goes_on else None)
+    assert closer_than(stand_of(end), (end, rival), ENTRIES, lambda some: best.fitted) is (rival if goes_on else None)
+    twin = contender(19_601.0, RUBBING)  # of the other way, which came to the same set
+    assert closer_than(stand_of(end), (twin, rival), ENTRIES, lambda some: (rival if likeliest else twin).fitted) is (
+        rival if goes_on else None
+    )
 
 
 @pytest.mark.parametrize(("held_out", "goes_on"), [(15_100.0, False), (15_200.0, True)])
 def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_in_both_motions_together(held_out, goes_on):
     """Beside 100 that it leaves more in training, it leaves 100 or 200 less held out."""
     end, rival = contender(19_600.0, RUBBING, held_out=15_000.0), contender(19_500.0, COGGING, held_out=held_out)
-    stand = SimpleNamespace(fitted=end.fitted, effects=end.fitted.effects, cost=end.fitted.cost)
-    assert closer_than(stand, (end, rival), ENTRIES, lambda some: rival.fitted) is (rival if goes_on else None)
+    assert closer_than(stand_of(end), (end, rival), ENTRIES, lambda some: rival.fitted) is (rival if goes_on else None)
 
 
 def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():

@@ -198,7 +198,7 @@ def test_many_times_the_noise_is_never_called_retuned(left, said):
     ("here", "there", "said"),
     [(1.07, 1.03, "retuned"), (1.12, 1.03, "retuned"), (1.12, 1.5, "unknown_physics"), (1.3, 1.03, "unknown_physics")],
 )
-@pytest.mark.parametrize("agrees", [-0.5, 0.5])  # by chance every second time where two deviations are predicted: that is no sign of it
+@pytest.mark.parametrize("agrees", [-1.0, 0.5])  # by chance two times in three where two deviations are predicted: that is no sign of it
 def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, said, agrees):
     """The mean of four repeats of a null was 7 % above its noise, along a load as well, which the held-out recording did not follow."""
     nothing_passed = replace(gate(0.01, passes=False), gain=60.0, predicted=2.0, seen=agrees)

@@ -27,7 +27,7 @@ import difflib
 import inspect
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from types import ModuleType
 from typing import Any
@@ -97,6 +97,7 @@ class CompiledPlant:
     parameters: tuple[PlantParameter, ...]
     module: ModuleType
     constant_count: int
+    _of_thread: threading.local = field(default_factory=threading.local, repr=False, compare=False)
 
     @cached_property
     def joints(self) -> int:
@@ -161,13 +162,10 @@ class CompiledPlant:
     @property
     def _query(self) -> np.ndarray:
         """This thread's own."""
-        if not hasattr(self._of_thread, "query"):
-            self._of_thread.query = self.new_work()
-        return self._of_thread.query
-
-    @cached_property
-    def _of_thread(self) -> threading.local:
-        return threading.local()
+        own = self._of_thread
+        if not hasattr(own, "query"):
+            own.query = self.new_work()
+        return own.query
 
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint-space inertia (..., n, n), armature included, and effort (..., n) asked for at zero acceleration by gravity, velocities,
