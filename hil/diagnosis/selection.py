@@ -289,7 +289,7 @@ class _Search:
 
         needed = without_surplus(judged, (*way.smaller, *leaner))
         smaller = (*way.smaller, *fits)
-        passed = [one for one in needed if one.passed]
+        passed = [one for one in needed if one.passed and one.fitted.cost < stand.cost]  # in its place what leaves less, only
         if size == 0 and not passed and behind and not way.is_wider and any(one.gate.training_shows_something for one in judged):
             return self.step(replace(way, screened=first, singles=singles, is_wider=True))
         formless = (*way.formless, *without_form(needed))

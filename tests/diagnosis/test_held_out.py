@@ -206,3 +206,24 @@ def test_a_set_that_is_asked_for_again_is_not_run_again():
     for another in (replace(PUSH, parameters={"tau0": 2.0}),), (replace(PUSH, at="other"),), (replace(PUSH, name="payload"),), ():
         assert judge.follow(np.zeros(1), another) is not first
     assert judge.follow(np.array([0.1]), (PUSH,)) is not first
+
+
+def test_sets_that_are_expected_are_followed_as_each_alone():
+    """Their first runs are begun together, each asked for once."""
+    true, asked = np.array([-0.8]), []
+    fits = [SimpleNamespace(offset=np.array([0.3 * k]), settings=(PUSH,) if k % 2 else ()) for k in range(1, 5)]
+    alone, together = (held_out(wave, wave(true) + NOISE, 0.0) for _ in range(2))
+
+    def begin(trials, name):
+        asked.append(len(trials))
+        return lambda: [wave(10.0 * (trial.values - 1.0), trial.effects) for trial in trials]
+
+    together._runs.begin = begin
+    together.expect([*fits, fits[0]])
+    together.expect(fits)
+    assert asked == [2 * len(fits)]
+    for fit in reversed(fits):
+        one, other = (judge.follow(fit.offset, fit.settings) for judge in (alone, together))
+        assert one.misfit == other.misfit and np.array_equal(one.predicted, other.predicted)
+    together.expect(fits[:1])  # known, or too few
+    assert len(asked) == 1

@@ -11,7 +11,7 @@ import pytest
 
 from hil.diagnosis import exchanged, judgement, selection, ways
 from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.exchanged import MOST_NEIGHBOURS, neighbours_instead
+from hil.diagnosis.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
 from hil.diagnosis.form_error import NO_ERROR, FormError
 from hil.diagnosis.pairs import Pair
 from hil.diagnosis.refit import Fitted
@@ -260,6 +260,24 @@ def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch):
     assert {FRICTION, DAMPER, LOAD} not in [set(one.fitted.effects) for one in found.contenders]
 
 
+def test_a_set_that_gave_way_is_looked_beside_as_any_other(monkeypatch):
+    """The damper that stood for the load is a step of its own: beside friction and load another effect is still looked for."""
+    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(selection, "closer_than", lambda *_: None)
+    monkeypatch.setitem(ALONG, DAMPER, np.sqrt(0.5) * (PULLS + DAMPS))
+    drawn = np.random.default_rng(4).standard_normal(ENTRIES)
+    monkeypatch.setitem(ALONG, NOT_THERE, drawn / np.linalg.norm(drawn))
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        there = () if chosen is None else chosen.effects
+        also = [LOAD] if DAMPER in there else [NOT_THERE] if LOAD in there else [DAMPER]
+        return [Candidate(effect, ()) for effect in (FRICTION, *also)]
+
+    found = selected(monkeypatch, SWINGS, pulls=14.0, candidates_of=candidates_of)
+    assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
+    assert np.isfinite(found.further)
+
+
 @pytest.mark.parametrize("paired", [True, False])
 def test_what_a_fit_comes_to_beside_another_effect_alone_is_found_where_both_were_a_pair(monkeypatch, paired):
     """Alone the friction's fit gets stuck, and the load is found first; the damper beside the friction does nothing."""
@@ -301,6 +319,19 @@ def test_neighbours_are_effects_that_the_catalogue_says_are_mistaken_for_one_at_
     assert all(values[0] is found.values[0] and values[1] is bank[bank_of][1] for bank_of, (_, values) in enumerate(starts, 4))
     (alone,) = {names for names, _ in neighbours_instead(SimpleNamespace(effects=(gap,), values=(np.ones(2),)), 0, bank[3:4], [], plant)}
     assert alone == (near[0],)
+
+
+def test_neighbours_of_what_was_added_start_beside_the_others_and_those_of_the_others_alone():
+    plant = load_machine("carm").plant
+    clock, gap = EffectAt("clock_offset", "current_roll"), EffectAt("backlash", "roll")
+    found = SimpleNamespace(effects=(clock, gap), values=(np.ones(2), np.ones(2)))
+    spring, delay = EffectAt("nonlinear_stiffness", "roll"), EffectAt("delay", "roll")
+    beside, alone = ([(effect, np.full(3, value)) for effect in (spring, delay)] for value in (1.0, 2.0))
+    starts = {names: values for names, values in neighbours_of_all(found, (clock,), (beside, alone), [], plant)}
+    assert starts[clock, spring][1][0] == starts[clock, delay][1][0] == 1.0
+    assert starts[gap, delay][1][0] == 2.0
+    starts = {names: values for names, values in neighbours_of_all(found, (), (beside, alone), [], plant)}
+    assert starts[clock, spring][1][0] == 2.0
 
 
 def test_rarer_than_all_that_were_finished_are_the_rarest_three():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,6 +15,7 @@ from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.diagnosis.mismatch import mismatch
 from hil.errors import BadAnswer, RecordingError
+from hil.machine import load_machine
 from hil.recording import write_recording
 from hil.simulation import Simulator
 from virtual_bus.plant.compiled import compile_plant
@@ -67,6 +69,39 @@ def test_answers_are_those_of_each_trial_alone_whatever_is_asked_before_one_wait
         for one, other in zip(answers[1], answers[jobs], strict=True):
             for a, b in zip(one, other, strict=True):
                 np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_is_done_at_once_comes_in_order_and_may_ask_for_more_at_once(with_friction, jobs):
+    train = mismatch(MACHINE, aligned(MACHINE, with_friction[0]))
+    with FreeRuns({TRAIN: train}, train.noise, jobs) as runs:
+        found = runs.at_once(lambda tens: runs.at_once(lambda one: 10 * tens + one, range(3)), range(40))
+        assert found == [[10 * tens + one for one in range(3)] for tens in range(40)]
+        with pytest.raises(ZeroDivisionError):
+            runs.at_once(lambda number: 1 // number, [1, 0])
+
+
+def test_threads_take_turns_as_before_once_the_runs_are_over_or_broken_off(with_friction):
+    train = mismatch(MACHINE, aligned(MACHINE, with_friction[0]))
+    before = sys.getswitchinterval()
+    with pytest.raises(RecordingError), FreeRuns({TRAIN: train}, train.noise, 2):
+        assert sys.getswitchinterval() < before
+        raise RecordingError("enough")
+    assert sys.getswitchinterval() == before
+
+
+def test_a_plant_that_two_threads_ask_answers_each():
+    plant = compile_plant(load_machine("carm").plant)
+    model = plant.model(plant.nominal)
+    poses = np.random.default_rng(3).uniform(-0.3, 0.3, (40, plant.joints))
+
+    def inertias(pose):
+        return [plant.inertia_and_bias(model, pose, np.zeros(plant.joints))[0] for _ in range(20)]
+
+    alone = [inertias(pose)[0] for pose in poses]
+    with ThreadPoolExecutor(4) as pool:
+        for one, several in zip(alone, pool.map(inertias, poses), strict=True):
+            assert all(np.array_equal(one, other) for other in several)
 
 
 def test_threads_that_ask_for_a_module_at_once_get_the_whole_of_it(tmp_path, monkeypatch):
