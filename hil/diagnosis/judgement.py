@@ -23,6 +23,7 @@ from hil.diagnosis.refit import Fitted
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.retune import Tuning, linearised
 from hil.diagnosis.structure_left import StructureLeft
+from virtual_bus.effects.effect import SIGN
 from virtual_bus.effects.registry import effects
 
 Equations = Callable[[str, Tuning, Fitted], FormError]
@@ -262,7 +263,7 @@ class Judgement:
         tuning = self._tuning
         if fitted is not None:
             tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
-            if len(tuning.offset):  # beside a wrong sign, a gap or a stop the numbers do something else than without
+            if any(effects()[effect.effect].kind is SIGN for effect in fitted.effects):  # there numbers move a channel the other way
                 tuning = linearised(self._runs, tuning, fitted.settings)
         residual = self._measured - tuning.predicted
         response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]

@@ -289,7 +289,8 @@ class _Search:
 
         needed = without_surplus(judged, (*way.smaller, *leaner))
         smaller = (*way.smaller, *fits)
-        passed = [one for one in needed if one.passed and one.fitted.cost < stand.cost]  # in its place what leaves less, only
+        also_passed = [one for one in needed if one.passed]
+        passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
         if size == 0 and not passed and behind and not way.is_wider and any(one.gate.training_shows_something for one in judged):
             return self.step(replace(way, screened=first, singles=singles, is_wider=True))
         formless = (*way.formless, *without_form(needed))
@@ -300,7 +301,10 @@ class _Search:
         )
         if not passed and chosen is not None:
             larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
-            return replace(end, unsure=tuple(one for one in larger if one.gate.shows and not one.gate.lost_form))
+            unsure = tuple(one for one in larger if one.gate.shows and not one.gate.lost_form)
+            known_sets = [set(one.fitted.effects) for one in way.contenders]
+            others = [one for one in also_passed if set(one.fitted.effects) not in known_sets]  # they leave more, and compete
+            return replace(end, contenders=(*way.contenders, *others), unsure=unsure)
         rivals = [one for one in needed if one.passed or competes(one.gate, passed[0].gate if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             also = judgement.contenders(stand, doubtful, tried, placebos, limits, len(fits))
