@@ -236,7 +236,7 @@ class _Search:
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
-            best = min(fits, key=lambda fit: fit.cost)
+            best = min((fit for fit in fits if set(stand.effects) < set(fit.effects)), key=lambda fit: fit.cost, default=best)
             without = without_what_stood(stand.fitted, best)
             alone = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, without) if fit is not None])
             leaner = [fit for fit in alone if leaves_as_little(fit, best, tried, len(residual))]
