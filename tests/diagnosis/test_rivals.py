@@ -61,12 +61,13 @@ def selected(
     neighbours=lambda *_: [],
     stuck: EffectAt | None = None,
     paired: Sequence[Pair] = (),
+    rounded: float = 0.0,
 ) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
     `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there, `pulls` how strong the
     load is, `backwards` what the best response run backwards in time gains beside an effect, `damps` how strong a damper is. Alone `stuck`
-    finds nothing but from where it is beside others; `paired` are the pairs that a filter finds.
+    finds nothing but from where it is beside others; `paired` are the pairs that a filter finds; `rounded` is what pairs leave less.
     """
     noise = np.random.default_rng(3).standard_normal(ENTRIES)
     noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE, DAMPS, NOWHERE))
@@ -84,7 +85,7 @@ def selected(
         if set(effects) == {MODE, LOAD}:
             predicted, values[MODE] = predicted - less * PULLS, mode_beside
         free = tuple((number, 0) for number in range(len(effects)))
-        cost = float(np.sum((measured - predicted) ** 2))
+        cost = float(np.sum((measured - predicted) ** 2)) - rounded * (len(effects) == 2)
         own = tuple(values[effect] for effect in effects)
         return Fitted(effects, own, np.zeros(0), predicted, cost, free, basis, np.full(len(effects), 100.0))
 
@@ -246,7 +247,8 @@ def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(m
     assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]
 
 
-def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch):
+@pytest.mark.parametrize("rounded", [0.0, 1e-9, -1e-9])
+def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch, rounded):
     """The damper stood for the load before that was a candidate beside it; without the damper the load leaves as little."""
     monkeypatch.setattr(selection, "exchanged", lambda *_: [])
     monkeypatch.setitem(ALONG, DAMPER, np.sqrt(0.5) * (PULLS + DAMPS))
@@ -255,7 +257,7 @@ def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch):
         there = () if chosen is None else chosen.effects
         return [Candidate(effect, ()) for effect in (FRICTION, *([LOAD] if DAMPER in there else [DAMPER]))]
 
-    found = selected(monkeypatch, SWINGS, pulls=14.0, candidates_of=candidates_of)
+    found = selected(monkeypatch, SWINGS, pulls=14.0, candidates_of=candidates_of, rounded=rounded)
     assert found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
     assert {FRICTION, DAMPER, LOAD} not in [set(one.fitted.effects) for one in found.contenders]
 
