@@ -173,8 +173,17 @@ def _repeat_but_for_a_row(machine: Machine, one: Recording, other: Recording) ->
     return all(name in one and name in other and np.array_equal(one[name][:rows], other[name][:rows], equal_nan=True) for name in driven)
 
 
-def suspicions(found: Mismatch) -> tuple[str, ...]:
-    """What looks like a wrong unit, a wrong sign or a gross delay: a sentence each."""
+def suspicions(found: Mismatch, answered: Mismatch | None = None) -> tuple[str, ...]:
+    """What looks like a wrong unit, a wrong sign or a gross delay: a sentence each.
+
+    Parameters
+    ----------
+    found : Mismatch
+        Beside the nominal simulation.
+    answered : Mismatch, optional
+        The same recordings beside the answer's simulation: where its rows come in time a delay is none, since friction and inertia hold a
+        motion back, too, and a clock's offset that is named says so itself.
+    """
     said = []
     for column, name in enumerate(found.channels):
         measured = np.concatenate([_centred(group.mean[:, column]) for group in found.groups])
@@ -191,7 +200,7 @@ def suspicions(found: Mismatch) -> tuple[str, ...]:
                 if abs(correlation) > ALIKE and abs(abs(slope) / factor - 1.0) < SCALE_TOLERANCE:
                     said.append(f"{name} is {abs(slope):.3g} times its simulation: {meaning}?")
         lag = _lag_rows(found, column)
-        if lag:
+        if lag and (answered is None or _lag_rows(answered, column)):
             order = "later" if lag > 0 else "earlier"
             said.append(f"{name} comes {abs(lag) / found.noise.rate_Hz * 1e3:.3g} ms {order} than its simulation")
     return tuple(said)

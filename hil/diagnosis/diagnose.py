@@ -258,7 +258,7 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
             disturbance=disturbed,
-            suspicions=suspicions(train),
+            suspicions=suspicions(train, train.with_simulated(stages[TRAIN]["extended"])),
             separations=() if proposal is None else predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))

@@ -111,3 +111,15 @@ def test_wrong_signs_units_and_delays_are_pointed_out(change, said):
     found = suspicions(mismatch(MOTOR, {"rec": wrong}))
     assert any(said in sentence and sentence.startswith("position_rotor") for sentence in found)
     assert not any(sentence.startswith("speed_rotor") for sentence in found)
+
+
+def test_a_delay_that_the_answers_simulation_has_too_is_none():
+    """What holds a motion back makes it late; a wrong sign stays one whatever the answer makes of it."""
+    clean = simulate(MOTOR, recording(TIME, command_rotor=COMMAND))
+    late, turned = np.concatenate([np.zeros(12), clean["position_rotor"][:-12]]), -clean["speed_rotor"]
+    found = mismatch(MOTOR, {"rec": recording(TIME, command_rotor=COMMAND, position_rotor=late, speed_rotor=turned)})
+    column = found.channels.index("position_rotor")
+    in_time = found.groups[0].simulated.copy()
+    in_time[:, column] = found.groups[0].mean[:, column]
+    assert any(" 12 ms later" in sentence for sentence in suspicions(found, found))
+    assert {sentence.split()[0] for sentence in suspicions(found, found.with_simulated([in_time]))} == {"speed_rotor"}
