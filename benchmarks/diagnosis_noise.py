@@ -30,15 +30,15 @@ import scipy.stats
 from concealed import making
 from concealed.truth.workshop import Workshop
 
-from hil.diagnosis.bounded_noise import candidates_for
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
-from hil.diagnosis.gate import HELD_OUT_FREEDOM
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.projection import Projection
-from hil.diagnosis.retune import retune
-from hil.diagnosis.screening import screen
+from hil.diagnosis.fitting.screening import screen
+from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM
+from hil.diagnosis.judging.held_out import HeldOut
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.searching.bounded_noise import candidates_for
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.projection import Projection
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import load_machine
 from hil.recording import read_recording
 

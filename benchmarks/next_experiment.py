@@ -28,10 +28,10 @@ import numpy as np
 from hil.bench import BenchOptions, open_bench
 from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.next_experiment import propose
-from hil.diagnosis.noise import assumed_noise
-from hil.diagnosis.retune import tunable
-from hil.diagnosis.separation import Model, Separation
+from hil.diagnosis.residuals.noise import assumed_noise
+from hil.diagnosis.separating.next_experiment import propose
+from hil.diagnosis.separating.separation import Model, Separation
+from hil.diagnosis.tuning.retune import tunable
 from hil.experiments import Experiment, Jog, JogOnly, read_experiment
 from hil.machine import Machine, load_machine
 from hil.recording import Recording, read_recording

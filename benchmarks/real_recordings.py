@@ -18,7 +18,7 @@ from real_data import DATA, REAL_SETS, RealSet
 from hil.cli.output import plain
 from hil.diagnosis.diagnose import Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.free_run import HELD_OUT, TRAIN
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
 from hil.simulation import Simulator, inputs_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "real_recordings.json"

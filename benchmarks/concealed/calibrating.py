@@ -1,4 +1,4 @@
-"""Confidences fitted to development cases: what `hil.diagnosis.naming` rests on besides the recordings.
+"""Confidences fitted to development cases: what `hil.diagnosis.judging.errors_of_laws` holds for them besides the recordings.
 
 Each case's raw numbers (misfits, parameters, shapes searched, of every set of effects that was weighed; the truth's names beside them) are
 kept as a line of evidence_development.jsonl, so that a fit takes seconds and the tool is not run again. The constants are those under which
@@ -24,11 +24,12 @@ import scipy.special
 from concealed.judging import matches
 from concealed.making import Places, make, seal
 from concealed.running import JSON_KEPT, commit
-from hil.diagnosis.compared import Compared
+from hil.diagnosis.answering.verdict import UNKNOWN_LEFT
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.naming import Evidence, Weighed, Weights, ranking, rarity_at
-from hil.diagnosis.verdict import UNKNOWN_LEFT
+from hil.diagnosis.judging.errors_of_laws import Weights
+from hil.diagnosis.ranking.compared import Compared
+from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking, rarity_at
 from hil.errors import BenchError
 from hil.machine import load_machine
 from hil.recording import read_recording

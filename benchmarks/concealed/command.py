@@ -15,7 +15,7 @@ from typing import Any
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from concealed import calibrating, making, mutating, running, scoring
-from hil.diagnosis.naming import WEIGHTS
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 

@@ -10,44 +10,36 @@ from functools import partial
 
 import numpy as np
 
-from hil.diagnosis.align import aligned, suspicions
-from hil.diagnosis.both_motions import with_both_motions
-from hil.diagnosis.bounded_noise import candidates_for, with_bounded_noise
-from hil.diagnosis.disturbance import disturbance_shares
-from hil.diagnosis.drift import chance_of_drift
-from hil.diagnosis.estimates import believed, effect_estimates, retuned_values
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
-from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.held_out_alone import OnlyHeldOut, only_held_out
-from hil.diagnosis.hypotheses import against_held_out, hypothesis_of, predicted, read_off_findings, rivals_of
-from hil.diagnosis.location import locate, locate_outcome
-from hil.diagnosis.misfit import channel_stages, total_stages
-from hil.diagnosis.mismatch import Mismatch, mismatch
-from hil.diagnosis.naming import (
-    CAP_UNCONFIRMED,
-    LIKELIER,
-    Evidence,
-    Weighed,
-    confidence_of,
-    erring,
-    imitated,
-    ranking,
-    tempers_of,
-)
-from hil.diagnosis.next_experiment import Proposal, propose
-from hil.diagnosis.placebo import add_placebo
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.answering.drift import chance_of_drift
+from hil.diagnosis.answering.estimates import believed, effect_estimates, retuned_values
+from hil.diagnosis.answering.held_out_alone import OnlyHeldOut, only_held_out
+from hil.diagnosis.answering.hypotheses import against_held_out, hypothesis_of, predicted, read_off_findings, rivals_of
+from hil.diagnosis.answering.placebo import add_placebo
+from hil.diagnosis.answering.spread import spread_of
+from hil.diagnosis.answering.sufficiency import what_is_missing
+from hil.diagnosis.answering.verdict import Standing, findings_of, only_there, verdict_of, what_may_act_too, with_read_off
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.errors_of_laws import erring
+from hil.diagnosis.judging.held_out import HeldOut
+from hil.diagnosis.locating.disturbance import disturbance_shares
+from hil.diagnosis.locating.location import locate, locate_outcome
+from hil.diagnosis.ranking.both_motions import with_both_motions
+from hil.diagnosis.ranking.naming import CAP_UNCONFIRMED, LIKELIER, Evidence, Weighed, confidence_of, imitated, ranking, tempers_of
+from hil.diagnosis.ranking.weighing import cap_of, evidence_of, plausible_among, with_unsure
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.excess import certain_excess
+from hil.diagnosis.residuals.misfit import channel_stages, total_stages
+from hil.diagnosis.residuals.mismatch import Mismatch, mismatch
+from hil.diagnosis.residuals.suspicions import suspicions
 from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit
-from hil.diagnosis.retune import Tuning, retune
-from hil.diagnosis.selection import Selection, select
-from hil.diagnosis.separation import Model
-from hil.diagnosis.spread import spread_of
-from hil.diagnosis.step_error import with_finer_steps
-from hil.diagnosis.sufficiency import what_is_missing
-from hil.diagnosis.verdict import Standing, findings_of, only_there, verdict_of, what_may_act_too, with_read_off
-from hil.diagnosis.weighing import cap_of, evidence_of, plausible_among, with_unsure
-from hil.diagnosis.without_effects import without_effects
+from hil.diagnosis.searching.bounded_noise import candidates_for, with_bounded_noise
+from hil.diagnosis.searching.selection import Selection, select
+from hil.diagnosis.searching.step_error import with_finer_steps
+from hil.diagnosis.searching.without_effects import without_effects
+from hil.diagnosis.separating.next_experiment import Proposal, propose
+from hil.diagnosis.separating.separation import Model
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import Tuning, retune
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.settings import EffectSetting

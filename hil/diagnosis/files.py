@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from hil.diagnosis.answering.machine_file import retuned_text
 from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome
-from hil.diagnosis.machine_file import retuned_text
 from hil.diagnosis.report import write_report
 from hil.errors import UnusableInput
 from hil.experiments.file_text import experiment_text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from concealed.calibrating import calibrate, fit, reliability, weighed
 
-from hil.diagnosis.naming import Weights
+from hil.diagnosis.judging.errors_of_laws import Weights
 from hil.errors import BenchError
 
 CERTAIN = Weights(form_error=0.004, left_weight=0.02, exact=0.3, unknown_freedom=8.0, outside=0.001)

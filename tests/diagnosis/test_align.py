@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.diagnosis.align import aligned, resampled, suspicions
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.recorded.align import aligned, resampled
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.residuals.suspicions import suspicions
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
 from hil.simulation import simulate

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.io
 
-from hil.diagnosis.mismatch import RepeatGroup
-from hil.diagnosis.motion import Motion
+from hil.diagnosis.residuals.mismatch import RepeatGroup
+from hil.diagnosis.starting.motion import Motion
 from hil.machine import machine_from_text
 from hil.recording import read_recording
 from hil.simulation import Inputs

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pushed_mass import RAIL, recorded
 
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.machine import machine_from_text
 from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
 from hil.simulation import simulate

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from carriage import MACHINE, MASS_kg, repeats
 
-from hil.diagnosis.both_motions import with_both_motions
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.judgement import Contender
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import refit
+from hil.diagnosis.fitting.refit import refit
+from hil.diagnosis.judging.held_out import HeldOut
+from hil.diagnosis.judging.judgement import Contender
+from hil.diagnosis.ranking.both_motions import with_both_motions
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 
 FRICTION = EffectAt("coulomb_friction", "carriage")
 COULOMB_N, DURATION_s = 20.0, 2.0

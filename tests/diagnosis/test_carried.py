@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import scipy.signal
 
-from hil.diagnosis.carried import carried_imu
+from hil.diagnosis.residuals.carried import carried_imu
 from hil.machine import load_machine
 
 ARM = load_machine(Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines" / "tilted_arm.toml")

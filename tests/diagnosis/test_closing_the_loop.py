@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from hil.cli.app import main
-from hil.diagnosis import files, next_experiment
+from hil.diagnosis import files
 from hil.diagnosis.diagnose import NEXT_EXPERIMENT, diagnose
-from hil.diagnosis.separation import Separation
+from hil.diagnosis.separating import next_experiment
+from hil.diagnosis.separating.separation import Separation
 from hil.experiments import read_experiment
 from hil.machine import load_machine
 from hil.recording import read_recording

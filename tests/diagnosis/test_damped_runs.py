@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pushed_mass import NOISE, RAIL, pushed_mass
 
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.recording import Channel, Recording, recording_metadata
 
 TIME_s = np.arange(1200) / RAIL.sample_rate_Hz

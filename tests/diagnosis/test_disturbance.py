@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pushed_mass import RAIL, recorded
 
-from hil.diagnosis.disturbance import disturbance, disturbance_shares
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.locating.disturbance import disturbance, disturbance_shares
+from hil.diagnosis.residuals.mismatch import mismatch
 
 TIME = np.arange(2000) / RAIL.sample_rate_Hz
 REFERENCE = 0.1 - 0.1 * np.cos(2.0 * np.pi * 0.4 * TIME)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from carriage import DAMPING, MACHINE, MASS_kg, repeats
 
-from hil.diagnosis.drift import DRIFTED, chance_of_drift
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.naming import NUMBERS, erring
-from hil.diagnosis.refit import refit, sensitivities_to_effects
+from hil.diagnosis.answering.drift import DRIFTED, chance_of_drift
+from hil.diagnosis.fitting.refit import refit, sensitivities_to_effects
+from hil.diagnosis.judging.errors_of_laws import NUMBERS, erring
+from hil.diagnosis.judging.held_out import HeldOut
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 
 FRICTION = EffectAt("coulomb_friction", "carriage")
 VISCOUS = EffectAt("viscous_friction", "carriage")
@@ -92,6 +92,8 @@ def test_a_parameter_that_training_does_not_show_hides_no_other(with_friction):
 def test_a_parameter_that_held_out_recordings_do_not_show_hides_no_other(with_friction, monkeypatch):
     train, same = with_friction
     other = repeats(1, experiment=1, mass=1.05 * MASS_kg, coulomb_N=0.3 * COULOMB_N, duration_s=DURATION_s)
-    monkeypatch.setattr("hil.diagnosis.drift.sensitivities_to_effects", lambda *asked: sensitivities_to_effects(*asked) * [1.0, 0.0])
+    monkeypatch.setattr(
+        "hil.diagnosis.answering.drift.sensitivities_to_effects", lambda *asked: sensitivities_to_effects(*asked) * [1.0, 0.0]
+    )
     assert drift(train, same, (FRICTION, VISCOUS), (10.0, 20.0)) > 0.01
     assert drift(train, other, (FRICTION, VISCOUS), (10.0, 20.0)) < DRIFTED

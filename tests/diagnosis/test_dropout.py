@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hil.diagnosis.dropout import by_sensor, without_lost_samples
+from hil.diagnosis.recorded.dropout import by_sensor, without_lost_samples
 
 CHANNELS = ("link_position_arm", "imu_x", "gyro_x")
 ROWS = 4000

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pushed_mass import RAIL, recorded
 
-from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.report.effect_map import EffectMap, effect_map
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
 from virtual_bus.plant.parameters import plant_parameters
 

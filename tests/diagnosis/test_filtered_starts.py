@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.filtered_starts import with_filtered_starts
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.motion import Motion
-from hil.diagnosis.projection import Projection
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
-from hil.diagnosis.through_the_loop import ThroughTheLoop
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.starting.filtered_starts import with_filtered_starts
+from hil.diagnosis.starting.motion import Motion
+from hil.diagnosis.starting.through_the_loop import ThroughTheLoop
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.projection import Projection
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate

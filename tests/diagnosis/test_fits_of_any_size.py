@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hil.diagnosis import from_nominal
-from hil.diagnosis.bounded_noise import candidates_for
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.coordinates import Coordinates
-from hil.diagnosis.form import lost_form
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.harmonics import with_other_harmonics
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import Fitted, are_costly, polish, refit, sensitivities_to_effects
+from hil.diagnosis.fitting.coordinates import Coordinates
+from hil.diagnosis.fitting.harmonics import with_other_harmonics
+from hil.diagnosis.fitting.refit import Fitted, are_costly, polish, refit, sensitivities_to_effects
+from hil.diagnosis.fitting.screening import screen
+from hil.diagnosis.fitting.visited import Visited
+from hil.diagnosis.judging.form import lost_form
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
-from hil.diagnosis.same_order import with_others_of_its_order
-from hil.diagnosis.screening import screen
-from hil.diagnosis.visited import Visited
+from hil.diagnosis.searching import from_nominal
+from hil.diagnosis.searching.bounded_noise import candidates_for
+from hil.diagnosis.searching.same_order import with_others_of_its_order
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.disturbance import loop_response
-from hil.diagnosis.error_functions import can_err, since_reversal
-from hil.diagnosis.form_error import NO_ERROR, FormError, form_error
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.motion import Motion
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.error_functions import can_err, since_reversal
+from hil.diagnosis.judging.form_error import NO_ERROR, FormError, form_error
+from hil.diagnosis.locating.disturbance import loop_response
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
-from hil.diagnosis.through_the_loop import ThroughTheLoop, number_of_encoder
+from hil.diagnosis.starting.candidates import setting_of
+from hil.diagnosis.starting.motion import Motion
+from hil.diagnosis.starting.through_the_loop import ThroughTheLoop, number_of_encoder
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate

@@ -9,7 +9,7 @@ import pytest
 import scipy.integrate
 import scipy.stats
 
-from hil.diagnosis.gate import (
+from hil.diagnosis.judging.gate import (
     AS_PREDICTED,
     HELD_OUT_LEVEL,
     IN_SAMPLE,
@@ -25,7 +25,7 @@ from hil.diagnosis.gate import (
     chance_of_gain,
     needed_gain,
 )
-from hil.diagnosis.start_waves import ONE_HARMONIC, TWO_HARMONICS
+from hil.diagnosis.starting.start_waves import ONE_HARMONIC, TWO_HARMONICS
 
 ROWS, PADDED = 128, 2048
 DRAWS = 12000

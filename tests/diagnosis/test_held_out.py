@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis.free_run import HELD_OUT
-from hil.diagnosis.held_out import OPEN, HeldOut
-from hil.diagnosis.refit import MANY
-from hil.diagnosis.retune import Tuning
+from hil.diagnosis.fitting.refit import MANY
+from hil.diagnosis.judging.held_out import OPEN, HeldOut
+from hil.diagnosis.tuning.free_run import HELD_OUT
+from hil.diagnosis.tuning.retune import Tuning
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.settings import EffectSetting
 

@@ -9,8 +9,8 @@ from carriage import disturbance, reference, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.diagnosis.dropout import without_lost_samples
-from hil.diagnosis.held_samples import held_samples
+from hil.diagnosis.recorded.dropout import without_lost_samples
+from hil.diagnosis.recorded.held_samples import held_samples
 
 ROWS = 1000
 NOISE = 1e-3

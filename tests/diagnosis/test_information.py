@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.diagnosis.information import Free, Narrowed, information_of, simpler_forms
-from hil.diagnosis.naming import Weighed
+from hil.diagnosis.fitting.information import Free, Narrowed, information_of, simpler_forms
+from hil.diagnosis.ranking.naming import Weighed
 from virtual_bus.effects.registry import effects
 
 ENERGY = 400.0

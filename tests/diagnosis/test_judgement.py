@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.form_error import FormError
-from hil.diagnosis.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
-from hil.diagnosis.held_out import Followed
-from hil.diagnosis.judgement import Contender, Judgement, Tried
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.form_error import FormError
+from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
+from hil.diagnosis.judging.held_out import Followed
+from hil.diagnosis.judging.judgement import Contender, Judgement, Tried
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.retune import Tuning
 
 ENTRIES = 4000
 COULOMB, LOAD, VISCOUS = (EffectAt(name, "carriage") for name in ("coulomb_friction", "constant_load", "viscous_friction"))

@@ -12,8 +12,8 @@ from carriage import repeats as carriages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.diagnosis.lattice import coarser_lattice
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.recorded.lattice import coarser_lattice
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.recording import Channel
 
 OWN = 1e-5

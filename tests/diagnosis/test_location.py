@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.diagnosis.dropout import Dropout
-from hil.diagnosis.location import locate, locate_outcome
-from hil.diagnosis.mismatch import Mismatch, mismatch
+from hil.diagnosis.locating.location import locate, locate_outcome
+from hil.diagnosis.recorded.dropout import Dropout
+from hil.diagnosis.residuals.mismatch import Mismatch, mismatch
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 

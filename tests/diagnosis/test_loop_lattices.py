@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pushed_mass import NOISE, RAIL, pushed_mass
 
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
 from hil.machine import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
 

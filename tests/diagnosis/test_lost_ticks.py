@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from carriage import MACHINE, reference, run
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.errors import RecordingError
 from hil.recording import Channel, Recording, recording_metadata
 

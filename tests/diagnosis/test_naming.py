@@ -7,31 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.diagnosis.compared import Compared
-from hil.diagnosis.exactness import Part, exactness
-from hil.diagnosis.gate import certain_excess
-from hil.diagnosis.information import Form
-from hil.diagnosis.naming import (
+from hil.diagnosis.fitting.information import Form
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, numbers_of, temperature, temperature_of
+from hil.diagnosis.ranking.compared import Compared
+from hil.diagnosis.ranking.exactness import Part, exactness
+from hil.diagnosis.ranking.naming import (
     CAP_ASSUMED,
     CONFIDENT,
     LIKELIER,
     UNLIKE_ONE,
     UNLIKE_ONE_PART,
-    WEIGHTS,
     Evidence,
-    Removing,
     Weighed,
     imitated,
     not_told_apart,
-    numbers_of,
     ranking,
     rarity_of,
-    temperature,
-    temperature_of,
     unnamed_share,
     weighed,
 )
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.residuals.excess import certain_excess
 from hil.diagnosis.result import EffectAt
 from hil.machine import load_machine
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from pushed_mass import NOISE, RAIL, pushed_mass
 
-from hil.diagnosis.experiment_families import requests
-from hil.diagnosis.naming import temperature
-from hil.diagnosis.next_experiment import DRAWS, REFINEMENTS, REFITTED, propose
-from hil.diagnosis.noise import assumed_noise
-from hil.diagnosis.retune import tunable
-from hil.diagnosis.separation import EFFECT_STEP, ROUNDS, Model, Separation
-from hil.diagnosis.simulated import simulated_matrix, smooth
+from hil.diagnosis.judging.errors_of_laws import temperature
+from hil.diagnosis.residuals.noise import assumed_noise
+from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
+from hil.diagnosis.separating.experiment_families import requests
+from hil.diagnosis.separating.next_experiment import DRAWS, REFINEMENTS, REFITTED, propose
+from hil.diagnosis.separating.separation import EFFECT_STEP, ROUNDS, Model, Separation
+from hil.diagnosis.tuning.retune import tunable
 from hil.experiments import Jog, JogOnly, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine

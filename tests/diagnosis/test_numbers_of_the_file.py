@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import numbers_of_the_file
-from hil.diagnosis.judgement import Stand
-from hil.diagnosis.numbers_of_the_file import are_neighbours, with_numbers_of_the_file
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.screening import Screened
+from hil.diagnosis.judging.judgement import Stand
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.screening import Screened
+from hil.diagnosis.searching import numbers_of_the_file
+from hil.diagnosis.searching.numbers_of_the_file import are_neighbours, with_numbers_of_the_file
 from hil.machine import load_machine
 
 HARDENING, COMPLIANCE, GAP, ELSEWHERE = (

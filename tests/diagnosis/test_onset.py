@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from pushed_mass import RAIL, pushed_mass, recorded
 
-from hil.diagnosis import selection
-from hil.diagnosis.align import aligned
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.form_error import NO_ERROR, FormError
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
-from hil.diagnosis.gate import LEVEL
-from hil.diagnosis.judgement import Judgement
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.onset import onset
-from hil.diagnosis.retune import retune
+from hil.diagnosis.judging.form_error import NO_ERROR, FormError
+from hil.diagnosis.judging.gate import LEVEL
+from hil.diagnosis.judging.judgement import Judgement
+from hil.diagnosis.judging.onset import onset
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.searching import selection
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune
 
 TIME_s = np.arange(1600) / RAIL.sample_rate_Hz
 WAY = 0.05 * (1.0 - np.cos(2.0 * np.pi * 0.5 * np.maximum(TIME_s - 0.5, 0.0)))

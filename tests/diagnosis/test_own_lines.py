@@ -7,11 +7,11 @@ import pytest
 import scipy.signal
 from carriage import MACHINE, RATE_Hz, recording, reference, repeats, run
 
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns
-from hil.diagnosis.held_out import HeldOut
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.own_lines import own_lines, weighted
-from hil.diagnosis.retune import retune
+from hil.diagnosis.judging.held_out import HeldOut
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.residuals.own_lines import own_lines, weighted
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 
 RATE, ROWS, CHANNELS = 256.0, 2560, 3
 SHAPE = (ROWS, CHANNELS)

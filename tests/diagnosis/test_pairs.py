@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.form import BENDS_BY, lost_form
-from hil.diagnosis.information import Form
-from hil.diagnosis.judgement import Contender, Stand, Tried
-from hil.diagnosis.pairs import beside_rivals, pairs, without_what_stood
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.information import Form
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.screening import Screened
+from hil.diagnosis.judging.form import BENDS_BY, lost_form
+from hil.diagnosis.judging.judgement import Contender, Stand, Tried
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import Screened
-from hil.diagnosis.selection import Selection, has_no_surplus, parts_that_passed
+from hil.diagnosis.searching.pairs import beside_rivals, pairs, without_what_stood
+from hil.diagnosis.searching.selection import Selection, has_no_surplus, parts_that_passed
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.retune import Tuning
 from virtual_bus.effects import presliding_hysteresis
 from virtual_bus.effects.motion import ReactionState
 

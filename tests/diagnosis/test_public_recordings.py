@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.bounded_noise import candidates_for
-from hil.diagnosis.free_run import TRAIN, FreeRuns
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.retune import retune
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.searching.bounded_noise import candidates_for
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import machine_from_text
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting

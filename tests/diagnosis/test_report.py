@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
-from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.report import write_report
 from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed, residuals
 from hil.diagnosis.report.overlay import overlay_figure
+from hil.diagnosis.residuals.mismatch import mismatch
 
 DURATION_s = 5.0
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from carriage import MACHINE, MASS_kg
 
+from hil.diagnosis.answering.estimates import retuned_values
+from hil.diagnosis.answering.hypotheses import against_held_out
 from hil.diagnosis.diagnose import first_effects, simulated_stages
-from hil.diagnosis.estimates import retuned_values
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.hypotheses import against_held_out
-from hil.diagnosis.mismatch import mismatch
 from hil.diagnosis.report.effect_map import effect_map
 from hil.diagnosis.report.page import report_figures
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt, Stages
-from hil.diagnosis.retune import retune, tunable
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune, tunable
 from virtual_bus.settings import EffectSetting
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from carriage import MACHINE, reference, run
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
 
 REST = 100  # rows

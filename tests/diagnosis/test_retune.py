@@ -9,10 +9,10 @@ import pytest
 import scipy.optimize
 from carriage import DAMPING, GAIN, MACHINE, MASS_kg, repeats
 
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.projection import Projection
-from hil.diagnosis.retune import PRIOR, Tuning, descend, linearised, retune
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.projection import Projection
+from hil.diagnosis.tuning.retune import PRIOR, Tuning, descend, linearised, retune
 from virtual_bus.plant.parameters import PlantParameter
 
 
@@ -52,7 +52,7 @@ def test_what_is_left_is_noise(runs):
 def test_a_run_that_diverges_is_refused_before_its_numbers_overflow(runs, monkeypatch):
     count = len(runs.sets[TRAIN].groups[0].time_s)
     diverged = np.geomspace(1.0, 1e307, count)[:, None] * np.ones(len(runs.sets[TRAIN].channels))
-    monkeypatch.setattr("hil.diagnosis.free_run.simulated_matrix", lambda machine, outputs, channels: diverged)
+    monkeypatch.setattr("hil.diagnosis.tuning.free_run.simulated_matrix", lambda machine, outputs, channels: diverged)
     assert runs.run_one(Trial(runs.nominal)) is None
 
 

@@ -9,15 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import exchanged, judgement, selection, ways
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
-from hil.diagnosis.form_error import NO_ERROR, FormError
-from hil.diagnosis.pairs import Pair
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.screening import Screened
+from hil.diagnosis.judging import judgement
+from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import Screened
+from hil.diagnosis.searching import exchanged, selection, ways
+from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
+from hil.diagnosis.searching.pairs import Pair
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.retune import Tuning
 from hil.machine import load_machine
 
 ENTRIES = 4000

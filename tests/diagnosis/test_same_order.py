@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import same_order
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.free_run import TRAIN
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.same_order import with_others_of_its_order
-from hil.diagnosis.screening import Screened
+from hil.diagnosis.searching import same_order
+from hil.diagnosis.searching.same_order import with_others_of_its_order
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.free_run import TRAIN
 from hil.machine import load_machine
 
 CARM = load_machine("carm")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from hil.diagnosis.candidates import Candidate, places_to_try
+from hil.diagnosis.fitting.screening import Screened, screen, shortlist
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
-from hil.diagnosis.screening import Screened, screen, shortlist
+from hil.diagnosis.starting.candidates import Candidate, places_to_try
+from hil.diagnosis.tuning.retune import Tuning
 from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from carriage import MACHINE
 
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.judgement import Judgement, Tried
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import refit
+from hil.diagnosis.fitting.refit import refit
+from hil.diagnosis.fitting.tuned_sensitivities import TunedSensitivities
+from hil.diagnosis.judging.judgement import Judgement, Tried
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
-from hil.diagnosis.tuned_sensitivities import TunedSensitivities
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune
 
 ROWS, COUNT = 200, 12
 FRICTION = EffectAt("coulomb_friction", "carriage")
@@ -61,7 +61,7 @@ def test_fits_of_a_machine_of_many_numbers_come_as_low_as_those_of_one_of_few(wi
     with FreeRuns({TRAIN: (found := mismatch(MACHINE, with_friction[0]))}, found.noise) as runs:
         tuning = retune(runs)
         for many in (3, 2):
-            monkeypatch.setattr("hil.diagnosis.refit.MANY", many)
+            monkeypatch.setattr("hil.diagnosis.fitting.refit.MANY", many)
             costs.append([fit.cost for fit in refit(runs, tuning, runs.measured(), starts)])
     assert costs[1] == pytest.approx(costs[0], abs=3.0)
     assert costs[1] != costs[0]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from carriage import MACHINE
 
-from hil.diagnosis.candidates import setting_of
-from hil.diagnosis.estimates import Believed, believed, effect_estimates, interval
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.naming import Weighed
-from hil.diagnosis.refit import Fitted, refit
+from hil.diagnosis.answering.estimates import Believed, believed, effect_estimates, interval
+from hil.diagnosis.answering.spread import TWO_SIDED_95, as_normal, spread, spread_of
+from hil.diagnosis.fitting.refit import Fitted, refit
+from hil.diagnosis.ranking.naming import Weighed
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import PRIOR, retune
-from hil.diagnosis.spread import TWO_SIDED_95, as_normal, spread, spread_of
+from hil.diagnosis.starting.candidates import setting_of
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import PRIOR, retune
 
 ENTRIES, DRAWS, CERTAIN = 80, 4000, 1e9
 
@@ -118,7 +118,7 @@ def test_a_frequency_s_spread_does_not_depend_on_how_far_differences_are_taken(w
         none = np.zeros((len(predicted), 3))
         fitted = Fitted((shaken,), (values,), tuning.offset, predicted, 0.0, ((0, 0), (0, 1), (0, 2)), none, np.zeros(3))
         found = spread_of(runs, tuning, fitted)
-        monkeypatch.setattr("hil.diagnosis.spread.FINE_SHARE", 1e-5)
+        monkeypatch.setattr("hil.diagnosis.answering.spread.FINE_SHARE", 1e-5)
         nearer = spread_of(runs, tuning, fitted)
     assert found[-3:] == pytest.approx(nearer[-3:], rel=0.01)
 

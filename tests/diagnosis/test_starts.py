@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from hil.diagnosis.coordinates import Coordinates, Point
+from hil.diagnosis.fitting.coordinates import Coordinates, Point
+from hil.diagnosis.fitting.visited import Visited
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.shape_limits import LEAST_BEND, shape_limits
-from hil.diagnosis.starts import shapes_of, starts_of
-from hil.diagnosis.visited import Visited
+from hil.diagnosis.starting.shape_limits import LEAST_BEND, shape_limits
+from hil.diagnosis.starting.starts import shapes_of, starts_of
 from hil.machine import load_machine
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual

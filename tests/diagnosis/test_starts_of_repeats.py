@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from pushed_mass import GAIN_N_V, RAIL, recorded
 
-from hil.diagnosis.dropout import Dropout
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.location import locate_outcome
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.locating.location import locate_outcome
+from hil.diagnosis.recorded.dropout import Dropout
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.free_run import FINE_STEPS, TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning, retune
-from hil.diagnosis.simulated import simulated_matrix, smooth
-from hil.diagnosis.step_error import FINER, with_finer_steps
+from hil.diagnosis.searching.step_error import FINER, with_finer_steps
+from hil.diagnosis.tuning.free_run import FINE_STEPS, TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import Tuning, retune
 from hil.simulation import Simulator
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hil.diagnosis.structure_left import REACH_s, StructureLeft
+from hil.diagnosis.judging.structure_left import REACH_s, StructureLeft
 
 ROWS, CHANNELS, RATE_Hz = 4000, 2, 200.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.diagnosis.retune import Tuning, tunable, units
-from hil.diagnosis.taken_over import acting, without_those_taken_over
+from hil.diagnosis.ranking.taken_over import acting, without_those_taken_over
+from hil.diagnosis.tuning.retune import Tuning, tunable, units
 from hil.machine import load_machine
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting

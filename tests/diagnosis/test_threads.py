@@ -10,10 +10,10 @@ import pytest
 from carriage import MACHINE, repeats
 
 from hil.cli.app import main
-from hil.diagnosis.align import aligned
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns, Trial
 from hil.errors import BadAnswer, RecordingError
 from hil.machine import load_machine
 from hil.recording import write_recording

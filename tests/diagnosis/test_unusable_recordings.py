@@ -9,7 +9,7 @@ import pytest
 from carriage import MACHINE, repeats
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.mismatch import mismatch
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.errors import RecordingError
 from hil.recording import Channel, RecordingWarning
 

@@ -10,14 +10,14 @@ import pytest
 import scipy.integrate
 from carriage import MACHINE, repeats
 
-from hil.diagnosis.coordinates import Coordinates, Point
-from hil.diagnosis.free_run import TRAIN, FreeRuns
-from hil.diagnosis.information import information_of
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import Fitted, refit
+from hil.diagnosis.fitting.coordinates import Coordinates, Point
+from hil.diagnosis.fitting.information import information_of
+from hil.diagnosis.fitting.refit import Fitted, refit
+from hil.diagnosis.fitting.visited import Travel, Visited
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
-from hil.diagnosis.visited import Travel, Visited
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
 from virtual_bus.effects.registry import effects

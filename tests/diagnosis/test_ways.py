@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis.candidates import Candidate
-from hil.diagnosis.judgement import Tried
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.judgement import Tried
+from hil.diagnosis.ranking.weighing import closer_than
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.ways import Way, another_first, closer_parts, competes, continued, each_once, joined
-from hil.diagnosis.weighing import closer_than
+from hil.diagnosis.searching.ways import Way, another_first, closer_parts, competes, continued, each_once, joined
+from hil.diagnosis.starting.candidates import Candidate
 
 ENTRIES = 100
 ALONG = np.eye(ENTRIES)

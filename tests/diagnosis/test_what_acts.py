@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.diagnosis import what_acts
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.what_acts import acts, with_what_acts
+from hil.diagnosis.searching import what_acts
+from hil.diagnosis.searching.what_acts import acts, with_what_acts
 
 SIGN, QUADRATIC, VISCOUS, LIMIT = (
     EffectAt(name, "arm") for name in ("rectified_sensor", "quadratic_friction", "viscous_friction", "current_saturation")

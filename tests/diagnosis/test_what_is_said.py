@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
+from hil.diagnosis.answering.hypotheses import hypothesis_of, read_off_findings
+from hil.diagnosis.answering.verdict import Standing, findings_of, verdict_of, what_may_act_too
 from hil.diagnosis.diagnose import diagnose, removed_share
-from hil.diagnosis.dropout import Dropout
-from hil.diagnosis.gate import Gate
-from hil.diagnosis.hypotheses import hypothesis_of, read_off_findings
-from hil.diagnosis.judgement import Contender
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.gate import Gate
+from hil.diagnosis.judging.judgement import Contender
+from hil.diagnosis.ranking.naming import CAP_ASSUMED, CAP_UNCONFIRMED, Weighed, weighed
+from hil.diagnosis.ranking.weighing import plausible_among, with_unsure
+from hil.diagnosis.recorded.dropout import Dropout
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.verdict import Standing, findings_of, verdict_of, what_may_act_too
-from hil.diagnosis.weighing import plausible_among, with_unsure
 from virtual_bus.effects.registry import effects
 
 NOISE = 20000.0

@@ -11,13 +11,13 @@ from carriage import MACHINE
 
 from hil.diagnosis import diagnose as diagnosing
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.gate import IN_SAMPLE, PRIOR_FREEDOM, PRIOR_VARIANCE, Gate
-from hil.diagnosis.judgement import Contender
-from hil.diagnosis.naming import Weighed
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.gate import IN_SAMPLE, PRIOR_FREEDOM, PRIOR_VARIANCE, Gate
+from hil.diagnosis.judging.judgement import Contender
+from hil.diagnosis.ranking.naming import Weighed
+from hil.diagnosis.ranking.weighing import evidence_of
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning
-from hil.diagnosis.weighing import evidence_of
+from hil.diagnosis.tuning.retune import Tuning
 
 MODE, DELAY = (EffectAt(name, "carriage") for name in ("structural_mode", "delay"))
 NO_NAME = "it hardly slides"

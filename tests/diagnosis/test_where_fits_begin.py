@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from carriage import MACHINE, repeats
 
-from hil.diagnosis.align import aligned
-from hil.diagnosis.free_run import TRAIN, FreeRuns
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import refit
+from hil.diagnosis.fitting.refit import refit
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import retune
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
+from hil.diagnosis.tuning.retune import retune
 
 FRICTION = EffectAt("coulomb_friction", "carriage")
 HIDDEN_N = 2.0  # part of it was taken for damping

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from carriage import DAMPING, MACHINE, MASS_kg, repeats
 
-from hil.diagnosis import bounded_noise
 from hil.diagnosis import diagnose as diagnosing
-from hil.diagnosis.align import aligned
-from hil.diagnosis.bounded_noise import with_bounded_noise
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.free_run import TRAIN, FreeRuns, Trial
-from hil.diagnosis.mismatch import mismatch
-from hil.diagnosis.refit import Fitted
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.retune import Tuning, linearised, retune, tunable, units, with_covariance
-from hil.diagnosis.without_effects import with_its_numbers, without_effects
+from hil.diagnosis.searching import bounded_noise
+from hil.diagnosis.searching.bounded_noise import with_bounded_noise
+from hil.diagnosis.searching.without_effects import with_its_numbers, without_effects
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import Tuning, linearised, retune, tunable, units, with_covariance
 from hil.machine import load_machine
 from virtual_bus.plant.compiled import compile_plant
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from effect_examples import EXAMPLES, ROWS, jog
 
-from hil.diagnosis.simulated import smooth
+from hil.diagnosis.residuals.simulated import smooth
 from hil.errors import BadAnswer, BenchError
 from hil.machine import load_machine
 from hil.simulation import Inputs, Outputs, Simulator

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.diagnosis.disturbance import Estimator, ends
-from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.motion import Motion
+from hil.diagnosis.locating.disturbance import Estimator, ends
 from hil.diagnosis.report.style import BLUE, VERMILION
+from hil.diagnosis.residuals.mismatch import Mismatch
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.starting.motion import Motion
 from virtual_bus.effects.effect import (
     CALIBRATION,
     CLOCK,

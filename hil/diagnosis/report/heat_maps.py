@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from hil.diagnosis.mismatch import Mismatch
-from hil.diagnosis.whitened import InNoiseUnits, in_noise_units
+from hil.diagnosis.residuals.mismatch import Mismatch
+from hil.diagnosis.residuals.whitened import InNoiseUnits, in_noise_units
 
 POSE_CELLS = 16
 SPEED_CELLS = 12

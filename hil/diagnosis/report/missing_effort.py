@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.diagnosis.disturbance import END_s, disturbance
-from hil.diagnosis.mismatch import Mismatch
+from hil.diagnosis.locating.disturbance import END_s, disturbance
 from hil.diagnosis.report.style import BLUE
+from hil.diagnosis.residuals.mismatch import Mismatch
 from hil.diagnosis.result import DisturbanceShares
 
 MOST_JOINTS = 4

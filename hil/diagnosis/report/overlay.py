@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.diagnosis.mismatch import Mismatch
 from hil.diagnosis.report.style import STAGE_COLOURS, STAGE_NAMES
+from hil.diagnosis.residuals.mismatch import Mismatch
 
 SHOWN_s = 4.0
 """Length of the stretch that is drawn: a motion there and back, and still its details."""

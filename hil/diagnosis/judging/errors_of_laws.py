@@ -1,0 +1,127 @@
+"""By how much the equations of effects may err, as shares of what they remove: of laws, of numbers alone, and of what is exact.
+
+From it comes T, the temper: log evidence counts misfit in units of T, so that two names are told apart only where they differ by more than
+an equation's form usually errs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.result import EffectAt
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What confidences rest on besides the recordings: fitted to development cases by `python benchmarks/concealed calibrate`.
+
+    Attributes
+    ----------
+    form_error : float
+        Share of the removed energy by which a right name's equation may err before it counts against the name.
+    left_weight : float
+        The same for the energy the best set leaves above noise: where much is left, small differences between sets mean little.
+    exact : float
+        Probability, beforehand, that the right name's equation errs by nothing that these recordings show.
+    unknown_freedom : float
+        Parameters that something without a name is charged with: it could explain whatever is above noise.
+    outside : float
+        Share of answers whose recordings a wrong name explains down to the noise: physics in no catalogue that a known effect imitates.
+    """
+
+    form_error: float
+    left_weight: float
+    exact: float
+    unknown_freedom: float
+    outside: float
+
+
+WEIGHTS = Weights(form_error=0.0099, left_weight=0.019, exact=0.23, unknown_freedom=7.8, outside=0.48)
+
+NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance", "imu_bandwidth", "rectified_sensor")
+"""Effects that are numbers of the machine file, further off than re-tuning may go: their equation is the machine's own.
+A sign is one too, where it is whole."""
+
+EXACT = (*NUMBERS, "gear_ratio", "delay", "imu_misalignment")
+"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, how late a drive is, where an IMU's axes point.
+What they do may be of any size and leaves no room for another law. A clock's offset is read by a cubic, an IMU's scale and bias are the
+same for all axes of its gyro: both equations err by more."""
+
+WHOLE = 0.01
+"""How near none or all of its sign a channel has lost it: a share between imitates what acts in one direction."""
+
+NUMBERS_ERROR = 1e-5
+"""Share of the energy removed by an effect of numbers alone by which it may err all the same: 0.3 % of its response. Beside a viscous
+friction a thousand times above noise another friction gained 4e-6 of its energy (development case 102), with nothing else there."""
+
+LEAST_ERROR = 3e-6
+"""Share of the energy removed by which an equation errs however exact it is: 0.17 % of its response, in ways that none of its error
+functions spans. Beside a drive's lag of 3390 deviations a clock's offset gained 41.8, beside a clipped current of 16 360 one gained 731,
+with nothing else there (5527, 5197, spent); beside a gear's error that was not found, of 18.7 deviations, a viscous friction of 27 840 was
+an asymmetric one by 477 (5758, spent)."""
+
+
+def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
+    """Those of a set's effects of which numbers alone are unknown."""
+    if fitted is None:
+        return frozenset()
+    each = zip(fitted.effects, fitted.values, strict=True)
+    return frozenset(
+        effect for effect, values in each if effect.effect in EXACT and (effect.effect != "rectified_sensor" or is_a_whole_sign(values))
+    )
+
+
+def is_a_whole_sign(values: np.ndarray) -> bool:
+    """Whether a channel has lost none or all of its sign, by the parameters of `rectified_sensor`."""
+    share, sign = values
+    return bool(min(abs(share), abs(1.0 - share)) < WHOLE and abs(sign) == 1.0)
+
+
+def are_of_the_file(fitted: Fitted | None) -> bool:
+    """Whether all that `numbers_of` has of a set are numbers of the machine file."""
+    return all(effect.effect in NUMBERS for effect in numbers_of(fitted))
+
+
+class Removing(NamedTuple):
+    """What a set removes."""
+
+    misfit: float
+    by_numbers: float = 0.0  # energy that those of its effects remove which are EXACT
+    of_the_file: bool = True  # whether these are all numbers of the machine file
+
+
+def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights: Weights = WEIGHTS) -> float:
+    """T of sets that compete.
+
+    In what EXACT effects of the best set remove no equation erred but by NUMBERS_ERROR; numbers of the machine file count in any set that T
+    does not tell from it: a law that holds one of them as a part is a little closer. What else is exact has neighbours that are not.
+
+    Parameters
+    ----------
+    sets : sequence of Removing
+    base : float
+        Misfit without effects.
+    noise : float
+        Expected misfit of a perfect simulation.
+    weights : Weights
+    """
+    best = min(one.misfit for one in sets)
+    most = temperature(base - best, best - noise, weights)
+    near = best + 2.0 * most
+    by_numbers = max(one.by_numbers for one in sets if one.misfit == best or (one.of_the_file and one.misfit <= near))
+    return temperature(base - best - by_numbers, best - noise, weights) + NUMBERS_ERROR * by_numbers
+
+
+def erring(removed: float, by_numbers: float) -> float:
+    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects."""
+    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
+
+
+def temperature(removed: float, left: float, weights: Weights = WEIGHTS) -> float:
+    """T, from the energies that the best set removes and leaves above noise."""
+    return 1.0 + weights.form_error * max(removed, 0.0) + weights.left_weight * max(left, 0.0)

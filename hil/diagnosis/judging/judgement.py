@@ -1,0 +1,447 @@
+"""Fitted sets of effects before the gate, with what they are judged against: nothing, or the effects that were found before them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from hil.diagnosis.fitting.information import Narrowed
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
+from hil.diagnosis.judging.form import lost_form
+from hil.diagnosis.judging.form_error import NO_ERROR, FormError
+from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
+from hil.diagnosis.judging.held_out import Followed, HeldOut
+from hil.diagnosis.judging.structure_left import StructureLeft
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns
+from hil.diagnosis.tuning.projection import Projection
+from hil.diagnosis.tuning.retune import Tuning, linearised
+from virtual_bus.effects.effect import SIGN
+from virtual_bus.effects.registry import effects
+
+Equations = Callable[[str, Tuning, Fitted], FormError]
+"""Errors of fitted effects in the recordings of a set, beside this tuning."""
+
+
+SEARCHED_TERM = {"encoder_eccentricity": "b"}
+"""Strength of the term of a law whose order was searched, of laws that have a term of a known order too."""
+
+
+class Tried:
+    """Candidates that were tried, with the number of shapes that were searched for each, and for those of the steps before."""
+
+    def __init__(self, candidates: Sequence[Candidate], *earlier: Tried | None) -> None:
+        before = [tried for tried in earlier if tried is not None]
+        self.count = len(candidates)
+        self.first: int = before[0].first if before else self.count
+        self.shapes: Mapping[EffectAt, float] = {
+            **{effect: shapes for tried in before for effect, shapes in tried.shapes.items()},
+            **{candidate.effect: candidate.shapes for candidate in candidates},
+        }
+
+    def sets(self, added: Sequence[EffectAt]) -> float:
+        """Sets of so many effects among the candidates, each in all its shapes."""
+        return math.comb(self.count, len(added)) * math.exp(self._shapes(added))
+
+    def searched(self, effects: Sequence[EffectAt]) -> float:
+        """What a set costs in log evidence beyond a single effect of one shape: the logarithm of how many shapes it had, and of how many
+        sets of its size there were to choose from for each single effect.
+        """
+        return self._shapes(effects) + math.log(math.comb(max(self.first, len(effects)), len(effects)) / self.first)
+
+    def searched_for(self, fitted: Fitted) -> float:
+        """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the training
+        recordings would lose without it: what it was fitted to nothing for is the law without that term, which nobody searched. That loss
+        is an upper bound: in log evidence at a temperature of 1 (the ranking divides by its own, which is larger where equations err), and
+        of the term's whole response, with what the machine's numbers and the law's other term would imitate of it.
+        """
+        return self.searched(fitted.effects) - sum(self._not_needed(fitted, number) for number in range(len(fitted.effects)))
+
+    def _not_needed(self, fitted: Fitted, number: int) -> float:
+        """Of what the search of an effect's shape costs, how much more that is than what its term does."""
+        effect = fitted.effects[number]
+        if effect.effect not in SEARCHED_TERM:
+            return 0.0
+        term = [parameter.name for parameter in effects()[effect.effect].parameters].index(SEARCHED_TERM[effect.effect])
+        does = fitted.values[number][term] * fitted.jacobian[:, fitted.free.index((number, term))]
+        return max(math.log(self.shapes[effect]) - 0.5 * float(does @ does), 0.0)
+
+    def _shapes(self, effects: Sequence[EffectAt]) -> float:
+        return sum(math.log(self.shapes[effect]) for effect in effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A fitted set that competes for the name."""
+
+    fitted: Fitted
+    gained: float  # fall of the training misfit from no effect at all, less what chance gains in it
+    gained_held_out: float
+    left_held_out: float  # the held-out misfit
+    gates: tuple[Gate, ...]  # of the step that added each of its effects
+    searched: float = 0.0  # what its search costs in log evidence, see `Tried`
+    moved: Fitted | None = None  # to the parameters that both motions want, see `both_motions`
+    narrowed: Narrowed | None = None  # what that costs
+    by_moving: tuple[float, float] = (0.0, 0.0)  # of what it gained, what that changed
+    known: tuple[float, float] = (0.0, 0.0)  # energies removed before its last step by effects that it is known of how their equations err
+
+    @property
+    def gate(self) -> Gate:
+        """Of its last step."""
+        return self.gates[-1]
+
+    @property
+    def passed(self) -> bool:
+        return self.gate.passed  # those before did, or there were no further step
+
+    @property
+    def uncharged(self) -> tuple[float, float]:
+        """What it gained with training's parameters, of its last step with what chance gains."""
+        return self.gained - self.by_moving[0] + self.gate.gain - self.gate.certain_gain, self.gained_held_out - self.by_moving[1]
+
+    @property
+    def beyond_errors(self) -> tuple[float, float]:
+        """The same without what errors of equations found before explain of its last step."""
+        explained = self.gate.explained
+        return self.uncharged[0] - explained[0], self.uncharged[1] - explained[1]
+
+    @property
+    def by_numbers(self) -> tuple[float, float]:
+        """Energies that those of its effects remove of which numbers alone are unknown, in training and held out."""
+        steps = _steps(self.fitted.effects, self.gates, numbers_of(self.fitted), numbers=True)
+        return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """What sets are judged against.
+
+    Attributes
+    ----------
+    fitted : Fitted or None
+        The effects that were found; None where there are none.
+    tuning : Tuning
+        The machine's numbers beside them.
+    cost : float
+        |residual|^2 + |offset|^2 on the training groups.
+    response : (M,) array
+        Whitened change of the free run that the effects make, the part that no re-tuning imitates.
+    held_out : Followed or None
+        Held-out free run.
+    gates : tuple of Gate
+        Of every effect.
+    errors, held_out_errors : FormError
+        Of its equations, as far as it is known which functions they err by, and of what noise begins with (`onset.py`); in training with
+        what re-tuning imitates taken out.
+    """
+
+    fitted: Fitted | None
+    tuning: Tuning
+    cost: float
+    response: np.ndarray
+    held_out: Followed | None
+    gates: tuple[Gate, ...]
+    errors: FormError = NO_ERROR
+    held_out_errors: FormError = NO_ERROR
+    known: bool = False  # whether errors hold what they can of its effects
+
+    @property
+    def effects(self) -> tuple[EffectAt, ...]:
+        return () if self.fitted is None else self.fitted.effects
+
+    @property
+    def certain_gain(self) -> float:
+        """Of all its steps: what chance gains is taken off every one, as it is off a set that is judged at once."""
+        return sum(gate.certain_gain for gate in {id(gate): gate for gate in self.gates}.values())
+
+    def steps(self, *, numbers: bool) -> list[Gate]:
+        """Gates of the steps that added nothing but effects of which numbers alone are unknown, or of the others."""
+        return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
+
+    @property
+    def known_energy(self) -> tuple[float, float]:
+        """Energies that effects removed in training and held out of which it is known how they err, and more than numbers is unknown."""
+        known = set(self.errors.effects) - numbers_of(self.fitted)
+        each = (_each(self.effects, self.gates, of) for of in (lambda gate: gate.gain, lambda gate: gate.held_out_gain or 0.0))
+        here, there = (sum(energy for effect, energy in energies if effect in known) for energies in each)
+        return here, there
+
+    def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
+        """Energy by which the equations of its effects may err beyond these errors, of what they removed in training or held out; of which
+        numbers alone are unknown and it is known how they err, they do so by that alone.
+        """
+        each = _each(self.effects, self.gates, energy_of)
+        beyond = [(effect, energy) for effect, energy in each if effect not in errors.effects]
+        known = numbers_of(self.fitted)
+        numbers = sum(energy for effect, energy in beyond if effect in known)
+        unknown = sum(energy for effect, energy in beyond if effect not in known)
+        within = sum(energy for effect, energy in each if effect in errors.effects and effect not in known)
+        return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers + LEAST_ERROR * within
+
+
+def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callable[[Gate], float]) -> list[tuple[EffectAt, float]]:
+    """Every effect's energy: those that one step added share it."""
+    steps = [id(gate) for gate in gates]
+    return [(effect, max(energy_of(gate), 0.0) / steps.count(id(gate))) for effect, gate in zip(effects, gates, strict=True)]
+
+
+def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozenset[EffectAt], *, numbers: bool) -> list[Gate]:
+    """The gates whose effects are all `known` for numbers, or the others."""
+    added: dict[int, set[EffectAt]] = {}
+    for effect, gate in zip(effects, gates, strict=True):
+        added.setdefault(id(gate), set()).add(effect)
+    each = {id(gate): gate for gate in gates}
+    return [each[step] for step, own in added.items() if (own <= known) is numbers]
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """What a gate has of the training recordings; see `Gate`."""
+
+    gain: float
+    beyond: float
+    needed: float
+    scatter: float
+    level: float  # of what the fit leaves, in units of the noise model's
+    by_chance: float
+
+
+class Judgement:
+    """Asks the gate about sets.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    tuning : Tuning
+        Without effects.
+    held_out : HeldOut or None
+    noise_energy : float
+        Expected |residual|^2 of a perfect simulation.
+    equations : callable, optional
+        What equations may err by (`form_error.form_error`). Without it they err in any way, by a share of their own response.
+    begins : callable, optional
+        What the noise of a set may have begun with (`onset.onset`).
+    """
+
+    def __init__(
+        self,
+        runs: FreeRuns,
+        tuning: Tuning,
+        held_out: HeldOut | None,
+        noise_energy: float,
+        equations: Equations | None = None,
+        begins: Callable[[str], FormError] = lambda name: NO_ERROR,
+    ) -> None:
+        self.scatter = Scatter(runs)
+        self._equations = equations
+        self._structure = {} if equations is None else {name: StructureLeft(runs, name) for name in runs.sets}
+        self._runs, self._measured = runs, runs.measured()
+        self._tuning, self._judge, self._noise = tuning, held_out, noise_energy
+        self._projection = Projection.of(tuning)
+        self._begins = cache(begins)
+        self.nothing = self._stand(None, ())
+
+    def without_own_lines(self, fits: Sequence[Fitted]) -> Stand:
+        """What first effects are judged against, lines that only the held-out recordings have counting by their own power."""
+        if self._judge is not None and self._judge.leave_out_own_lines(fits):
+            self._begins.cache_clear()  # they count in these units
+            self.nothing = self._stand(None, ())
+        return self.nothing
+
+    def after(self, found: Contender) -> Stand:
+        """What further effects are judged against."""
+        return self._stand(found.fitted, found.gates)
+
+    def _stand(self, fitted: Fitted | None, gates: tuple[Gate, ...]) -> Stand:
+        tuning = self._tuning
+        if fitted is not None:
+            tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
+            if any(effects()[effect.effect].kind is SIGN for effect in fitted.effects):  # there numbers move a channel the other way
+                tuning = linearised(self._runs, tuning, fitted.settings)
+        residual = self._measured - tuning.predicted
+        response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]
+        held_out = None
+        if self._judge is not None:
+            held_out = self._judge.follow(tuning.offset, () if fitted is None else fitted.settings)
+        stand = Stand(fitted, tuning, float(residual @ residual + tuning.offset @ tuning.offset), response, held_out, gates)
+        errors = self._begins(TRAIN)
+        there = NO_ERROR if self._judge is None else self._begins(HELD_OUT)
+        if fitted is not None and self._equations is not None:
+            errors = errors.beside(self._equations(TRAIN, tuning, fitted))
+            there = there if self._judge is None else there.beside(self._equations(HELD_OUT, tuning, fitted))
+            stand = replace(stand, known=True)
+        if len(errors.responses):
+            errors = FormError(Projection.of(tuning).left(errors.responses), errors.effects)
+        return replace(stand, errors=errors, held_out_errors=there)
+
+    def contenders(
+        self,
+        stand: Stand,
+        fits: Sequence[Fitted],
+        tried: Tried,
+        placebos: tuple[float, float],
+        limits: Mapping[EffectAt, tuple[float, float]],
+        earlier: int = 0,
+    ) -> list[Contender]:
+        """Every set with its gate: against the stand where it holds the stand's effects, against nothing where it does not.
+
+        Parameters
+        ----------
+        stand : Stand
+        fits : sequence of Fitted
+        tried : Tried
+        placebos : pair of float
+            Largest gains of a placebo beside the stand and beside nothing.
+        limits : mapping
+            See `form.lost_form`.
+        earlier : int
+            Sets that the held-out recordings have been asked about before these, in the same step.
+        """
+        found = []
+        for fitted in fits:
+            before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
+            after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
+            form = lost_form(fitted, limits, self._measured - fitted.predicted)
+            placebo = placebos[0 if before is stand else 1]
+            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=form)
+            left = 0.0 if self._judge is None else self._judge.misfit(after)
+            found.append(
+                Contender(
+                    fitted,
+                    before.certain_gain + gate.certain_gain,
+                    self._left(self.nothing) - left,
+                    left,
+                    (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),
+                    tried.searched_for(fitted),
+                    known=before.known_energy,
+                )
+            )
+        return found
+
+    def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
+        """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer. Without one of
+        the stand's effects a set gains what these do, too, and no chance of it compares with those of others: infinite.
+        """
+        return self._trained(stand, fitted, tried).by_chance if set(stand.effects) <= set(fitted.effects) else math.inf
+
+    def _trained(self, before: Stand, fitted: Fitted, tried: Tried) -> _Trained:
+        entries = len(self._measured)
+        added = [effect for effect in fitted.effects if effect not in before.effects]
+        freedom = fitted.freedom - (0 if before.fitted is None else before.fitted.freedom)
+        gain = beyond = before.cost - fitted.cost
+        projection = Projection.of(before.tuning)
+        change = projection.left(fitted.predicted - before.tuning.predicted)
+        response = change[:entries]
+        scatter = self.scatter.along(response)
+        level = max(1.0, fitted.cost / max(entries, 1))
+        variance = level * scatter
+        if before.fitted is not None:
+            erring = before.erring(lambda gate: gate.gain, before.errors)
+            if before.known:
+                structure = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
+                variance = max(scatter, structure) + form_variance(before.response, response, erring, 0.0)
+            else:
+                variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
+        if len(before.errors.responses):
+            beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
+        trials = tried.sets(added)
+        needed = needed_gain(trials, freedom, fitted.cost, entries)
+        return _Trained(gain, beyond, needed, scatter, level, trials * chance_of_gain(beyond, freedom, variance))
+
+    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
+        entries = len(self._measured)
+        trained = self._trained(before, fitted, tried)
+        gain, scatter, level = trained.gain, trained.scatter, trained.level
+        over_simulator = gain / (level * SIMULATOR_ERROR * entries)
+        deviations = fall = followed = there = None
+        predicted = seen = None
+        if self._judge is not None:
+            deviations, fall = self._judge.deviations(before.held_out, after), self._left(before) - self._judge.misfit(after)
+            held_out_variance, of_simulator = self._held_out_variance(before, after, scatter)
+            there = self._beyond_held_out(before, after, fall)
+            followed = chance_held_out(there, held_out_variance) if before.held_out is not None else 1.0  # what diverged shows no fall
+            predicted, seen = self._agreement(before, after, there, held_out_variance)
+            over_simulator = max(over_simulator, fall / of_simulator)
+        return Gate(
+            gain=gain,
+            needed=trained.needed,
+            scatter=scatter,
+            trained=trained.by_chance,
+            beyond=trained.beyond if len(before.errors.responses) else None,
+            over_simulator=over_simulator,
+            asked=asked,
+            held_out_deviations=deviations,
+            held_out_gain=fall,
+            held_out_beyond=there,
+            followed=followed,
+            predicted=predicted,
+            seen=seen,
+            placebo_gain=placebo,
+            share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
+            is_first=before.fitted is None,
+        )
+
+    def _held_out_variance(self, before: Stand, after: Followed | None, scatter: float) -> tuple[float, float]:
+        """Along the change from a stand to a held-out free run, and the fall there that the simulator's own error may be."""
+        assert self._judge is not None
+        left, count = self._judge.misfit(after), max(float(len(self._judge.measured)), 1.0)
+        level = max(1.0, left / count)
+        variance, of_simulator = level * scatter, level * SIMULATOR_ERROR * count
+        if before.held_out is None or after is None or before.fitted is None or self.nothing.held_out is None:
+            return variance, of_simulator
+        found, added = before.held_out.predicted - self.nothing.held_out.predicted, after.predicted - before.held_out.predicted
+        erring = before.erring(lambda gate: gate.held_out_gain or 0.0, before.held_out_errors)
+        if not before.known:
+            return variance + form_variance(found, added, erring, left - count), of_simulator
+        seen = self._structure[HELD_OUT].along(added, self._judge.measured - after.predicted)
+        return max(scatter, seen) + form_variance(found, added, erring, 0.0), of_simulator
+
+    def _beyond_held_out(self, before: Stand, after: Followed | None, fall: float) -> float:
+        """Of a held-out fall, what errors of the equations found before do not explain: more, where what is added works against them."""
+        if self._judge is None or before.held_out is None or after is None or not len(before.held_out_errors.responses):
+            return fall
+        taken = [before.held_out_errors.taken_by(self._judge.measured - run.predicted) for run in (before.held_out, after)]
+        return fall - taken[0] + taken[1]
+
+    def _agreement(self, before: Stand, after: Followed | None, fall: float, variance: float) -> tuple[float | None, float | None]:
+        """Length of a held-out change and how far the recordings go along it, in standard deviations of the noise along it.
+
+        `fall` is the misfit's, beyond what errors of the equations found before explain; of a length L, z deviations lower it by
+        2 L z - L^2.
+        """
+        if self._judge is None or before.held_out is None or after is None:
+            return None, None
+        squared = self._judge.squared_change(before.held_out, after)
+        squared -= before.held_out_errors.taken_by(after.predicted - before.held_out.predicted)
+        if squared <= 0.0:
+            return 0.0, 0.0
+        length, deviation = float(np.sqrt(squared)), float(np.sqrt(variance))
+        return length / deviation, 0.5 * (fall + squared) / length / deviation
+
+    def _left(self, stand: Stand) -> float:
+        """Held-out misfit."""
+        return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
+
+
+def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float) -> float:
+    """Variance along a response that the equations of the effects found before may add to the noise's.
+
+    An equation errs by a share of its own response wherever that is, with any sign: of the energy of its error no more is along another
+    response than the squared cosine of both responses' absolute values. What is left above noise counts as in naming's temperature.
+
+    Parameters
+    ----------
+    found, added : (M,) arrays
+        Whitened responses.
+    erring, left : float
+        Energy of the equations' error, and what is left above noise.
+    """
+    sizes = float(np.sqrt((found @ found) * (added @ added)))
+    alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0
+    return alike**2 * erring + temperature(0.0, left) - 1.0

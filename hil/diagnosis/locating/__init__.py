@@ -1,0 +1,1 @@
+"""Where a mismatch is: by channel, time, frequency, pose, speed and effort, and which equation is short."""

@@ -1,0 +1,334 @@
+"""How sure a name is: the evidence of every set of effects that was fitted, against each other, against nothing and against the unknown.
+
+log evidence = -1/2 |residual|^2 / T on training and on held-out recordings - 1/2 sum over parameters of log(1 + information / T): a
+parameter that the recordings narrow to one part in m of itself costs log m, one that they do not see nothing (MacKay 2003, ch. 28). A real
+effect never has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes,
+so that two names are told apart only where they differ by more than an equation's form usually errs. Training and held-out recordings have
+each its own T: an equation errs in one motion by a share of what it does in that motion. The unknown is charged with `unknown_freedom`
+parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. It is taken to be
+one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they do (`rarity`), as such a
+set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here has hidden them. An order
+or frequency that was searched costs the logarithm of how many were (`searched`).
+
+Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
+stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
+level that it leaves in each, where that is above the noise model's (a disturbance is not the same in another motion). What even the best
+set leaves above noise for certain, as a share of what there was to explain, is the weight of something without a name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.fitting.information import Narrowed
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, Weights, temperature_of
+from hil.diagnosis.ranking.compared import Compared
+from hil.diagnosis.ranking.exactness import Part, exactness, level_left
+from hil.diagnosis.residuals.excess import certain_excess
+from hil.diagnosis.result import EffectAt
+from virtual_bus.effects.places import part_at
+from virtual_bus.settings import PlantSettings
+
+UNLIKE_ONE = float(np.log(45.0 / 9.0))
+"""Logarithm of how much oftener one law of no catalogue is best imitated by one known effect than by several at one part of a machine: of
+52 answers to such laws in which an effect was named or came closest, all before the sealed set's case 684, the likeliest set had one effect
+in 44 and several in 8 (and one of each beforehand, Laplace's rule). The proof hides no effect, one, a pair, or exactly one law of no
+catalogue: never three, never two without names. So this is known of one such law at one place, and says nothing of how often a machine has
+more of them."""
+
+UNLIKE_ONE_PART = UNLIKE_ONE + float(np.log(2.0))
+"""The same for several effects at several parts, which imitate a law at one place more seldom still: in none of the 42 such answers on
+machines that have several parts. That none was seen says little where no law that acts at several parts was hidden (a link that bends,
+say): half as often as several at one part, set by hand, and not the one in 37 that Laplace's rule makes of them."""
+
+LIKELIER = 0.5
+"""Confidence of nothing from which no effect is named although one passed the gate, and share of sets without their form from which no name
+stands alone."""
+
+CONFIDENT = 0.9
+"""Share of what has a name, with nothing and the unknown counted, from which one name stands alone. How often a name that stands alone is
+wrong is in `outside`, which no experiment on the same machine tells: confidences carry it, the verdict `explained` does not wait for it."""
+
+CAP_ASSUMED = 0.9
+"""Largest share that a confidence speaks for without repeats: the noise, and with it every scale here, is assumed. Whether a name stands
+alone is decided before."""
+
+CAP_UNCONFIRMED = 0.5
+"""Largest confidence of a set that did not pass the gate."""
+
+HELD_OUT_COMMON = 0.012
+"""Over x, the share of machines that hide nothing whose held-out misfit is above noise by more than the share x of it: of 31 development
+nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
+
+PLAUSIBLE = 0.02
+"""A set at least this likely belongs to what cannot be told apart from the first."""
+
+LISTED = 0.98
+"""Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
+until they do, so that the truth is among them in 95 of 100 answers, if it is a known set at all and shares are a little too sure."""
+
+
+def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
+    """Logarithm of how much more rarely one law without a name does what these do than what one effect does.
+
+    Effects of one kind at one place are one law in a wave form of its own, and count as one.
+    """
+    return rarity_at({(effect.effect, effect.at): part_at(effect.at, settings) for effect in effects}.values())
+
+
+def rarity_at(parts: Iterable[str]) -> float:
+    """The same by the part at which each law acts."""
+    parts = list(parts)
+    if len(parts) < 2:
+        return 0.0
+    return UNLIKE_ONE if len(set(parts)) == 1 else UNLIKE_ONE_PART
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
+
+    fitted: Fitted | None
+    train: float  # |residual|^2 + |offset|^2, of a set with effects plus what chance gains more where their strengths scatter (gate.py)
+    held_out: float  # |residual|^2; 0 without held-out recordings
+    information: tuple[float, ...] = ()  # of its parameters, see refit.py
+    confidence: float = 0.0
+    searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
+    passed: bool = True  # the gate
+    share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
+    by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
+    of_the_file: bool = True  # whether these are all numbers of the machine file
+    rarity: float = 0.0  # see rarity_of
+    simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
+    narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
+    compared: Compared | None = None  # with the set of its step that gains most; None of that set and of those of other steps
+
+    @property
+    def misfit(self) -> float:
+        return self.train + self.held_out
+
+    def price(self, temper: float = 1.0) -> float:
+        """What its parameters and its search cost in log evidence.
+
+        Which of its laws' terms are there is not known: the evidence is the mean over all choices, so that a term that was fitted to
+        nothing costs no more than the choice. A form without a term pays for what it loses in training only: held out, it counts with the
+        misfit of the whole law.
+        """
+        each = [(0.0, self.information), *self.simpler]
+        costs = [0.5 * (loss / temper + float(np.sum(np.log1p(np.array(seen) / temper)))) for loss, seen in each]
+        moved = 0.0 if self.narrowed is None else self.narrowed.cost(temper, temper)
+        return self.searched + moved - float(np.logaddexp.reduce([-cost for cost in costs])) + float(np.log(len(costs)))
+
+    def priced_as(self, fitted: Fitted) -> Weighed:
+        """With the information of a fit."""
+        simpler = tuple((form.loss, tuple(form.information.tolist())) for form in fitted.simpler)
+        return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
+
+    def in_units(self, train: float, held_out: float, form_error: float = 0.0) -> Weighed:
+        """With misfits and information in units of these levels, in which is `form_error` of what effects removed."""
+        information = tuple(i / train for i in self.information)
+        simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
+        narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
+        misfits = self.train / train, self.held_out / held_out
+        if self.compared is not None:
+            misfits = self.compared.in_units(0, train, form_error), self.compared.in_units(1, held_out, form_error)
+        in_units = replace(self, train=misfits[0], held_out=misfits[1], compared=None)
+        return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything a ranking rests on.
+
+    Attributes
+    ----------
+    sets : tuple of Weighed
+        Every set that passed its own fit.
+    base : Weighed
+        Without effects.
+    entries_train, entries_held_out : float
+        Expected |residual|^2 of a perfect simulation.
+    tried : int
+        Candidates that were screened.
+    found : bool
+        Whether a set passed the gate.
+    cap : float
+        Largest share of what has a name.
+    formless : tuple of Weighed
+        Sets that would have passed but for their form (`form.py`): they are no names.
+    """
+
+    sets: tuple[Weighed, ...]
+    base: Weighed
+    entries_train: float
+    entries_held_out: float
+    tried: int
+    found: bool
+    cap: float = 1.0
+    formless: tuple[Weighed, ...] = ()
+
+
+def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ...]:
+    """Hypotheses with their confidence, the likeliest first.
+
+    Nothing is among them where no set passed the gate, and where it is likelier than all that did together.
+    """
+    if not evidence.sets:
+        return ()
+    entries = evidence.entries_train, evidence.entries_held_out
+    ranked, nothing = weighed(evidence.sets, evidence.base, entries, evidence.tried, evidence.cap, weights)
+    if not evidence.found or nothing.confidence > LIKELIER:
+        ranked.append(nothing)
+    else:
+        named = 1.0 - unnamed_share(evidence.base.train, ranked[0].train, evidence.entries_train)
+        ranked = [replace(h, confidence=named * h.confidence, share=named * h.share) for h in ranked]
+    ranked = [h if h.passed else replace(h, confidence=min(h.confidence, CAP_UNCONFIRMED)) for h in ranked]
+    return tuple(sorted(ranked, key=lambda h: (-h.confidence, -h.share)))
+
+
+def imitated(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[float, Weighed | None]:
+    """Share that sets which lost their form would have beside the known ones, were they names, and the likeliest of them.
+
+    What such a set fits better than every name does is there, and none of the names is it. Of sets of which one holds the other, or that
+    were fitted twice, the likeliest counts: they are one another's imitations, and their shares together would be of one set.
+    """
+    if not evidence.formless or not evidence.sets:
+        return 0.0, None
+    entries = evidence.entries_train, evidence.entries_held_out
+
+    def beside_names(formless: Sequence[Weighed]) -> list[Weighed]:
+        """With their shares, the likeliest first."""
+        ranked, _ = weighed((*evidence.sets, *formless), evidence.base, entries, evidence.tried, evidence.cap, weights)
+        own = {id(h.fitted) for h in formless}
+        return [h for h in ranked if id(h.fitted) in own]
+
+    formless = beside_names(_not_nested(beside_names(evidence.formless)))
+    return sum(h.share for h in formless), formless[0]
+
+
+def _not_nested(hypotheses: Sequence[Weighed]) -> list[Weighed]:
+    """Those that neither hold nor are part of one before them."""
+    kept: list[tuple[Weighed, set[EffectAt]]] = []
+    for h in hypotheses:
+        own = set() if h.fitted is None else set(h.fitted.effects)
+        if not any(own <= other or other <= own for _, other in kept):
+            kept.append((h, own))
+    return [h for h, _ in kept]
+
+
+def weighed(
+    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, cap: float = 1.0, weights: Weights = WEIGHTS
+) -> tuple[list[Weighed], Weighed]:
+    """Sets with their confidence, the likeliest first, and nothing with its own.
+
+    Beforehand nothing is as likely as all sets together; each set is one of so many that were tried, in one of the shapes that were
+    searched for it: the best of many gains by chance what one alone does not.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Weighed
+    base : Weighed
+        Without effects.
+    entries : pair of float
+        Expected |residual|^2 of a perfect simulation, training and held-out.
+    tried : int
+        Candidates.
+    cap : float
+        Largest share of what has a name.
+    weights : Weights
+    """
+    *shares, nothing = _shares(hypotheses, base, entries, tried, weights)
+    each = zip(hypotheses, shares, strict=True)
+    sets = [replace(h, confidence=confidence_of(min(share, cap), weights), share=share) for h, share in each]
+    return sorted(sets, key=lambda h: (-h.confidence, -h.share)), replace(base, confidence=min(nothing, cap), share=nothing)
+
+
+def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, weights: Weights) -> list[float]:
+    """Of every set and, last, of nothing."""
+    train, held_out = tempers_of(hypotheses, base, entries, weights)
+    *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
+    best = min(hypotheses, key=lambda h: h.misfit)
+    left = best.in_units(train, held_out, weights.form_error).misfit
+    evidence = _evidence(tempered, nothing, tried)
+    as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
+    price = price_of_a_parameter(nothing.misfit - left, 1.0) * weights.unknown_freedom - float(np.log(as_often))
+    unknown = -0.5 * left + for_the_unknown(best, entries, (train, held_out)) - price
+    shares = _normalised([*evidence, unknown])[:-1]
+    *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
+    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, best.by_numbers, strict=True)]
+    share = exactness(parts, weights.exact, weights.form_error)
+    return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]
+
+
+def tempers_of(
+    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], weights: Weights = WEIGHTS
+) -> tuple[float, float]:
+    """T of training and of held-out recordings; what is left within what repeats cannot tell from noise needs no name."""
+    found = []
+    for part, noise in enumerate(entries):
+        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], h.of_the_file) for h in hypotheses]
+        found.append(temperature_of(sets, (base.train, base.held_out)[part], noise + certain_excess(noise), weights))
+    return found[0], found[1]
+
+
+def for_the_unknown(best: Weighed, entries: tuple[float, float], tempers: tuple[float, float]) -> float:
+    """What something without a name, which leaves nothing above noise, gains in log evidence over the best set.
+
+    The noise of training is known from its repeats. Held out there are none, and a disturbance is not the same in another motion: what is
+    left there speaks for the unknown by no more than it is rare where nothing is hidden.
+    """
+    train, held_out = (max(left - n - certain_excess(n), 0.0) for left, n in zip((best.train, best.held_out), entries, strict=True))
+    rare = float(np.log(max(held_out / (HELD_OUT_COMMON * max(entries[1], 1.0)), 1.0)))
+    return 0.5 * train / tempers[0] + min(0.5 * held_out / tempers[1], rare)
+
+
+def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, float]) -> list[Weighed]:
+    """Sets, nothing the last of them, whose misfits count in units of the noise's level in training and in held-out recordings: what the
+    best set leaves there, where that is more than the noise model says, and what equations err by however exact they are.
+    """
+    best, base = min(sets, key=lambda h: h.misfit), sets[-1]
+    each = zip((best.train, best.held_out), (base.train, base.held_out), entries, strict=True)
+    levels = [level_left(Part(*part)) for part in each]
+    return [h.in_units(*levels) for h in sets]
+
+
+def not_told_apart(hypotheses: Sequence[Weighed]) -> list[Weighed]:
+    """The likeliest set of effects and those that belong beside it; hypotheses are the likeliest first."""
+    sets = [h for h in hypotheses if h.fitted is not None]
+    whole = sum(h.confidence for h in sets)
+    found: list[Weighed] = []
+    together = 0.0
+    for h in sets:
+        if found and h.confidence < PLAUSIBLE and together >= LISTED * whole:
+            break
+        found.append(h)
+        together += h.confidence
+    return found
+
+
+def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:
+    """Confidence of a name that has this share of what has one: what is in no catalogue may have been imitated."""
+    return share * (1.0 - weights.outside)
+
+
+def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int) -> list[float]:
+    return [*(-0.5 * h.misfit - h.price() for h in hypotheses), -0.5 * base.misfit + float(np.log(max(tried, 1)))]
+
+
+def _normalised(evidence: Sequence[float]) -> np.ndarray:
+    shares = np.exp(np.array(evidence) - max(evidence))
+    return shares / shares.sum()
+
+
+def unnamed_share(before: float, after: float, noise: float) -> float:
+    """What a set of effects leaves above noise for certain, as a share of what was above noise before."""
+    return float(np.clip((after - noise - certain_excess(noise)) / max(before - noise, 1e-9), 0.0, 1.0))
+
+
+def price_of_a_parameter(removed: float, temper: float) -> float:
+    """What a parameter costs in log evidence that is known as well as this energy lets it be."""
+    return 0.5 * float(np.log1p(max(removed, 0.0) / temper))

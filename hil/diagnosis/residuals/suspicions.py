@@ -1,0 +1,70 @@
+"""What looks like a wrong unit, a wrong sign or a gross delay: pointed out, not corrected.
+
+A channel that is wired the wrong way round or lags is a finding of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.diagnosis.residuals.mismatch import Mismatch
+
+ALIKE = 0.9
+"""Correlation from which a channel is the simulation's, but for sign or scale."""
+
+SCALES = {180.0 / np.pi: "degrees for radians", 1000.0: "thousandths", 2.0 * np.pi: "turns for radians", 9.80665: "g for m/s^2"}
+SCALE_TOLERANCE = 0.1
+LARGEST_LAG_s = 0.1
+LEAST_LAG_ROWS = 2
+CLEARLY = 0.7
+"""A lag is pointed out when it lowers the rms difference below this share."""
+
+
+def suspicions(found: Mismatch, answered: Mismatch | None = None) -> tuple[str, ...]:
+    """What looks like a wrong unit, a wrong sign or a gross delay: a sentence each.
+
+    Parameters
+    ----------
+    found : Mismatch
+        Beside the nominal simulation.
+    answered : Mismatch, optional
+        The same recordings beside the answer's simulation: where its rows come in time a delay is none, since friction and inertia hold a
+        motion back, too, and a clock's offset that is named says so itself.
+    """
+    said = []
+    for column, name in enumerate(found.channels):
+        measured = np.concatenate([_centred(group.mean[:, column]) for group in found.groups])
+        simulated = np.concatenate([_centred(group.simulated[:, column]) for group in found.groups])
+        power, own = float(simulated @ simulated), float(measured @ measured)
+        if power <= 0.0 or own <= 0.0:
+            continue
+        correlation = float(measured @ simulated) / np.sqrt(power * own)
+        slope = float(measured @ simulated) / power
+        if correlation < -ALIKE:
+            said.append(f"{name} runs against its simulation (correlation {correlation:.2f}): is its sign right?")
+        for scale, meaning in SCALES.items():
+            for factor in (scale, 1.0 / scale):
+                if abs(correlation) > ALIKE and abs(abs(slope) / factor - 1.0) < SCALE_TOLERANCE:
+                    said.append(f"{name} is {abs(slope):.3g} times its simulation: {meaning}?")
+        lag = _lag_rows(found, column)
+        if lag and (answered is None or _lag_rows(answered, column)):
+            order = "later" if lag > 0 else "earlier"
+            said.append(f"{name} comes {abs(lag) / found.noise.rate_Hz * 1e3:.3g} ms {order} than its simulation")
+    return tuple(said)
+
+
+def _lag_rows(found: Mismatch, column: int) -> int:
+    """Rows by which a channel is later than its simulation, where that explains the difference clearly better; 0 otherwise."""
+    most = round(LARGEST_LAG_s * found.noise.rate_Hz)
+    pairs = [(_centred(group.mean[:, column]), _centred(group.simulated[:, column])) for group in found.groups]
+    if any(len(measured) <= 4 * most for measured, _ in pairs):
+        return 0
+    errors = {}
+    for lag in range(-most, most + 1):
+        errors[lag] = sum(float(np.sum((m[most:-most] - s[most - lag : len(s) - most - lag]) ** 2)) for m, s in pairs)
+    best = min(errors, key=lambda lag: (errors[lag], abs(lag)))
+    return best if abs(best) >= LEAST_LAG_ROWS and errors[best] < CLEARLY**2 * errors[0] else 0
+
+
+def _centred(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values - values.mean())

@@ -1,0 +1,149 @@
+"""Ways of a search: how far effects were added from one first effect or another, and how two ways are put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
+from hil.diagnosis.judging.gate import Gate
+from hil.diagnosis.judging.judgement import Contender, Stand, Tried
+from hil.diagnosis.ranking.naming import PLAUSIBLE, Weighed
+from hil.diagnosis.result import EffectAt
+
+RIVAL_SHARE = 0.5
+"""Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate. What is held out
+counts for a rival as it counts in naming: in sealed 1267 a ripple gained 26 of a cogging's 55 in training, in units of its scatter, and
+more than that held out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """How far effects were added, and what was fitted and judged on the way; see `Selection`."""
+
+    stand: Stand
+    gates: tuple[Gate, ...] = ()
+    contenders: tuple[Contender, ...] = ()
+    screened: tuple[Screened, ...] = ()
+    closest: Fitted | None = None
+    further: float = np.inf
+    singles: tuple[Fitted, ...] = ()
+    smaller: tuple[Fitted, ...] = ()  # of all steps
+    limits: Mapping[EffectAt, tuple[float, float]] = field(default_factory=dict)
+    tried: Tried | None = None
+    is_at_its_end: bool = False
+    formless: tuple[Contender, ...] = ()  # of all steps
+    unsure: tuple[Contender, ...] = ()
+    is_wider: bool = False  # whether candidates behind the best were fitted as well
+    placebo: float = 0.0  # largest gain of one at the first step
+
+
+def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:
+    """The likelier of two ways by training, with the sets of both; `base` is the cost of no effect at all."""
+    ends = [next(c for c in way.contenders if c.fitted is way.stand.fitted) for way in (one, other)]
+    temper = temperature_of([_removing(end, base) for end in ends], base, noise_energy)
+    evidence = [0.5 * end.gained / temper - price_in_training(end.fitted, temper, end.searched) for end in ends]
+    likelier, less = (one, other) if evidence[0] >= evidence[1] else (other, one)
+    closest = min((way.closest for way in (one, other) if way.closest is not None), key=lambda fit: fit.cost)
+    formless = (*one.formless, *(each for each in other.formless if each not in one.formless))
+    return replace(
+        likelier,
+        contenders=tuple(each_once((*one.contenders, *other.contenders))),
+        closest=closest,
+        formless=formless,
+        limits={**less.limits, **likelier.limits},
+        tried=Tried((), less.tried, likelier.tried),  # either way may have tried what was a candidate beside its own sets only
+    )
+
+
+def from_another(way: Way, found: Contender, stand: Stand) -> Way:
+    """A way that goes on from another of the sets that this one came to, at whichever step."""
+    steps = tuple({id(gate): gate for gate in found.gates}.values())
+    return replace(way, stand=stand, gates=steps, further=np.inf, is_at_its_end=False, unsure=())
+
+
+def continued(way: Way, other: Way) -> Way:
+    """The way that went on from the likeliest set of the one before, with the sets of both where it found more."""
+    if all(one in way.contenders for one in other.contenders):
+        return other
+    closest = min((one.closest for one in (way, other) if one.closest is not None), key=lambda fit: fit.cost)
+    return replace(other, contenders=tuple(each_once((*way.contenders, *other.contenders))), closest=closest)
+
+
+def another_first(
+    contenders: Sequence[Contender], found: Sequence[EffectAt], stand: Stand, nothing: Stand, noise_energy: float
+) -> Contender | None:
+    """A set of the first step from which effects should be added as well: one that an equation's error may hold beside the first stand and
+    that does something else, where further effects were found beside that. None where there is none.
+    """
+    if stand.fitted is None or len(found) <= len(stand.effects):
+        return None
+    own = stand.fitted.predicted - nothing.tuning.predicted
+    known = not_told_apart_in_training(contenders, contenders, nothing.cost, noise_energy)
+    others = []
+    for one in contenders:
+        response = one.fitted.predicted - nothing.tuning.predicted
+        is_another = not set(one.fitted.effects) <= set(found) and squared_cosine(own, response) < UNLIKE
+        if one.fitted in known and is_another:
+            others.append(one)
+    return max(others, key=lambda one: one.gained, default=None)
+
+
+def closer_parts(one: Contender, way: Way) -> list[Contender]:
+    """Parts of a set that passed the gate and leave less than the stand that it was added to: beside each of these it must be there for
+    certain as well, or its other effects are an error of that part's equation.
+    """
+    own, stand = set(one.fitted.effects), way.stand
+    return [part for part in way.contenders if set(part.fitted.effects) < own and part.passed and part.fitted.cost < stand.cost]
+
+
+def each_once(contenders: Sequence[Contender]) -> list[Contender]:
+    """Of sets that were fitted twice the closer one; without those that are part of another, or gain too little to compete."""
+    closest: dict[frozenset[EffectAt], Contender] = {}
+    for one in contenders:
+        known = closest.setdefault(frozenset(one.fitted.effects), one)
+        if one.fitted.cost < known.fitted.cost:
+            closest[frozenset(one.fitted.effects)] = one
+    sets = list(closest.values())
+    return [one for own, one in closest.items() if is_rival_of(one, sets) and not any(own < others for others in closest)]
+
+
+def is_rival_of(one: Contender, others: Sequence[Contender]) -> bool:
+    """Whether a set gains enough beside the one of these that gains most, in training or in both motions together."""
+    gains = [(each.gained, each.gained + max(each.gained_held_out, 0.0)) for each in (one, *others)]
+    return any(gain > RIVAL_SHARE * max(of_all) for gain, of_all in zip(gains[0], zip(*gains, strict=True), strict=True))
+
+
+def competes(one: Gate, chosen: Gate | None) -> bool:
+    """Whether a set that did not pass gains enough beside the chosen one to compete with it, in training or in both motions together."""
+    if one.lost_form or one.certain_gain <= 0.0:
+        return False
+    if chosen is None:
+        return True
+    gains = [(gate.certain_gain, gate.certain_gain + max(gate.held_out_gain or 0.0, 0.0)) for gate in (one, chosen)]
+    return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
+
+
+def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
+    """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
+    leave more; `base` is the cost of no effect at all.
+    """
+    sets = [_removing(one, base) for one in (*earlier, *larger)]
+    much = -2.0 * math.log(PLAUSIBLE) * temperature_of(sets, base, noise_energy)
+    most = max(one.gained for one in larger)
+    return [one.fitted for one in earlier if one.passed and one.gained > most - much]
+
+
+def _removing(one: Contender, base: float) -> Removing:
+    """In training."""
+    return Removing(base - one.gained, one.by_numbers[0], are_of_the_file(one.fitted))
+
+
+def price_in_training(fitted: Fitted, temper: float, searched: float) -> float:
+    """Of a set's parameters and of what was searched for it, in log evidence, before held-out recordings are asked."""
+    return Weighed(None, 0.0, 0.0, searched=searched).priced_as(fitted).price(temper)

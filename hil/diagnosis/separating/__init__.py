@@ -1,0 +1,1 @@
+"""The next experiment: what tells apart sets that these recordings do not."""

@@ -1,0 +1,1 @@
+"""The catalogue at every place of a machine, with values of parameters from which fits may start."""

@@ -1,0 +1,1 @@
+"""Free runs, and the machine file's own numbers re-tuned to recordings."""
