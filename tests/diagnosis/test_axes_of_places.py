@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from hil.diagnosis.residuals.mismatch import RepeatGroup
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.starting.motion import Motion
 from hil.machine import machine_from_text
 from hil.recording import read_recording

@@ -9,8 +9,8 @@ import pytest
 import scipy.signal
 from carriage import MACHINE, RATE_Hz
 
-from hil.diagnosis.residuals.mismatch import RepeatGroup
 from hil.diagnosis.residuals.noise import noise_model, sensor_floor
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.whitened import in_noise_units
 from hil.machine import load_machine
 from hil.simulation import Inputs

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from hil.diagnosis.residuals.excess import certain_excess
-from hil.diagnosis.residuals.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.residuals.mismatch import Mismatch
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.whitened import in_noise_units
 from hil.diagnosis.result import DisturbanceShares
 from hil.machine import Machine

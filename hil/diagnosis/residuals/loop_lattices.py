@@ -10,15 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.simulation import Inputs, Simulator
-
-if TYPE_CHECKING:
-    from hil.diagnosis.residuals.mismatch import RepeatGroup
 
 PHASES = 8
 """Places within a count, equally far apart, that the loop's errors are drawn for: as many records as their spectrum is averaged over."""

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.diagnosis.residuals.mismatch import Mismatch, RepeatGroup
+from hil.diagnosis.residuals.mismatch import Mismatch
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.result import Stages
 
 Rows = Sequence[np.ndarray]  # (N, C) per group

@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 import scipy.signal
@@ -18,16 +17,17 @@ import scipy.signal
 from hil.diagnosis.recorded.dropout import Dropout, by_sensor, without_lost_samples
 from hil.diagnosis.recorded.lattice import Lattice, coarser_lattices, with_lattices
 from hil.diagnosis.recorded.repeated import Member, are_repeats, from_mean_start, why_no_repeats
-from hil.diagnosis.residuals.carried import CarriedImu, carried_imu
+from hil.diagnosis.residuals.carried import carried_imu
 from hil.diagnosis.residuals.loop_lattices import loop_lattices
 from hil.diagnosis.residuals.noise import NoiseModel, noise_model
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.simulated import channel_outputs
 from hil.diagnosis.residuals.spectra import FILTER_ORDER
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
 from hil.recording import Recording, RecordingWarning
-from hil.simulation import Inputs, Simulator, inputs_of
+from hil.simulation import Simulator, inputs_of
 from virtual_bus.settings import EffectSetting
 
 SILENT = 1e-12
@@ -44,68 +44,6 @@ LARGEST_READING = 1e30
 
 LARGEST_MISSING_SHARE = 0.5
 """A channel that misses more of its samples than this is left out."""
-
-
-@dataclass(frozen=True, eq=False)
-class RepeatGroup:
-    """R repeats of N rows of one experiment, and its simulation.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        What each repeat is called: the recording's name, with the period's number where it is one.
-    machine : Machine
-        The diagnosed machine, with the controller of these recordings where their own machine file has another one.
-    inputs : Inputs
-        What drives the simulation of the whole recording.
-    windows : tuple of slice
-        Rows of that simulation the repeats stand for; more than one for periods.
-    time_s : (N,) array
-    measured : (R, N, C) array
-        NaN where a sample is missing.
-    simulated : (N, C) array
-        Noise off, averaged over the windows.
-    position, speed, effort, reference : (N, n_axes) arrays
-        For binning: mean over the repeats of what was measured (effort in the drive's unit); the reference is the position's own where a
-        machine has no controller.
-    imu : CarriedImu, optional
-        What the encoders say of the IMU along this motion; none where one of both is not recorded.
-    """
-
-    labels: tuple[str, ...]
-    machine: Machine
-    inputs: Inputs
-    windows: tuple[slice, ...]
-    time_s: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
-    position: np.ndarray
-    speed: np.ndarray
-    effort: np.ndarray
-    reference: np.ndarray
-    imu: CarriedImu | None = None
-
-    @property
-    def repeats(self) -> int:
-        return len(self.measured)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """(N, C) mean of the repeats; where a sample is missing in all of them, the line between its neighbours."""
-        return self.complete.mean(axis=0)
-
-    @cached_property
-    def complete(self) -> np.ndarray:
-        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time."""
-        residual = self.measured - self.simulated
-        for r, c in np.argwhere(np.isnan(residual).any(axis=1)):
-            missing = np.isnan(residual[r, :, c])
-            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c])
-        return residual + self.simulated
-
-    def fold(self, rows: np.ndarray) -> np.ndarray:
-        """Simulated rows of the whole recording (M, C) as those of the repeats (N, C); of one window a part of them, not a copy."""
-        return rows[self.windows[0]] if len(self.windows) == 1 else np.mean([rows[window] for window in self.windows], axis=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
 
 from hil.diagnosis.residuals.carried import CarriedImu
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.spectra import (
     FILTER_ORDER,
     FREEDOM_PER_CHANNEL,
@@ -44,10 +44,6 @@ from hil.diagnosis.residuals.whitening_kernels import mix_channels
 from hil.diagnosis.result import NoiseKind
 from hil.errors import RecordingError
 from hil.machine import Machine
-
-if TYPE_CHECKING:
-    from hil.diagnosis.residuals.mismatch import RepeatGroup
-
 
 NO_FLOOR = 1e-12
 """Least noise of a channel without a resolution, in its unit."""

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.signal
 
-from hil.diagnosis.residuals.mismatch import RepeatGroup
+from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.machine import Machine
 from virtual_bus.effects.places import next_axis, spring_at
 from virtual_bus.effects.residual import Residual, joined
