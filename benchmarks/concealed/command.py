@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import calibrating, making, mutating, running, scoring
+from concealed import calibrating, making, mutating, running, scoring, tables
 from hil.diagnosis.judging.errors_of_laws import WEIGHTS
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
@@ -23,7 +23,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate", "tables"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -35,7 +35,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--judged", type=Path, help="a file of scores: its cases are taken as they were judged there, with their own truths"
     )
+    parser.add_argument("--scores", type=Path, help="tables: the file of scores to print")
     options = parser.parse_args(arguments)
+    if options.step == "tables":
+        print(tables.tables_of(options.scores or options.results / f"scores_{options.seeds}.json"))
+        return 0
     places = making.Places(options.work, options.seeds)
     options.results.mkdir(parents=True, exist_ok=True)
     if options.step != "score":

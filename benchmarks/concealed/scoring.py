@@ -16,6 +16,7 @@ from concealed.curves import draw_curves
 from concealed.intervals import calibration, clopper_pearson, upper_bound
 from concealed.judging import Judgement, judge
 from concealed.making import Places, seal
+from concealed.tables import text
 from concealed.truth.catalogue import INSIDE
 
 EDGES = (0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, np.inf)
@@ -61,7 +62,7 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     table["cases_judged"] = [asdict(each) for each in judged]
     (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     draw_curves(curve, results / f"detectability_{places.seeds}.svg")
-    return _text(bars, strata, kinds, judged)
+    return text(table)
 
 
 def _judged_before(path: Path, seeds: str, answers: Mapping[int, dict[str, Any]]) -> dict[int, Judgement]:
@@ -247,46 +248,3 @@ def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
             "detected": [sum(each.found for each in detected), len(detected)], "named": [sum(each.right for each in named), len(named)],
         })  # fmt: skip
     return rows
-
-
-def _met(bar: dict[str, Any]) -> str:
-    return "–" if not bar["n"] or bar["asked"] == NOT_ASKED else "yes" if bar["met"] else "no"
-
-
-def _row(*cells: object) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def _text(bars: list[dict[str, Any]], strata: list[dict[str, Any]], kinds: list[dict[str, Any]], judged: list[Judgement]) -> str:
-    lines = ["| bar | measured | 95 % interval | cases | asked | met |", "|---|---|---|---|---|---|"]
-    for bar in bars:
-        if "bins" in bar:
-            value, interval = " ".join(f"{each['right']:.2f}/{each['confidence']:.2f}" for each in bar["bins"]), "right/said per bin"
-        elif "ci95" in bar:
-            value = f"{100 * bar['value']:.1f} %" if bar["n"] else "–"
-            interval = f"{100 * bar['ci95'][0]:.1f} to {100 * bar['ci95'][1]:.1f} %" + (
-                f", upper {100 * bar['upper_bound']:.1f} %" if "upper_bound" in bar else ""
-            )
-        else:
-            value, interval = f"{bar['value']:.2f}" if bar["n"] else "–", ""
-        lines.append(_row(bar["bar"], value, interval, bar["n"], bar["asked"], _met(bar)))
-    lines += [
-        "",
-        "| stratum | condition | cases | alarms | name asked | right | confidently wrong | verdicts |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for row in strata:
-        verdicts = ", ".join(f"{verdict} {count}" for verdict, count in row["verdicts"].items())
-        lines.append(_row(*(row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")), verdicts))
-    lines += [
-        "",
-        "| hidden alone | stratum | name asked | right | among three | confidently another | instead | nothing |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for row in kinds:
-        instead = ", ".join(f"{name or 'no name'} {count}" for name, count in row["instead"].items())
-        cells = (row[key] for key in ("kind", "stratum", "asked", "right", "among_three", "confident"))
-        lines.append(_row(*cells, instead, row["nothing"]))
-    if judged:
-        lines += ["", f"{len(judged)} cases; {np.median([each.seconds for each in judged]):.1f} s each in the median"]
-    return "\n".join(lines)
