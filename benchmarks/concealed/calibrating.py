@@ -1,4 +1,4 @@
-"""Confidences fitted to development cases: what `hil.diagnosis.judging.errors_of_laws` holds for them besides the recordings.
+"""Confidences fitted to development cases: `WEIGHTS` in `hil.diagnosis.judging.errors_of_laws`.
 
 Each case's raw numbers (misfits, parameters, shapes searched, of every set of effects that was weighed; the truth's names beside them) are
 kept as a line of evidence_development.jsonl, so that a fit takes seconds and the tool is not run again. The constants are those under which

@@ -14,9 +14,11 @@ from hil.diagnosis.answering.drift import chance_of_drift
 from hil.diagnosis.answering.estimates import believed, effect_estimates, retuned_values
 from hil.diagnosis.answering.held_out_alone import OnlyHeldOut, only_held_out
 from hil.diagnosis.answering.hypotheses import against_held_out, hypothesis_of, predicted, read_off_findings, rivals_of
+from hil.diagnosis.answering.misfit import channel_stages, total_stages
 from hil.diagnosis.answering.placebo import add_placebo
 from hil.diagnosis.answering.spread import spread_of
 from hil.diagnosis.answering.sufficiency import what_is_missing
+from hil.diagnosis.answering.suspicions import suspicions
 from hil.diagnosis.answering.verdict import Standing, findings_of, only_there, verdict_of, what_may_act_too, with_read_off
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.errors_of_laws import erring
@@ -28,9 +30,7 @@ from hil.diagnosis.ranking.naming import CAP_UNCONFIRMED, LIKELIER, Evidence, We
 from hil.diagnosis.ranking.weighing import cap_of, evidence_of, plausible_among, with_unsure
 from hil.diagnosis.recorded.align import aligned
 from hil.diagnosis.residuals.excess import certain_excess
-from hil.diagnosis.residuals.misfit import channel_stages, total_stages
 from hil.diagnosis.residuals.mismatch import Mismatch, mismatch
-from hil.diagnosis.residuals.suspicions import suspicions
 from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit
 from hil.diagnosis.searching.bounded_noise import candidates_for, with_bounded_noise
 from hil.diagnosis.searching.selection import Selection, select
@@ -47,6 +47,9 @@ from virtual_bus.settings import EffectSetting
 Report = Callable[[str, float], None]
 NEXT_EXPERIMENT = "next_experiment.toml"
 """File in the answer's folder."""
+
+SAYS_WHAT_IT_IS = ("explained", "ambiguous", "retuned")
+"""Verdicts whose simulation is offered as the machine's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +253,7 @@ def diagnose(
             unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
             seconds=time.monotonic() - began,
             disturbance=disturbed,
-            suspicions=suspicions(train, train.with_simulated(stages[TRAIN]["extended"])),
+            suspicions=suspicions(train, train.with_simulated(stages[TRAIN]["extended"]) if verdict in SAYS_WHAT_IT_IS else None),
             separations=() if proposal is None else predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))

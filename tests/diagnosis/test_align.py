@@ -1,4 +1,4 @@
-"""Recordings on equal rows; units, signs and delays pointed out."""
+"""Recordings on equal rows."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.recorded.align import aligned, resampled
-from hil.diagnosis.residuals.mismatch import mismatch
-from hil.diagnosis.residuals.suspicions import suspicions
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
-from hil.simulation import simulate
 
 MOTOR = load_machine("laas_anti_cogging")
 ROWS = 2000
@@ -95,32 +92,3 @@ def test_lost_rows_leave_the_periods_as_they_are():
     with pytest.warns(RecordingWarning, match="not equally spaced"):
         even = aligned(MOTOR, {"rec": late.part(np.arange(900) != 450)})["rec"]
     assert even.experiment == whole.experiment
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda x: -x, "runs against its simulation"),
-        (np.degrees, "degrees for radians"),
-        (lambda x: np.concatenate([np.zeros(12), x[:-12]]), " 12 ms later"),
-        (lambda x: np.concatenate([x[12:], np.zeros(12)]), " 12 ms earlier"),
-    ],
-)
-def test_wrong_signs_units_and_delays_are_pointed_out(change, said):
-    clean = simulate(MOTOR, recording(TIME, command_rotor=COMMAND))
-    wrong = recording(TIME, command_rotor=COMMAND, position_rotor=change(clean["position_rotor"]), speed_rotor=clean["speed_rotor"])
-    found = suspicions(mismatch(MOTOR, {"rec": wrong}))
-    assert any(said in sentence and sentence.startswith("position_rotor") for sentence in found)
-    assert not any(sentence.startswith("speed_rotor") for sentence in found)
-
-
-def test_a_delay_that_the_answers_simulation_has_too_is_none():
-    """What holds a motion back makes it late; a wrong sign stays one whatever the answer makes of it."""
-    clean = simulate(MOTOR, recording(TIME, command_rotor=COMMAND))
-    late, turned = np.concatenate([np.zeros(12), clean["position_rotor"][:-12]]), -clean["speed_rotor"]
-    found = mismatch(MOTOR, {"rec": recording(TIME, command_rotor=COMMAND, position_rotor=late, speed_rotor=turned)})
-    column = found.channels.index("position_rotor")
-    in_time = found.groups[0].simulated.copy()
-    in_time[:, column] = found.groups[0].mean[:, column]
-    assert any(" 12 ms later" in sentence for sentence in suspicions(found, found))
-    assert {sentence.split()[0] for sentence in suspicions(found, found.with_simulated([in_time]))} == {"speed_rotor"}

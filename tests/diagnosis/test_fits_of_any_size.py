@@ -10,7 +10,6 @@ import pytest
 import scipy.signal
 
 from hil.diagnosis.fitting.coordinates import Coordinates
-from hil.diagnosis.fitting.harmonics import with_other_harmonics
 from hil.diagnosis.fitting.refit import Fitted, are_costly, polish, refit, sensitivities_to_effects
 from hil.diagnosis.fitting.screening import screen
 from hil.diagnosis.fitting.visited import Visited
@@ -19,6 +18,7 @@ from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching import from_nominal
 from hil.diagnosis.searching.bounded_noise import candidates_for
+from hil.diagnosis.searching.harmonics import with_other_harmonics
 from hil.diagnosis.searching.same_order import with_others_of_its_order
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial

@@ -15,7 +15,8 @@ from hil.diagnosis.judging.form import BENDS_BY, lost_form
 from hil.diagnosis.judging.judgement import Contender, Stand, Tried
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching.pairs import beside_rivals, pairs, without_what_stood
-from hil.diagnosis.searching.selection import Selection, has_no_surplus, parts_that_passed
+from hil.diagnosis.searching.selection import Selection
+from hil.diagnosis.searching.surplus import has_no_surplus, parts_that_passed
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.retune import Tuning
 from virtual_bus.effects import presliding_hysteresis

@@ -21,22 +21,6 @@ MAY_IMPORT = {
 }
 
 
-DIAGNOSIS = (
-    "recorded",
-    "residuals",
-    "tuning",
-    "locating",
-    "starting",
-    "fitting",
-    "judging",
-    "ranking",
-    "searching",
-    "separating",
-    "answering",
-)
-"""Folders of `hil/diagnosis`: each imports from those before it and from `result.py`; what lies beside them imports from all."""
-
-
 def imports_of(path: Path, root: Path) -> list[tuple[int, str]]:
     """(line, dotted module) of every import in a file, relative ones resolved."""
     package = path.relative_to(root).with_suffix("").parts[:-1]
@@ -92,36 +76,3 @@ def test_a_wire_agreement_may_be_shared(tmp_path):
         (tmp_path / floor).mkdir()
     (tmp_path / "virtual_bus/node.py").write_text("from drivers.canopen.eds import load_object_dictionary\n")
     assert violations(tmp_path) == []
-
-
-def climbing_steps(root: Path) -> list[str]:
-    """Every import in a folder of the diagnosis that is not of a folder before it."""
-    wrong = []
-    for number, folder in enumerate(DIAGNOSIS):
-        allowed = [f"hil.diagnosis.{name}" for name in (*DIAGNOSIS[: number + 1], "result")]
-        for path in sorted((root / "hil" / "diagnosis" / folder).rglob("*.py")):
-            for line, module in imports_of(path, root):
-                if module.startswith("hil.diagnosis.") and not any(module.startswith(f"{name}.") for name in allowed):
-                    wrong.append(f"{path.relative_to(root)}:{line} imports {module}")
-    return wrong
-
-
-def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it():
-    folders = {path.name for path in (ROOT / "hil" / "diagnosis").iterdir() if (path / "__init__.py").exists()}
-    assert folders == {*DIAGNOSIS, "report"}
-    assert climbing_steps(ROOT) == []
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "from hil.diagnosis.ranking.naming import ranking\n",
-        "from hil.diagnosis.diagnose import diagnose\n",
-        "import hil.diagnosis.report.page\n",
-    ],
-)
-def test_a_climbing_step_is_found(tmp_path, text):
-    folder = tmp_path / "hil" / "diagnosis" / "judging"
-    folder.mkdir(parents=True)
-    (folder / "gate.py").write_text("from hil.diagnosis.result import EffectAt\nfrom hil.diagnosis.fitting.refit import Fitted\n" + text)
-    assert len(climbing_steps(tmp_path)) == 1

@@ -6,7 +6,7 @@ leaves open) and g the gradient there at training's values, the values differ by
 what the held-out recordings tell, with B = H H', the deviations H^-1 g have the covariance T H' A^-1 H + T', whose directions are
 independent. Along each, T and T' are the variance of the noise along the response (`gate.Scatter`: what the repeats' strengths scatter by,
 which may be a hundred times what the noise model says) and what the equations may err by: an equation errs by a share of what it removes in
-one motion and in another way in the other, along its own response if it is unlucky (`naming.erring`). A variance that is known from three
+one motion and in another way in the other, along its own response if it is unlucky (`erring`). A variance that is known from three
 or four repeats makes the sum of squares F and not chi-squared.
 """
 

@@ -1,5 +1,8 @@
 """By how much the equations of effects may err, as shares of what they remove: of laws, of numbers alone, and of what is exact.
 
+The weights that were fitted to development cases stand here together, since what equations err by is fitted with the rest of them; those
+of names alone (`exact`, `unknown_freedom`, `outside`) are used in ranking.
+
 From it comes T, the temper: log evidence counts misfit in units of T, so that two names are told apart only where they differ by more than
 an equation's form usually errs.
 """

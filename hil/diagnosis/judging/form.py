@@ -61,7 +61,7 @@ ONE_WAY = {"asymmetric_friction": ("Fv_plus", "Fv_minus")}
 """Numbers of the two directions, of which none is zero beside another that counts."""
 
 COUNTS = 0.01
-"""Share of an effect's energy in the recordings from which a number of it counts: as much as an equation errs by (`naming.py`)."""
+"""Share of an effect's energy in the recordings from which a number of it counts: as much as an equation errs by (`errors_of_laws.py`)."""
 
 AT_BOUND = 1e-6
 """Of a bound's size."""

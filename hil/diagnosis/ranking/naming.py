@@ -2,13 +2,13 @@
 
 log evidence = -1/2 |residual|^2 / T on training and on held-out recordings - 1/2 sum over parameters of log(1 + information / T): a
 parameter that the recordings narrow to one part in m of itself costs log m, one that they do not see nothing (MacKay 2003, ch. 28). A real
-effect never has exactly the catalogue's equation: T > 1 grows with what even the best set leaves and with a fixed share of what it removes,
-so that two names are told apart only where they differ by more than an equation's form usually errs. Training and held-out recordings have
-each its own T: an equation errs in one motion by a share of what it does in that motion. The unknown is charged with `unknown_freedom`
-parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. It is taken to be
-one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they do (`rarity`), as such a
-set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here has hidden them. An order
-or frequency that was searched costs the logarithm of how many were (`searched`).
+effect never has exactly the catalogue's equation: T > 1 (`errors_of_laws.py`) grows with what even the best set leaves and with a fixed
+share of what it removes, so that two names are told apart only where they differ by more than an equation's form usually errs. Training and
+held-out recordings have each its own T: an equation errs in one motion by a share of what it does in that motion. The unknown is charged
+with `unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above
+noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they
+do (`rarity`), as such a set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here
+has hidden them. An order or frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from hil.diagnosis.answering.misfit import misfit_E
 from hil.diagnosis.diagnose import Outcome, first_effects
 from hil.diagnosis.report.effect_map import effect_map, effect_map_figure
 from hil.diagnosis.report.heat_maps import heat_map_figures
@@ -21,7 +22,6 @@ from hil.diagnosis.report.missing_effort import missing_effort_figure
 from hil.diagnosis.report.overlay import overlay_figure
 from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.waterfall import waterfall_figure
-from hil.diagnosis.residuals.misfit import misfit_E
 from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Finding, Location, Stages
 from hil.diagnosis.separating.next_experiment import Proposal
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN

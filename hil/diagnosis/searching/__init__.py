@@ -1,1 +1,1 @@
-"""Which sets of effects are fitted, judged and weighed: one effect more at a time, pairs, and others in their place."""
+"""Which sets of effects are tried: one more at a time, pairs, others in their place; and what is begun anew beside them."""

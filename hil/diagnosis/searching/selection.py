@@ -8,7 +8,6 @@ from functools import cache, partial
 
 import numpy as np
 
-from hil.diagnosis.fitting.harmonics import with_other_harmonics
 from hil.diagnosis.fitting.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of
@@ -21,6 +20,7 @@ from hil.diagnosis.ranking.naming import price_of_a_parameter, ranking
 from hil.diagnosis.ranking.weighing import closer_than, evidence_of, least_by_chance, without_form
 from hil.diagnosis.searching.exchanged import bank_of, exchanged, neighbours_of_all
 from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
+from hil.diagnosis.searching.harmonics import with_other_harmonics
 from hil.diagnosis.searching.numbers_of_the_file import with_numbers_of_the_file
 from hil.diagnosis.searching.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_one, without_what_stood
 from hil.diagnosis.searching.same_order import with_others_of_its_order

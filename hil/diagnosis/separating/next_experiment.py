@@ -1,7 +1,7 @@
 """The experiment that would tell hypotheses apart, found by optimisation within the machine's limits.
 
 Atkinson and Fedorov 1975 (T-optimal designs), with the separation d of two free runs (separation.py) in place of a regression's, in either
-direction as likely as it is. An equation errs by a share of what it explains, so d^2 counts in units of the temperature T of naming.py:
+direction as likely as it is. An equation errs by a share of what it explains, so d^2 counts in units of their temperature T:
 where an effect is large and another name differs from it by little, the difference proves nothing. Over several rivals the mean of
 log(1 + d^2 / T) counts, each as likely as it is so far: the smallest alone would be ruled by a rival that nothing within the limits
 separates. Distances without a refit rank all draws; the best of them are refitted.

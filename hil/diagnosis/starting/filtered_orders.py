@@ -97,7 +97,7 @@ def order_starts(
     tuning : Tuning
         Without effects.
     candidate : Candidate
-        Of `harmonics.FIRST_AND_SECOND`.
+        Of `start_waves.FIRST_AND_SECOND`.
     motions : sequence of Motion
         Of every training group, beside what was found.
     behind : sequence of (N, joints + axes) arrays
