@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from virtual_bus.plant.statics import equilibrium, static_effort, static_stiffne
 from virtual_bus.settings import EffectSetting
 
 CARM, EMPS = load_machine("carm"), load_machine("emps")
+SLIDER = load_machine(Path(__file__).parents[2] / "benchmarks" / "concealed" / "machines" / "slider.toml")
 
 
 def test_every_effect_is_written_and_read_back() -> None:
@@ -129,6 +131,17 @@ def test_a_joint_rests_on_a_flank_of_its_gap_where_gravity_in_it_has_no_stable_p
         off_rad = np.linalg.solve(stiffness[np.ix_(free, free)], static_effort(plant, plant.model(), q)[free])
         assert np.abs(off_rad).max() < 1e-11
         assert stiffness[joint, joint] > 0.0
+
+
+@pytest.mark.parametrize("gap_m", [1e-5, 2.5e-4, 1e-3])
+@pytest.mark.parametrize("load_N", [-40.0, 0.01, 3.0])
+def test_a_load_on_a_level_belt_rests_on_the_flank_that_it_is_pushed_to(gap_m: float, load_N: float) -> None:
+    """In the gap nothing pulls back, not even gravity."""
+    acting = (EffectSetting("backlash", "carriage", {"b": gap_m, "flank": 0.0}), EffectSetting("constant_load", "load", {"tau0": load_N}))
+    plant = compile_plant(SLIDER.with_effects(acting).plant)
+    q = equilibrium(plant, plant.model(), np.array([0.1]))
+    belt = SLIDER.plant.tree.joint_index("belt")
+    assert q[belt] == pytest.approx(np.sign(load_N) * gap_m + load_N / 45000.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -76,8 +76,10 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
                 balances = bool(np.abs(gradient @ step + effort).max() <= most)
             if not (balances and _is_stable(gradient)):
                 # In a gap gravity may be at rest where that is not stable: away from there, to the flank that the joint falls on.
+                # Without gravity nothing is stiff there: the springs outside say what is soft.
                 curvatures, directions = np.linalg.eigh(0.5 * (gradient + gradient.T))
-                step = -directions @ (directions.T @ effort / np.maximum(np.abs(curvatures), SOFTEST * np.abs(gradient).max()))
+                stiffest = np.abs(gradient).max() or model["stiffness"][0].max()
+                step = -directions @ (directions.T @ effort / np.maximum(np.abs(curvatures), SOFTEST * stiffest))
         if not np.isfinite(step).all():
             break
         if step @ last < -TURNED_BACK * (last @ last):
