@@ -13,7 +13,8 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.form_error import FormError
 from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.judging.held_out import Followed
-from hil.diagnosis.judging.judgement import Contender, Judgement, Tried
+from hil.diagnosis.judging.judgement import Contender, Judgement
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.retune import Tuning

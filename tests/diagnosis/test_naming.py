@@ -396,6 +396,29 @@ def test_where_the_best_set_leaves_more_than_noise_an_equation_may_have_erred():
     assert exact_after(1e8, held_out=(1e6, 0.0)) == exact_after(1e8)  # both recordings are of one law
 
 
+def test_the_more_is_left_that_may_be_noise_the_less_it_says_of_exactness():
+    """Without a step: half of what nobody tells from noise says all that it can, and the whole nothing."""
+    shares = [exact_after(1e8, share * certain_excess(ENTRIES)) for share in np.linspace(0.0, 1.2, 241)]
+    assert np.diff(shares).max() < 1e-6 and np.abs(np.diff(shares)).max() < 0.02
+    assert shares[100] == pytest.approx(shares[0], rel=1e-5) and shares[0] > 0.9 and shares[-1] == WEIGHTS.exact
+
+
+def test_noise_that_is_taken_to_be_what_the_closest_set_leaves_says_nothing_of_exactness():
+    training = Part(ENTRIES, ENTRIES + 1e8, ENTRIES, is_known=False)
+    assert exactness([training, Part(0.0, 0.0, 0.0)], WEIGHTS.exact, WEIGHTS.form_error) == WEIGHTS.exact
+    another_motion = Part(ENTRIES, ENTRIES + 1e8, ENTRIES)
+    assert exactness([training, another_motion], WEIGHTS.exact, WEIGHTS.form_error) > 0.9
+
+
+def test_without_repeats_a_set_that_leaves_what_is_taken_for_noise_is_no_surer_for_it():
+    def share(is_noise_known: bool) -> float:
+        near, far = (Weighed(None, ENTRIES + misfit, 0.0, (58e6,) * k) for misfit, k in ((0.0, 6), (5e5, 1)))
+        ranked, _ = weighed([near, far], Weighed(None, ENTRIES + 58e6, 0.0), (ENTRIES, 0.0), TRIED, is_noise_known=is_noise_known)
+        return next(r.share for r in ranked if r.misfit == near.misfit)
+
+    assert share(True) > share(False)
+
+
 def test_names_whose_difference_exact_equations_show_are_told_apart_where_much_is_removed_down_to_the_noise():
     """A delay left 550 000 of 58 million that a drive's lag beside a friction left nothing of, and was the likelier (5675, spent)."""
     near = confidences(58e6, 0.0, 5e5, freedom=[6, 1])

@@ -12,7 +12,8 @@ from hil.diagnosis.fitting.information import Form
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging.form import BENDS_BY, lost_form
-from hil.diagnosis.judging.judgement import Contender, Stand, Tried
+from hil.diagnosis.judging.judgement import Contender, Stand
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching.pairs import beside_rivals, pairs, without_what_stood
 from hil.diagnosis.searching.selection import Selection

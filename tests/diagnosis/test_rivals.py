@@ -14,7 +14,7 @@ from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging import judgement
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching import exchanged, selection, ways
+from hil.diagnosis.searching import exchanged, finishing, selection, ways
 from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
 from hil.diagnosis.searching.pairs import Pair
 from hil.diagnosis.starting.candidates import Candidate
@@ -107,6 +107,7 @@ def selected(
     monkeypatch.setattr(selection, "screen", screened)
     monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [refitted(*start) for start in starts])
     monkeypatch.setattr(selection, "polish", polished)
+    monkeypatch.setattr(finishing, "polish", polished)
     monkeypatch.setattr(selection, "with_what_acts", what_acts)
     monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(selection, "pairs", lambda *_: paired)
@@ -354,7 +355,7 @@ def test_what_chance_does_less_often_is_finished_though_others_gain_more(monkeyp
         return list(fits)
 
     searched = [Candidate(FRICTION, (), shapes), Candidate(MODE, (), shapes), Candidate(LOAD, ())]
-    monkeypatch.setattr(selection, "POLISHED", 1)
+    monkeypatch.setattr(finishing, "POLISHED", 1)
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
     selected(monkeypatch, SWINGS, pulls=20.0, candidates_of=lambda chosen: searched if chosen is None else [], polished=polished)
     assert ({LOAD} in finished) is is_finished

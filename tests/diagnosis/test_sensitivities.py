@@ -8,7 +8,8 @@ from carriage import MACHINE
 
 from hil.diagnosis.fitting.refit import refit
 from hil.diagnosis.fitting.tuned_sensitivities import TunedSensitivities
-from hil.diagnosis.judging.judgement import Judgement, Tried
+from hil.diagnosis.judging.judgement import Judgement
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.candidates import Candidate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from hil.diagnosis.recorded.align import aligned
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching.selection import Selection
 from hil.diagnosis.searching.step_error import FINER, with_finer_steps
 from hil.diagnosis.tuning.free_run import FINE_STEPS, TRAIN, FreeRuns, Trial
 from hil.diagnosis.tuning.retune import Tuning, retune
@@ -26,11 +28,15 @@ def runs():
         yield runs
 
 
-def beside(effect: EffectAt, values: list[float], tuning: Tuning, cost: float, by_numbers: float = 0.0) -> SimpleNamespace:
+def beside(effect: EffectAt, values: list[float], tuning: Tuning, cost: float, by_numbers: float = 0.0) -> Selection:
     """A selection that chose this effect, at this cost, with so much of what it removes by numbers alone."""
     nothing = np.zeros((0, 0))
     fitted = Fitted((effect,), (np.array(values),), tuning.offset, nothing, cost, ((0, 0),), nothing, np.ones(1))
-    return SimpleNamespace(chosen=fitted, contenders=[SimpleNamespace(fitted=fitted, by_numbers=(by_numbers, 0.0))])
+    return chosen_of(fitted, SimpleNamespace(fitted=fitted, by_numbers=(by_numbers, 0.0)))
+
+
+def chosen_of(fitted: Fitted | None, *contenders: SimpleNamespace) -> Selection:
+    return Selection(fitted, (), contenders, (), fitted)
 
 
 def cost_of(runs: FreeRuns, tuning: Tuning) -> float:
@@ -74,7 +80,7 @@ def test_beside_a_spring_a_run_is_that_of_much_finer_steps(runs):
 
 def test_steps_stay_where_nothing_was_found_or_they_err_as_before(runs):
     tuning = retune(runs)
-    assert with_finer_steps(runs, tuning, SimpleNamespace(chosen=None, contenders=[])) is tuning
+    assert with_finer_steps(runs, tuning, chosen_of(None)) is tuning
     rubs = beside(EffectAt("coulomb_friction", "carriage"), [1.0], tuning, cost_of(runs, tuning))
     assert with_finer_steps(runs, tuning, rubs) is tuning
 
@@ -85,3 +91,11 @@ def test_steps_stay_where_the_effects_own_equation_may_err_by_more(runs, by_numb
     tuning = retune(runs)
     large = beside(*SPRING, tuning, cost_of(runs, tuning) - REMOVED, by_numbers)
     assert (with_finer_steps(runs, tuning, large) is tuning) is stay
+
+
+def test_steps_are_refined_beside_a_set_that_another_way_fitted_closer_as_well(runs):
+    tuning = retune(runs)
+    found = beside(*SPRING, tuning, cost_of(runs, tuning))
+    again = chosen_of(replace(found.chosen), *found.contenders)
+    assert again.chosen is not found.contenders[0].fitted
+    assert with_finer_steps(runs, tuning, again) is not tuning

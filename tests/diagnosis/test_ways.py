@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.judgement import Tried
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.weighing import closer_than
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching.ways import Way, another_first, closer_parts, competes, continued, each_once, joined
+from hil.diagnosis.searching.ways import Way, another_first, closer_parts, competes, continued, each_once, joined, with_others
 from hil.diagnosis.starting.candidates import Candidate
 
 ENTRIES = 100
+BOTH = (ENTRIES, ENTRIES)
 ALONG = np.eye(ENTRIES)
 COGGING, RUBBING, DELAY, RIPPLE = (EffectAt(name, "rotor") for name in ("cogging", "position_dependent_friction", "delay", "torque_ripple"))
 NOTHING = SimpleNamespace(tuning=SimpleNamespace(predicted=np.zeros(ENTRIES)), cost=20_000.0)
@@ -131,18 +132,18 @@ def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_than_the_one_a
     """Of one parameter, where 4 of noise are left per entry, chance gains some forty."""
     end, rival = contender(19_600.0, RUBBING), contender(gained, COGGING, passed=passed)
     best = rival if likeliest else end
-    assert closer_than(stand_of(end), (end, rival), ENTRIES, lambda some: best.fitted) is (rival if goes_on else None)
+    assert closer_than(stand_of(end), (end, rival), BOTH, lambda some: best.fitted) is (rival if goes_on else None)
     twin = contender(19_601.0, RUBBING)  # of the other way, which came to the same set
-    assert closer_than(stand_of(end), (twin, rival), ENTRIES, lambda some: (rival if likeliest else twin).fitted) is (
+    assert closer_than(stand_of(end), (twin, rival), BOTH, lambda some: (rival if likeliest else twin).fitted) is (
         rival if goes_on else None
     )
 
 
-@pytest.mark.parametrize(("held_out", "goes_on"), [(15_100.0, False), (15_200.0, True)])
+@pytest.mark.parametrize(("held_out", "goes_on"), [(17_300.0, False), (19_000.0, True)])
 def test_a_search_goes_on_from_the_likeliest_set_that_leaves_less_in_both_motions_together(held_out, goes_on):
-    """Beside 100 that it leaves more in training, it leaves 100 or 200 less held out."""
-    end, rival = contender(19_600.0, RUBBING, held_out=15_000.0), contender(19_500.0, COGGING, held_out=held_out)
-    assert closer_than(stand_of(end), (end, rival), ENTRIES, lambda some: rival.fitted) is (rival if goes_on else None)
+    """Beside 20 units of what is left in training that it leaves more, it leaves 11 or 200 such units less held out, which are larger."""
+    end, rival = contender(19_600.0, RUBBING, held_out=17_000.0), contender(19_500.0, COGGING, held_out=held_out)
+    assert closer_than(stand_of(end), (end, rival), BOTH, lambda some: rival.fitted) is (rival if goes_on else None)
 
 
 def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
@@ -169,13 +170,44 @@ def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
     ],
 )
 def test_a_set_competes_that_gains_half_as_much_in_training_or_in_both_motions(training, held_out, lost_form, rival):
-    chosen = SimpleNamespace(certain_gain=100.0, held_out_gain=40.0, lost_form="")
-    assert competes(SimpleNamespace(certain_gain=training, held_out_gain=held_out, lost_form=lost_form), chosen) is rival
+    assert competes(judged(training, held_out, lost_form=lost_form), judged(100.0, 40.0)) is rival
 
 
 def test_where_nothing_was_chosen_all_that_gain_are_what_came_closest():
-    assert competes(SimpleNamespace(certain_gain=1.0, held_out_gain=None, lost_form=""), None)
-    assert not competes(SimpleNamespace(certain_gain=0.0, held_out_gain=None, lost_form=""), None)
+    assert competes(judged(1.0), None)
+    assert not competes(judged(0.0), None)
+
+
+def judged(gained: float, held_out: float | None = None, before: tuple[float, ...] = (), lost_form: str = ""):
+    """With the gate of its last step, and of those before: the same where they gained the same."""
+    gate = SimpleNamespace(certain_gain=gained, held_out_gain=held_out, lost_form=lost_form)
+    steps = tuple(STEPS.setdefault(each, SimpleNamespace(certain_gain=each)) for each in before)
+    return SimpleNamespace(gate=gate, gates=(*steps, gate), gained=sum(before) + gained, gained_held_out=held_out or 0.0)
+
+
+STEPS: dict[float, SimpleNamespace] = {}
+
+
+@pytest.mark.parametrize(("chosen", "rival"), [(judged(20_000.0), True), (judged(200_000.0), False)])
+def test_beside_a_set_that_took_the_stands_place_one_that_was_added_to_the_stand_competes_with_all_that_it_gains(chosen, rival):
+    """The chosen set's gain is over nothing, the other's last step's is over a stand that gained 16 000."""
+    assert competes(judged(300.0, before=(16_000.0,)), chosen) is rival
+
+
+def test_beside_the_same_stand_what_was_added_to_it_counts_alone():
+    chosen = judged(1000.0, before=(16_000.0,))
+    assert competes(judged(600.0, before=(16_000.0,)), chosen)
+    assert not competes(judged(400.0, before=(16_000.0,)), chosen)
+
+
+def test_of_sets_that_leave_more_than_the_stand_the_closer_fit_competes_and_the_stand_stays():
+    stand, unfinished = contender(16_400.0, COGGING, DELAY), contender(15_000.0, RUBBING, DELAY)
+    closer, far = contender(16_200.0, RUBBING, DELAY), contender(4_000.0, RIPPLE)
+    again = contender(16_500.0, COGGING, DELAY)
+    kept = with_others((stand, unfinished), (closer, far, again), stand.fitted)
+    assert kept == [stand, closer]
+    part, larger = contender(16_400.0, COGGING), contender(16_300.0, COGGING, DELAY)
+    assert with_others((part,), (larger,), part.fitted) == [part, larger]  # what is named stays although a larger set leaves more
 
 
 def test_a_set_that_competes_by_both_motions_is_kept_where_ways_are_joined():

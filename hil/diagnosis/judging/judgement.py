@@ -11,69 +11,21 @@ import numpy as np
 
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
+from hil.diagnosis.fitting.turned import tuning_at
 from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
 from hil.diagnosis.judging.form import lost_form
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
 from hil.diagnosis.judging.held_out import Followed, HeldOut
 from hil.diagnosis.judging.structure_left import StructureLeft
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN, FreeRuns
 from hil.diagnosis.tuning.projection import Projection
-from hil.diagnosis.tuning.retune import Tuning, linearised
-from virtual_bus.effects.effect import SIGN
-from virtual_bus.effects.registry import effects
+from hil.diagnosis.tuning.retune import Tuning
 
 Equations = Callable[[str, Tuning, Fitted], FormError]
 """Errors of fitted effects in the recordings of a set, beside this tuning."""
-
-
-SEARCHED_TERM = {"encoder_eccentricity": "b"}
-"""Strength of the term of a law whose order was searched, of laws that have a term of a known order too."""
-
-
-class Tried:
-    """Candidates that were tried, with the number of shapes that were searched for each, and for those of the steps before."""
-
-    def __init__(self, candidates: Sequence[Candidate], *earlier: Tried | None) -> None:
-        before = [tried for tried in earlier if tried is not None]
-        self.count = len(candidates)
-        self.first: int = before[0].first if before else self.count
-        self.shapes: Mapping[EffectAt, float] = {
-            **{effect: shapes for tried in before for effect, shapes in tried.shapes.items()},
-            **{candidate.effect: candidate.shapes for candidate in candidates},
-        }
-
-    def sets(self, added: Sequence[EffectAt]) -> float:
-        """Sets of so many effects among the candidates, each in all its shapes."""
-        return math.comb(self.count, len(added)) * math.exp(self._shapes(added))
-
-    def searched(self, effects: Sequence[EffectAt]) -> float:
-        """What a set costs in log evidence beyond a single effect of one shape: the logarithm of how many shapes it had, and of how many
-        sets of its size there were to choose from for each single effect.
-        """
-        return self._shapes(effects) + math.log(math.comb(max(self.first, len(effects)), len(effects)) / self.first)
-
-    def searched_for(self, fitted: Fitted) -> float:
-        """The same of a fitted set. A term that was searched, beside one of its law that was not, costs no more than the training
-        recordings would lose without it: what it was fitted to nothing for is the law without that term, which nobody searched. That loss
-        is an upper bound: in log evidence at a temperature of 1 (the ranking divides by its own, which is larger where equations err), and
-        of the term's whole response, with what the machine's numbers and the law's other term would imitate of it.
-        """
-        return self.searched(fitted.effects) - sum(self._not_needed(fitted, number) for number in range(len(fitted.effects)))
-
-    def _not_needed(self, fitted: Fitted, number: int) -> float:
-        """Of what the search of an effect's shape costs, how much more that is than what its term does."""
-        effect = fitted.effects[number]
-        if effect.effect not in SEARCHED_TERM:
-            return 0.0
-        term = [parameter.name for parameter in effects()[effect.effect].parameters].index(SEARCHED_TERM[effect.effect])
-        does = fitted.values[number][term] * fitted.jacobian[:, fitted.free.index((number, term))]
-        return max(math.log(self.shapes[effect]) - 0.5 * float(does @ does), 0.0)
-
-    def _shapes(self, effects: Sequence[EffectAt]) -> float:
-        return sum(math.log(self.shapes[effect]) for effect in effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +68,12 @@ class Contender:
         """Energies that those of its effects remove of which numbers alone are unknown, in training and held out."""
         steps = _steps(self.fitted.effects, self.gates, numbers_of(self.fitted), numbers=True)
         return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
+
+
+def are_added_to_the_same(one: Contender, other: Contender) -> bool:
+    """Whether two sets were added to the same one: what chance gains by that is taken off both alike."""
+    before = [[id(gate) for gate in each.gates if gate is not each.gate] for each in (one, other)]
+    return before[0] == before[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +125,12 @@ class Stand:
     @property
     def known_energy(self) -> tuple[float, float]:
         """Energies that effects removed in training and held out of which it is known how they err, and more than numbers is unknown."""
-        known = set(self.errors.effects) - numbers_of(self.fitted)
-        each = (_each(self.effects, self.gates, of) for of in (lambda gate: gate.gain, lambda gate: gate.held_out_gain or 0.0))
-        here, there = (sum(energy for effect, energy in energies if effect in known) for energies in each)
+        by_numbers = numbers_of(self.fitted)
+        each = [(self.errors, lambda gate: gate.gain), (self.held_out_errors, lambda gate: gate.held_out_gain or 0.0)]
+        here, there = (
+            sum(energy for effect, energy in _each(self.effects, self.gates, of) if effect in errors.effects and effect not in by_numbers)
+            for errors, of in each
+        )
         return here, there
 
     def erring(self, energy_of: Callable[[Gate], float], errors: FormError) -> float:
@@ -261,9 +222,7 @@ class Judgement:
     def _stand(self, fitted: Fitted | None, gates: tuple[Gate, ...]) -> Stand:
         tuning = self._tuning
         if fitted is not None:
-            tuning = replace(tuning, offset=fitted.offset, values=tuning.at(fitted.offset), predicted=fitted.predicted)
-            if any(effects()[effect.effect].kind is SIGN for effect in fitted.effects):  # there numbers move a channel the other way
-                tuning = linearised(self._runs, tuning, fitted.settings)
+            tuning = tuning_at(self._runs, tuning, fitted)
         residual = self._measured - tuning.predicted
         response = self._projection.left(tuning.predicted - self._tuning.predicted)[: len(residual)]
         held_out = None

@@ -160,6 +160,8 @@ class Evidence:
         Largest share of what has a name.
     formless : tuple of Weighed
         Sets that would have passed but for their form (`form.py`): they are no names.
+    is_noise_known : bool
+        From repeats; else it is taken to be what the closest fit leaves in training.
     """
 
     sets: tuple[Weighed, ...]
@@ -170,6 +172,11 @@ class Evidence:
     found: bool
     cap: float = 1.0
     formless: tuple[Weighed, ...] = ()
+    is_noise_known: bool = True
+
+    @property
+    def entries(self) -> tuple[float, float]:
+        return self.entries_train, self.entries_held_out
 
 
 def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ...]:
@@ -179,8 +186,7 @@ def ranking(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[Weighed, ..
     """
     if not evidence.sets:
         return ()
-    entries = evidence.entries_train, evidence.entries_held_out
-    ranked, nothing = weighed(evidence.sets, evidence.base, entries, evidence.tried, evidence.cap, weights)
+    ranked, nothing = _weighed_with(evidence, evidence.sets, weights)
     if not evidence.found or nothing.confidence > LIKELIER:
         ranked.append(nothing)
     else:
@@ -198,11 +204,10 @@ def imitated(evidence: Evidence, weights: Weights = WEIGHTS) -> tuple[float, Wei
     """
     if not evidence.formless or not evidence.sets:
         return 0.0, None
-    entries = evidence.entries_train, evidence.entries_held_out
 
     def beside_names(formless: Sequence[Weighed]) -> list[Weighed]:
         """With their shares, the likeliest first."""
-        ranked, _ = weighed((*evidence.sets, *formless), evidence.base, entries, evidence.tried, evidence.cap, weights)
+        ranked, _ = _weighed_with(evidence, (*evidence.sets, *formless), weights)
         own = {id(h.fitted) for h in formless}
         return [h for h in ranked if id(h.fitted) in own]
 
@@ -220,8 +225,19 @@ def _not_nested(hypotheses: Sequence[Weighed]) -> list[Weighed]:
     return [h for h, _ in kept]
 
 
+def _weighed_with(evidence: Evidence, sets: Sequence[Weighed], weights: Weights) -> tuple[list[Weighed], Weighed]:
+    return weighed(sets, evidence.base, evidence.entries, evidence.tried, evidence.cap, weights, is_noise_known=evidence.is_noise_known)
+
+
 def weighed(
-    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, cap: float = 1.0, weights: Weights = WEIGHTS
+    hypotheses: Sequence[Weighed],
+    base: Weighed,
+    entries: tuple[float, float],
+    tried: int,
+    cap: float = 1.0,
+    weights: Weights = WEIGHTS,
+    *,
+    is_noise_known: bool = True,
 ) -> tuple[list[Weighed], Weighed]:
     """Sets with their confidence, the likeliest first, and nothing with its own.
 
@@ -240,14 +256,18 @@ def weighed(
     cap : float
         Largest share of what has a name.
     weights : Weights
+    is_noise_known : bool
+        See `Evidence`.
     """
-    *shares, nothing = _shares(hypotheses, base, entries, tried, weights)
+    *shares, nothing = _shares(hypotheses, base, entries, tried, weights, is_noise_known)
     each = zip(hypotheses, shares, strict=True)
     sets = [replace(h, confidence=confidence_of(min(share, cap), weights), share=share) for h, share in each]
     return sorted(sets, key=lambda h: (-h.confidence, -h.share)), replace(base, confidence=min(nothing, cap), share=nothing)
 
 
-def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, weights: Weights) -> list[float]:
+def _shares(
+    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], tried: int, weights: Weights, is_noise_known: bool
+) -> list[float]:
     """Of every set and, last, of nothing."""
     train, held_out = tempers_of(hypotheses, base, entries, weights)
     *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
@@ -260,6 +280,7 @@ def _shares(hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, 
     shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
     parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, best.by_numbers, strict=True)]
+    parts[0] = parts[0]._replace(is_known=is_noise_known)
     share = exactness(parts, weights.exact, weights.form_error)
     return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]
 

@@ -11,7 +11,7 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.errors_of_laws import are_of_the_file
 from hil.diagnosis.judging.gate import Scatter, needed_gain
 from hil.diagnosis.judging.held_out import HeldOut
-from hil.diagnosis.judging.judgement import Contender, Stand
+from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
 from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart, rarity_of
 from hil.diagnosis.tuning.free_run import FreeRuns
@@ -56,7 +56,7 @@ def evidence_of(
     scatter, projection = Scatter(runs), Projection.of(tuning)
 
     def compared(c: Contender) -> Compared | None:
-        if best is None or c is best or not _are_of_one_step(c, best):
+        if best is None or c is best or not (are_added_to_the_same(c, best) and len(c.fitted.effects) == len(best.fitted.effects)):
             return None
         difference = projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)]
         return Compared(
@@ -91,13 +91,8 @@ def evidence_of(
         found=found,
         cap=cap_of(runs),
         formless=tuple(weighing(c) for c in formless),
+        is_noise_known=runs.noise.kind != "assumed",
     )
-
-
-def _are_of_one_step(one: Contender, other: Contender) -> bool:
-    """Whether two sets of as many effects were added to the same set: what chance gains is taken off both alike."""
-    before = [[id(gate) for gate in each.gates if gate is not each.gate] for each in (one, other)]
-    return before[0] == before[1] and len(one.fitted.effects) == len(other.fitted.effects)
 
 
 def _less(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
@@ -137,12 +132,21 @@ def with_unsure(hypotheses: Sequence[Weighed], unsure: Sequence[Weighed], whole:
 
 
 def closer_than(
-    stand: Stand, contenders: Sequence[Contender], entries: int, likeliest_of: Callable[[Sequence[Contender]], Fitted | None]
+    stand: Stand, contenders: Sequence[Contender], entries: tuple[int, int], likeliest_of: Callable[[Sequence[Contender]], Fitted | None]
 ) -> Contender | None:
     """The likeliest set where it passed the gate, is not the one that a search ended with and leaves less than that by more than chance,
     in training or in both motions together.
 
-    Where both leave as much, what is missing is the same beside both.
+    Where both leave as much, what is missing is the same beside both. Each motion counts in units of the level that the set leaves there,
+    as at the gate: no noise model knows the held-out motion's disturbances.
+
+    Parameters
+    ----------
+    stand : Stand
+    contenders : sequence of Contender
+    entries : pair of int
+        Of training and held-out recordings.
+    likeliest_of : callable
     """
     if stand.fitted is None:
         return None
@@ -150,8 +154,10 @@ def closer_than(
 
     def leaves_less(one: Contender) -> bool:
         in_training = stand.cost - one.fitted.cost
-        held_out = 0.0 if stand.held_out is None else stand.held_out.misfit - one.left_held_out
-        return max(in_training, in_training + held_out) > needed_gain(1.0, max(one.fitted.freedom - freedom, 1), one.fitted.cost, entries)
+        here, there = (max(1.0, left / max(count, 1)) for left, count in zip((one.fitted.cost, one.left_held_out), entries, strict=True))
+        held_out = 0.0 if stand.held_out is None else (stand.held_out.misfit - one.left_held_out) * here / there
+        needed = needed_gain(1.0, max(one.fitted.freedom - freedom, 1), one.fitted.cost, entries[0])
+        return max(in_training, in_training + held_out) > needed
 
     others = [one for one in contenders if set(one.fitted.effects) != set(stand.effects) and one.passed and leaves_less(one)]
     likeliest = likeliest_of(contenders) if others else None

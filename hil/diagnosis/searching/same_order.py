@@ -57,7 +57,8 @@ def with_others_of_its_order(
     found : sequence of Candidate
         All that may act.
     """
-    best = min(fits, key=lambda fit: fit.cost)
+    beside = [fit for fit in fits if set(stand.effects) < set(fit.effects)]  # one in its place may be closer by rounding
+    best = min(beside or fits, key=lambda fit: fit.cost)
     name = best.effects[-1]
     if name.effect not in ORDER or best.effects[:-1] != stand.effects:
         return list(fits)

@@ -8,17 +8,20 @@ from functools import cache, partial
 
 import numpy as np
 
-from hil.diagnosis.fitting.refit import NEARLY, POLISHED_GAIN, POLISHING_ROUNDS, Fitted, polish, refit
+from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
+from hil.diagnosis.fitting.turned import with_signs
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of
 from hil.diagnosis.judging.form_error import form_error
 from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.judging.held_out import HeldOut
-from hil.diagnosis.judging.judgement import Contender, Judgement, Stand, Tried
+from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
 from hil.diagnosis.judging.onset import onset
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import price_of_a_parameter, ranking
 from hil.diagnosis.ranking.weighing import closer_than, evidence_of, least_by_chance, without_form
 from hil.diagnosis.searching.exchanged import bank_of, exchanged, neighbours_of_all
+from hil.diagnosis.searching.finishing import closest_of_each, finished, rarer_by_chance, worth_finishing
 from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.searching.harmonics import with_other_harmonics
 from hil.diagnosis.searching.numbers_of_the_file import with_numbers_of_the_file
@@ -36,6 +39,7 @@ from hil.diagnosis.searching.ways import (
     joined,
     not_told_apart_in_training,
     price_in_training,
+    with_others,
 )
 from hil.diagnosis.searching.what_acts import with_what_acts
 from hil.diagnosis.starting.candidates import Candidate
@@ -47,14 +51,6 @@ REFITTED = 8
 
 REFITTED_BESIDE = 5
 """Candidates refitted beside effects that were found already."""
-
-POLISHED = 3
-"""Fits that are continued with sensitivities taken where they are, and as many again of those that gain nearly as much (NEARLY): an
-unfinished fit of a law that holds another is no evidence against it."""
-
-FINISHING_RUNS = 450
-"""Free runs of polishing after which no more than POLISHED go on: a machine of 49 numbers takes 60 to 150 for each that is near its end,
-600 for one that is far from it."""
 
 PAIRED = 3
 """Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
@@ -121,12 +117,19 @@ class Selection:
         """Fall of |residual|^2 by that effect of a set without which it loses least, over the best fit without it: what its last step
         gained, where none is known. Nothing, where a part was fitted closer. Infinite of no set.
         """
-        found = next((one for one in self.contenders if one.fitted is chosen), None)
+        found = self.contender_of(chosen)
         if found is None:
             return np.inf
         own = set(found.fitted.effects)
         costs = [part.cost for part in self.smaller if set(part.effects) < own and len(part.effects) == len(own) - 1]
         return max(min(found.gate.gain, *(cost - found.fitted.cost for cost in costs)), 0.0) if costs else found.gate.gain
+
+    def contender_of(self, fitted: Fitted | None) -> Contender | None:
+        """The contender of a set, of its closer fit where another way came to it as well."""
+        if fitted is None:
+            return None
+        same = [one for one in self.contenders if set(one.fitted.effects) == set(fitted.effects)]
+        return next((one for one in same if one.fitted is fitted), same[0] if same else None)
 
     def moved(self, to: Callable[[Sequence[Contender]], Sequence[Contender]]) -> Selection:
         """With all sets that are weighed, moved side by side."""
@@ -172,12 +175,14 @@ def select(
         other = search.to_the_end(replace(first, stand=judgement.after(rival), gates=(rival.gate,), smaller=way.smaller))
         way = joined(way, other, judgement.nothing.cost, noise_energy)
     weigh = partial(evidence_of, runs, tuning, held_out, tried=len(way.screened), found=True)
-    closer = closer_than(way.stand, way.contenders, len(tuning.predicted), lambda some: ranking(weigh(some))[0].fitted)
+    entries = len(tuning.predicted), 0 if held_out is None else len(held_out.measured)
+    closer = closer_than(way.stand, way.contenders, entries, lambda some: ranking(weigh(some))[0].fitted)
     if another_way and closer is not None:
         way = continued(way, search.to_the_end(from_another(way, closer, judgement.after(closer))))
     competing = [set(one.fitted.effects) for one in way.contenders]
     unsure = tuple(one for one in way.unsure if set(one.fitted.effects) not in competing)  # a rival of the first step may be one
-    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure, way.smaller)
+    smaller = (*way.smaller, *search.parts_not_fitted(way))
+    return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure, smaller)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +206,20 @@ class _Search:
         """By training than what was found, each against nothing."""
         nothing = self.judgement.nothing
         return chosen is not None and in_order([chosen, fit], nothing.cost, self.noise_energy, tried, nothing)[0] is fit
+
+    def parts_not_fitted(self, way: Way) -> list[Fitted]:
+        """What the search ended with, and the set that gains most, without each of their effects, where they were not fitted so: whether
+        a name shows by enough is asked of all its effects.
+        """
+        if way.stand.fitted is None:
+            return []
+        most = max(way.contenders, key=lambda one: one.gained + one.gained_held_out)
+        starts: list[Start] = []
+        for named in {id(one): one for one in (way.stand.fitted, most.fitted)}.values():
+            fitted = [*(set(part.effects) for part in way.smaller), *(set(names) for names, _ in starts)]
+            starts += [start for start in without_one(named) if set(start[0]) not in fitted]
+        measured = self.runs.measured()
+        return polish(self.runs, self.tuning, measured, [fit for fit in refit(self.runs, self.tuning, measured, starts) if fit is not None])
 
     def step(self, way: Way) -> Way:
         """One effect more, or a pair at the first step or in place of what was found."""
@@ -227,13 +246,15 @@ class _Search:
         fits = sorted((fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None), key=lambda fit: fit.cost)
         if not fits:
             return end
-        worth_finishing = _worth_finishing(fits, stand.cost, len(residual))
-        fits = _finished(runs, tuning, measured, fits, worth_finishing)
-        rarer = rarer_by_chance(fits, worth_finishing, [judgement.by_chance(stand, fit, tried) for fit in fits])
+        unfinished = worth_finishing(fits, stand.cost, len(residual))
+        fits = finished(runs, tuning, measured, fits, unfinished)
+        rarer = rarer_by_chance(fits, unfinished, [judgement.by_chance(stand, fit, tried) for fit in fits])
         fits = [*(fit for fit in fits if fit not in rarer), *polish(runs, tuning, measured, rarer)]
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
-        best, leaner = min(fits, key=lambda fit: fit.cost), []  # those that were finished are no longer in order
-        if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), best.freedom, best.cost, len(residual)):
+        beside_stand = [fit for fit in fits if set(stand.effects) < set(fit.effects)]  # those that were finished are no longer in order
+        best, leaner = min(beside_stand or fits, key=lambda fit: fit.cost), []
+        freedom = max(best.freedom - (chosen.freedom if chosen is not None and beside_stand else 0), 1)
+        if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
             fits = with_numbers_of_the_file(runs, tuning, measured, fits, screened, stand)
@@ -293,9 +314,12 @@ class _Search:
         also_passed = [one for one in needed if one.passed]
         passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
         if size == 0 and not passed and behind and not way.is_wider and any(one.gate.training_shows_something for one in judged):
-            return self.step(replace(way, screened=first, singles=singles, is_wider=True))
+            wider = self.step(replace(way, screened=first, singles=singles, is_wider=True))
+            if wider.gates:  # some of those behind could be simulated
+                return wider
         formless = (*way.formless, *without_form(needed))
-        gates = (*way.gates, passed[0].gate if passed else _refused(judged[0], needed))
+        refused = next((one for one in judged if not one.passed), judged[0])
+        gates = (*way.gates, passed[0].gate if passed else _refused(refused, needed))
         further = least_by_chance(judged, stand)
         end = Way(
             stand, gates, way.contenders, first, closest, further, singles, smaller, limits, tried, True, formless, placebo=placebos[1]
@@ -303,19 +327,17 @@ class _Search:
         if not passed and chosen is not None:
             larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
             unsure = tuple(one for one in larger if one.gate.shows and not one.gate.lost_form)
-            known_sets = [set(one.fitted.effects) for one in way.contenders]
-            others = [one for one in also_passed if set(one.fitted.effects) not in known_sets]  # they leave more, and compete
-            return replace(end, contenders=(*way.contenders, *others), unsure=unsure)
-        rivals = [one for one in needed if one.passed or competes(one.gate, passed[0].gate if passed else None)]
+            return replace(end, contenders=tuple(with_others(way.contenders, also_passed, chosen)), unsure=unsure)
+        rivals = [one for one in needed if one.passed or competes(one, passed[0] if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             also = judgement.contenders(stand, doubtful, tried, placebos, limits, len(fits))
             rivals += [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]
             known = not_told_apart_in_training(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
-            several = next((one.fitted for one in rivals if one.passed and len(one.fitted.effects) > 1), passed[0].fitted)
+            several = next((one.fitted for one in passed if len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
-            starts += exchanged(tuning, several, singles, first, there)
+            starts += exchanged(with_signs(runs, tuning, several), several, singles, first, there)
             there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
             banks = bank_of((), screened), bank_of(singles, first)
             starts += neighbours_of_all(several, stand.effects, banks, there, runs.machine.plant)
@@ -331,47 +353,6 @@ class _Search:
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
     """The gate of the step that ends a search."""
     return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
-
-
-def closest_of_each(fits: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
-    """The fits and these, of which each is of another set or closer than what was fitted of its set, which it replaces."""
-    kept = list(fits)
-    for one in more:
-        same = [fit for fit in kept if set(fit.effects) == set(one.effects)]
-        if all(one.cost < fit.cost for fit in same):
-            kept = [*(fit for fit in kept if all(fit is not other for other in same)), one]
-    return kept
-
-
-def _worth_finishing(fits: Sequence[Fitted], before: float, entries: int) -> int:
-    """How many of the fits, the best first, are polished; `before` is the cost without what they add."""
-    best = before - fits[0].cost
-    near = sum(before - fit.cost > NEARLY * best for fit in fits) if best > needed_gain(1, 1, fits[0].cost, entries) else 0
-    return min(max(near, POLISHED), 2 * POLISHED)
-
-
-def _finished(runs: FreeRuns, tuning: Tuning, measured: np.ndarray, fits: Sequence[Fitted], unfinished: int) -> list[Fitted]:
-    """The fits with the first of them polished."""
-    began = runs.count
-    done = polish(runs, tuning, measured, fits[: min(unfinished, POLISHED)])
-    for fit in fits[len(done) : unfinished]:
-        before = None
-        for _ in range(POLISHING_ROUNDS):
-            if runs.count - began > FINISHING_RUNS or (before is not None and before.cost - fit.cost < POLISHED_GAIN):
-                break
-            before = fit
-            (fit,) = polish(runs, tuning, measured, [fit], 1)
-        done.append(fit)
-    return [*done, *fits[len(done) :]]
-
-
-def rarer_by_chance(fits: Sequence[Fitted], finished: int, by_chance: Sequence[float]) -> list[Fitted]:
-    """Unfinished fits that chance gains less often than any finished one, the rarest first: a wave in all its shapes gains by chance what
-    a law of one or two numbers does not.
-    """
-    least = min(by_chance[:finished])
-    rarer = sorted((k for k in range(finished, len(fits)) if by_chance[k] < least), key=lambda k: by_chance[k])
-    return [fits[k] for k in rarer[:POLISHED]]
 
 
 def _pairs_worth_a_fit(

@@ -25,7 +25,7 @@ def with_finer_steps(runs: FreeRuns, tuning: Tuning, selection: Selection) -> Tu
     """The tuning; where plant steps err otherwise beside the effects that were found than where the correction was taken, and by more than
     these effects' equations may, re-tuned once more with finer steps, which all runs have from now on.
     """
-    found = next((one for one in selection.contenders if one.fitted is selection.chosen), None)
+    found = selection.contender_of(selection.chosen)
     if found is None:
         return tuning
     left = runs.measured() - tuning.predicted

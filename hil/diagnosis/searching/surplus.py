@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.errors_of_laws import Removing, numbers_of, temperature, temperature_of
 from hil.diagnosis.judging.gate import needed_gain
-from hil.diagnosis.judging.judgement import Contender, Stand, Tried
+from hil.diagnosis.judging.judgement import Contender, Stand
+from hil.diagnosis.judging.tried import Tried
 
 
 def needs_all(fit: Fitted, stand: Stand, singles: Sequence[Fitted], base: float | None, tried: Tried, entries: int) -> bool:

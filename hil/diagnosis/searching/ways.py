@@ -12,7 +12,8 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
 from hil.diagnosis.judging.gate import Gate
-from hil.diagnosis.judging.judgement import Contender, Stand, Tried
+from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import PLAUSIBLE, Weighed
 from hil.diagnosis.result import EffectAt
 
@@ -113,30 +114,41 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
     return [one for own, one in closest.items() if is_rival_of(one, sets) and not any(own < others for others in closest)]
 
 
+def with_others(contenders: Sequence[Contender], more: Sequence[Contender], stand: Fitted) -> list[Contender]:
+    """Sets that compete, with more that do and leave more than the stand, which stays as it is."""
+    kept = each_once((*contenders, *(one for one in more if set(one.fitted.effects) != set(stand.effects))))
+    return [*(one for one in contenders if one.fitted is stand and one not in kept), *kept]
+
+
 def is_rival_of(one: Contender, others: Sequence[Contender]) -> bool:
     """Whether a set gains enough beside the one of these that gains most, in training or in both motions together."""
     gains = [(each.gained, each.gained + max(each.gained_held_out, 0.0)) for each in (one, *others)]
     return any(gain > RIVAL_SHARE * max(of_all) for gain, of_all in zip(gains[0], zip(*gains, strict=True), strict=True))
 
 
-def competes(one: Gate, chosen: Gate | None) -> bool:
-    """Whether a set that did not pass gains enough beside the chosen one to compete with it, in training or in both motions together."""
-    if one.lost_form or one.certain_gain <= 0.0:
+def competes(one: Contender, chosen: Contender | None) -> bool:
+    """Whether a set that did not pass gains enough beside the chosen one to compete with it, in training or in both motions together: over
+    what both were added to, or over nothing where they were not added to the same.
+    """
+    if one.gate.lost_form or one.gate.certain_gain <= 0.0:
         return False
     if chosen is None:
         return True
-    gains = [(gate.certain_gain, gate.certain_gain + max(gate.held_out_gain or 0.0, 0.0)) for gate in (one, chosen)]
+    if not are_added_to_the_same(one, chosen):
+        return is_rival_of(one, [chosen])
+    gains = [(gate.certain_gain, gate.certain_gain + max(gate.held_out_gain or 0.0, 0.0)) for gate in (one.gate, chosen.gate)]
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
 
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
     """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
-    leave more; `base` is the cost of no effect at all.
+    leave more, those that gain most first; `base` is the cost of no effect at all.
     """
     sets = [_removing(one, base) for one in (*earlier, *larger)]
     much = -2.0 * math.log(PLAUSIBLE) * temperature_of(sets, base, noise_energy)
     most = max(one.gained for one in larger)
-    return [one.fitted for one in earlier if one.passed and one.gained > most - much]
+    near = [one for one in earlier if one.passed and one.gained > most - much]
+    return [one.fitted for one in sorted(near, key=lambda one: -one.gained)]
 
 
 def _removing(one: Contender, base: float) -> Removing:

@@ -194,6 +194,6 @@ _OTHERS: dict[str, Callable[[Start, Residual, Typical], list[Start]]] = {
     "delay": _several("Td", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "clock_offset": _several("t0", lambda f, r, t: [0.5 * t.sample_s, 2.0 * t.sample_s]),
     "imu_bandwidth": lambda f, r, t: [{"fc": share * t.low_pass_Hz, "shape": 0.25} for share in LOW_PASSES],
-    "rectified_sensor": lambda f, r, t: [{"share": 1.0, "sign": 1.0}, {"share": 1.0, "sign": -1.0}, {"share": 0.0, "sign": -1.0}],
+    "rectified_sensor": lambda f, r, t: [{"share": 0.0, "sign": -1.0}, {"share": 1.0, "sign": 1.0}, {"share": 1.0, "sign": -1.0}],
     "temperature_dependent_friction": _warming,
 }
