@@ -146,6 +146,11 @@ def test_a_set_costs_the_logarithm_of_the_sets_there_were_to_choose_from():
     assert tried(shapes=100.0).sets([VISCOUS]) == pytest.approx(5000.0)
 
 
+def test_a_set_of_more_effects_than_there_are_candidates_left_is_one_set_and_not_none():
+    """Where what was found is tried again without one of its effects: none would pass whatever it gained."""
+    assert Tried([Candidate(LOAD, ())], tried()).sets([VISCOUS, LOAD]) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(("second", "costs"), [(0.0, 0.0), (2.0, 2.0), (10.0, math.log(100.0))])
 def test_a_searched_term_costs_no_more_than_what_it_does(second, costs):
     """An eccentricity's error once a turn was not searched: beside it the error per line, of an order that was, may be nothing."""

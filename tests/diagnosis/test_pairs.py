@@ -15,9 +15,11 @@ from hil.diagnosis.judging.form import BENDS_BY, lost_form
 from hil.diagnosis.judging.judgement import Contender, Stand
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching import selection
 from hil.diagnosis.searching.pairs import beside_rivals, pairs, without_what_stood
 from hil.diagnosis.searching.selection import Selection
 from hil.diagnosis.searching.surplus import has_no_surplus, parts_that_passed
+from hil.diagnosis.searching.ways import Way
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.retune import Tuning
 from virtual_bus.effects import presliding_hysteresis
@@ -244,3 +246,31 @@ def test_a_set_shows_by_that_effect_which_it_loses_least_without(costs, gained):
     found = Selection(pair, (), (Contender(pair, 0.0, 0.0, 0.0, (SimpleNamespace(gain=1000.0),) * 2),), (), None, smaller=(pair, *parts))
     assert found.gained_by_least(pair) == gained
     assert found.gained_by_least(None) == np.inf
+
+
+def test_what_a_set_shows_is_known_of_the_closer_fit_of_another_way_as_well():
+    friction = fitted("coulomb_friction", [1.0])
+    closer = replace(friction, cost=900.0)
+    found = Selection(friction, (), (Contender(closer, 0.0, 0.0, 0.0, (SimpleNamespace(gain=1000.0),)),), (), None)
+    assert found.contender_of(friction).fitted is closer
+    assert found.gained_by_least(friction) == 1000.0
+
+
+def test_every_effect_of_what_is_named_is_left_out_once(monkeypatch):
+    """What the search ended with, and the set that gains most, where a part of them was never fitted; none twice."""
+    friction, wave, mode = (fitted(name, [1.0]) for name in ("coulomb_friction", "cogging", "structural_mode"))
+
+    def both(one: Fitted, other: Fitted, gained: float) -> Contender:
+        pair = replace(one, effects=(*one.effects, *other.effects), values=(*one.values, *other.values))
+        return Contender(pair, gained, 0.0, 0.0, (SimpleNamespace(gain=gained),) * 2)
+
+    asked = []
+    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: asked.extend(starts) or [None for _ in starts])
+    monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits: fits)
+    ended, most, other = both(friction, wave, 900.0), both(friction, mode, 1000.0), both(wave, mode, 800.0)
+    runs = SimpleNamespace(measured=lambda: None)
+    search = selection.Search(runs, None, None, 0.0, None, None)
+    way = Way(SimpleNamespace(fitted=ended.fitted), contenders=(other, ended, most), smaller=(friction,))
+    assert search.parts_not_fitted(way) == []
+    assert [names for names, _ in asked] == [wave.effects, mode.effects]
+    assert search.parts_not_fitted(Way(SimpleNamespace(fitted=None))) == []

@@ -167,7 +167,7 @@ def select(
         Whether effects are added from another first one, or from the likeliest set, at all.
     """
     judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs), lambda name: onset(runs, name, tuning))
-    search = _Search(runs, tuning, judgement, noise_energy, candidates_of, report)
+    search = Search(runs, tuning, judgement, noise_energy, candidates_of, report)
     first = search.step(Way(judgement.nothing))
     way = search.to_the_end(first)
     rival = another_first(first.contenders, way.stand.effects, first.stand, judgement.nothing, noise_energy)
@@ -186,7 +186,7 @@ def select(
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class Search:
     """What is the same at every step; see `select`."""
 
     runs: FreeRuns
