@@ -93,7 +93,7 @@ def beside_rivals(rivals: Sequence[Fitted], stand: Fitted | None, found: Fitted,
     Parameters
     ----------
     rivals : sequence of Fitted
-        Those that gain most first, the stand among them.
+        In the order in which they competed, the likeliest of the first step first, the stand among them.
     stand : Fitted or None
     found : Fitted
         The stand with what was added.

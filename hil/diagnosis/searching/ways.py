@@ -142,13 +142,12 @@ def competes(one: Contender, chosen: Contender | None) -> bool:
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
     """Sets of a step before that passed the gate and that an equation's error may hold beside the larger sets of this one, though they
-    leave more, those that gain most first; `base` is the cost of no effect at all.
+    leave more; `base` is the cost of no effect at all.
     """
     sets = [_removing(one, base) for one in (*earlier, *larger)]
     much = -2.0 * math.log(PLAUSIBLE) * temperature_of(sets, base, noise_energy)
     most = max(one.gained for one in larger)
-    near = [one for one in earlier if one.passed and one.gained > most - much]
-    return [one.fitted for one in sorted(near, key=lambda one: -one.gained)]
+    return [one.fitted for one in earlier if one.passed and one.gained > most - much]
 
 
 def _removing(one: Contender, base: float) -> Removing:
