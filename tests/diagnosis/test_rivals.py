@@ -218,13 +218,13 @@ def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(
 def test_what_training_shows_competes_once(monkeypatch):
     """A pair may be a rival from the first step on, and be fitted again beside the chosen set."""
     (unsure,) = selected(monkeypatch, SWINGS, backwards=1e6).unsure
-    whole = selection._Search.step
+    whole = selection.Search.step
 
     def step(self, way):
         found = whole(self, way)
         return replace(found, contenders=(*found.contenders, unsure)) if not way.stand.effects else found
 
-    monkeypatch.setattr(selection._Search, "step", step)
+    monkeypatch.setattr(selection.Search, "step", step)
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
     found = selected(monkeypatch, SWINGS, backwards=1e6)
     assert unsure in found.contenders and found.unsure == ()
