@@ -331,11 +331,12 @@ class Search:
         rivals = [one for one in needed if one.passed or competes(one, passed[0] if passed else None)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             also = judgement.contenders(stand, doubtful, tried, placebos, limits, len(fits))
-            rivals += [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]
+            likely = [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]
+            rivals += likely
             known = not_told_apart_in_training(way.contenders, rivals, nothing.cost, noise_energy)
             there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
-            several = next((one.fitted for one in passed if len(one.fitted.effects) > 1), passed[0].fitted)
+            several = next((one.fitted for one in (*passed, *likely) if len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
             starts += exchanged(with_signs(runs, tuning, several), several, singles, first, there)
             there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
