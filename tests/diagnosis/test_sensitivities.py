@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from carriage import MACHINE
 
 from hil.diagnosis.fitting.refit import refit
 from hil.diagnosis.fitting.tuned_sensitivities import TunedSensitivities
-from hil.diagnosis.fitting.turned import with_signs
 from hil.diagnosis.judging.judgement import Judgement
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.residuals.mismatch import mismatch
@@ -86,6 +83,3 @@ def test_beside_a_channel_of_the_wrong_sign_the_file_s_numbers_move_it_the_other
             moved, back = (runs.run_one(Trial(tuning.at(fit.offset + s * step), fit.settings)) for s in (1.0, -1.0))
             assert here == pytest.approx((moved - back) / 2e-4, abs=0.02 * np.abs(here).max())
             assert np.linalg.norm(here - before) > 0.5 * np.linalg.norm(here)
-        assert np.array_equal(with_signs(runs, tuning, fit).jacobian, stand.tuning.jacobian)  # wherever else sets are asked of beside it
-        whole = replace(fit, effects=(FRICTION,), values=(np.array([3.0]),))
-        assert with_signs(runs, tuning, whole) is tuning

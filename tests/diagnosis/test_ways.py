@@ -11,6 +11,7 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.weighing import closer_than
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching.selection import still_in
 from hil.diagnosis.searching.ways import Way, another_first, closer_parts, competes, continued, each_once, joined, with_others
 from hil.diagnosis.starting.candidates import Candidate
 
@@ -178,9 +179,9 @@ def test_where_nothing_was_chosen_all_that_gain_are_what_came_closest():
     assert not competes(judged(0.0), None)
 
 
-def judged(gained: float, held_out: float | None = None, before: tuple[float, ...] = (), lost_form: str = ""):
+def judged(gained: float, held_out: float | None = None, before: tuple[float, ...] = (), lost_form: str = "", shows: bool = True):
     """With the gate of its last step, and of those before: the same where they gained the same."""
-    gate = SimpleNamespace(certain_gain=gained, held_out_gain=held_out, lost_form=lost_form)
+    gate = SimpleNamespace(certain_gain=gained, held_out_gain=held_out, lost_form=lost_form, shows=shows)
     steps = tuple(STEPS.setdefault(each, SimpleNamespace(certain_gain=each)) for each in before)
     return SimpleNamespace(gate=gate, gates=(*steps, gate), gained=sum(before) + gained, gained_held_out=held_out or 0.0)
 
@@ -192,6 +193,13 @@ STEPS: dict[float, SimpleNamespace] = {}
 def test_beside_a_set_that_took_the_stands_place_one_that_was_added_to_the_stand_competes_with_all_that_it_gains(chosen, rival):
     """The chosen set's gain is over nothing, the other's last step's is over a stand that gained 16 000."""
     assert competes(judged(300.0, before=(16_000.0,)), chosen) is rival
+    assert not competes(judged(0.7, before=(16_000.0,), shows=False), chosen)  # the stand does that without it
+
+
+def test_a_set_that_passed_gives_way_to_none_that_did_not():
+    stand, instead, more = contender(16_000.0, COGGING), contender(16_300.0, RIPPLE), contender(16_001.0, COGGING, DELAY, passed=False)
+    assert still_in([stand], [instead, more]) == [stand]
+    assert still_in([stand], [instead, contender(16_301.0, COGGING, DELAY)]) == []
 
 
 def test_beside_the_same_stand_what_was_added_to_it_counts_alone():
@@ -205,9 +213,10 @@ def test_of_sets_that_leave_more_than_the_stand_the_closer_fit_competes_and_the_
     closer, far = contender(16_200.0, RUBBING, DELAY), contender(4_000.0, RIPPLE)
     again = contender(16_500.0, COGGING, DELAY)
     kept = with_others((stand, unfinished), (closer, far, again), stand.fitted)
-    assert kept == [stand, closer]
+    assert kept == [stand, closer, far]
     part, larger = contender(16_400.0, COGGING), contender(16_300.0, COGGING, DELAY)
     assert with_others((part,), (larger,), part.fitted) == [part, larger]  # what is named stays although a larger set leaves more
+    assert with_others((stand, part, far), (), stand.fitted) == [stand, part, far]  # none that competed is lost for that
 
 
 def test_a_set_that_competes_by_both_motions_is_kept_where_ways_are_joined():

@@ -18,7 +18,6 @@ import numpy as np
 import scipy.stats
 
 from hil.diagnosis.fitting.refit import Fitted, sensitivities_to_effects
-from hil.diagnosis.fitting.turned import with_signs
 from hil.diagnosis.judging.gate import Scatter
 from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.ranking.taken_over import acting, without_those_taken_over
@@ -66,7 +65,7 @@ def chance_of_drift(
     if response is None:
         return 1.0
     settings = runs.machine.plant
-    projection = Projection.of(without_those_taken_over(with_signs(runs, tuning, fitted), fitted.settings, settings))
+    projection = Projection.of(without_those_taken_over(tuning, fitted.settings, settings))
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
     sizes, unseen = np.linalg.norm(response, axis=0), np.linalg.norm(left, axis=0)
     sizes = np.where(sizes > 0.0, sizes, np.maximum(unseen, 1e-300))  # held-out recordings may not see one at all

@@ -17,10 +17,5 @@ def tuning_at(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> Tuning:
     return linearised(runs, at, fitted.settings) if _has_a_sign(fitted) else at
 
 
-def with_signs(runs: FreeRuns, tuning: Tuning, fitted: Fitted) -> Tuning:
-    """The tuning, whose sensitivities have the signs that they have beside a set."""
-    return replace(tuning, jacobian=tuning_at(runs, tuning, fitted).jacobian) if _has_a_sign(fitted) else tuning
-
-
 def _has_a_sign(fitted: Fitted) -> bool:
     return any(effects()[effect.effect].kind is SIGN for effect in fitted.effects)

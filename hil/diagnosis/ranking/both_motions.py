@@ -21,7 +21,6 @@ import numpy as np
 from hil.diagnosis.fitting.coordinates import Coordinates, Point
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted, bounded, sensitivities_to_effects
-from hil.diagnosis.fitting.turned import with_signs
 from hil.diagnosis.fitting.visited import Visited
 from hil.diagnosis.judging.held_out import Followed, HeldOut
 from hil.diagnosis.judging.judgement import Contender
@@ -65,8 +64,7 @@ def _moved(runs: FreeRuns, tuning: Tuning, held_out: HeldOut, one: Contender, le
         return one
     fitting = Coordinates(tuning, fitted.effects, fitted.values, Visited.by(runs))
     settings = runs.machine.plant
-    numbers_there = without_those_taken_over(with_signs(runs, tuning, fitted), fitted.settings, settings)
-    projection, acts = Projection.of(numbers_there), acting(tuning, fitted.settings, settings)
+    projection, acts = Projection.of(without_those_taken_over(tuning, fitted.settings, settings)), acting(tuning, fitted.settings, settings)
     free = np.abs(tuning.offset) < LARGEST_CHANGE / PRIOR - 1e-6
     at, followed, price, narrowed = fitted, before, 0.0, None
     for number in range(STEPS):

@@ -10,7 +10,6 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
-from hil.diagnosis.fitting.turned import with_signs
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of
 from hil.diagnosis.judging.form_error import form_error
 from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
@@ -181,7 +180,7 @@ def select(
         way = continued(way, search.to_the_end(from_another(way, closer, judgement.after(closer))))
     competing = [set(one.fitted.effects) for one in way.contenders]
     unsure = tuple(one for one in way.unsure if set(one.fitted.effects) not in competing)  # a rival of the first step may be one
-    smaller = (*way.smaller, *search.parts_not_fitted(way))
+    smaller = (*way.smaller, *(search.parts_not_fitted(way) if another_way else ()))
     return Selection(way.stand.fitted, way.gates, way.contenders, way.screened, way.closest, way.further, way.formless, unsure, smaller)
 
 
@@ -251,9 +250,8 @@ class Search:
         rarer = rarer_by_chance(fits, unfinished, [judgement.by_chance(stand, fit, tried) for fit in fits])
         fits = [*(fit for fit in fits if fit not in rarer), *polish(runs, tuning, measured, rarer)]
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
-        beside_stand = [fit for fit in fits if set(stand.effects) < set(fit.effects)]  # those that were finished are no longer in order
-        best, leaner = min(beside_stand or fits, key=lambda fit: fit.cost), []
-        freedom = max(best.freedom - (chosen.freedom if chosen is not None and beside_stand else 0), 1)
+        best, leaner = min(fits, key=lambda fit: fit.cost), []  # those that were finished are no longer in order
+        freedom = max(best.freedom - (0 if chosen is None else chosen.freedom), 1)
         if stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, len(residual)):
             fits = with_other_harmonics(runs, tuning, measured, fits)
             fits = with_others_of_its_order(runs, tuning, stand, measured, fits, found)
@@ -318,7 +316,7 @@ class Search:
             if wider.gates:  # some of those behind could be simulated
                 return wider
         formless = (*way.formless, *without_form(needed))
-        refused = next((one for one in judged if not one.passed), judged[0])
+        refused = next((one for one in judged if one not in also_passed), judged[0])
         gates = (*way.gates, passed[0].gate if passed else _refused(refused, needed))
         further = least_by_chance(judged, stand)
         end = Way(
@@ -338,7 +336,7 @@ class Search:
             starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
             several = next((one.fitted for one in (*passed, *likely) if len(one.fitted.effects) > 1), passed[0].fitted)
             there += [*(set(fit.effects) for fit in fits), *(set(names) for names, _ in starts)]
-            starts += exchanged(with_signs(runs, tuning, several), several, singles, first, there)
+            starts += exchanged(tuning, several, singles, first, there)
             there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
             banks = bank_of((), screened), bank_of(singles, first)
             starts += neighbours_of_all(several, stand.effects, banks, there, runs.machine.plant)
@@ -347,7 +345,7 @@ class Search:
             more = without_surplus(more, (*smaller, *refitted))
             rivals += [one for one in more if one.passed]
             end = replace(end, formless=(*formless, *without_form(more)), smaller=(*smaller, *refitted))
-        end = replace(end, contenders=(*rivals, *_still_in(way.contenders, rivals)))
+        end = replace(end, contenders=(*rivals, *still_in(way.contenders, rivals)))
         return replace(end, stand=after(passed[0]), further=np.inf, is_at_its_end=False) if passed else end
 
 
@@ -381,14 +379,15 @@ def _pairs_worth_a_fit(
     return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
 
 
-def _still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:
-    """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one."""
+def still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:
+    """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one that passed too."""
     if not larger:
         return []
     return [
         one
         for one in earlier
-        if is_rival_of(one, larger) and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger)
+        if is_rival_of(one, larger)
+        and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger if other.passed or not one.passed)
     ]
 
 

@@ -115,9 +115,16 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
 
 
 def with_others(contenders: Sequence[Contender], more: Sequence[Contender], stand: Fitted) -> list[Contender]:
-    """Sets that compete, with more that do and leave more than the stand, which stays as it is."""
-    kept = each_once((*contenders, *(one for one in more if set(one.fitted.effects) != set(stand.effects))))
-    return [*(one for one in contenders if one.fitted is stand and one not in kept), *kept]
+    """Sets that compete, with more that do and leave more than the stand, which stays as it is: of a set that was fitted twice the closer
+    fit.
+    """
+    kept = list(contenders)
+    for one in more:
+        own = set(one.fitted.effects)
+        same = [other for other in kept if set(other.fitted.effects) == own]
+        if own != set(stand.effects) and all(one.fitted.cost < other.fitted.cost for other in same):
+            kept = [*(other for other in kept if other not in same), one]
+    return kept
 
 
 def is_rival_of(one: Contender, others: Sequence[Contender]) -> bool:
@@ -128,14 +135,14 @@ def is_rival_of(one: Contender, others: Sequence[Contender]) -> bool:
 
 def competes(one: Contender, chosen: Contender | None) -> bool:
     """Whether a set that did not pass gains enough beside the chosen one to compete with it, in training or in both motions together: over
-    what both were added to, or over nothing where they were not added to the same.
+    what both were added to, or over nothing where they were not added to the same and training shows what it was added for.
     """
     if one.gate.lost_form or one.gate.certain_gain <= 0.0:
         return False
     if chosen is None:
         return True
     if not are_added_to_the_same(one, chosen):
-        return is_rival_of(one, [chosen])
+        return one.gate.shows and is_rival_of(one, [chosen])
     gains = [(gate.certain_gain, gate.certain_gain + max(gate.held_out_gain or 0.0, 0.0)) for gate in (one.gate, chosen.gate)]
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
 
