@@ -45,13 +45,30 @@ def test_another_file_is_refused_in_one_line(tmp_path, wrong):
         printed(path)
 
 
-def test_the_proofs_page_shows_what_its_first_file_of_scores_holds(capsys):
-    """A column more may stand at the right, and a head in other words."""
-    page = (ROOT / "docs" / "concealed.md").read_text(encoding="utf-8")
-    commit = TOLD.search(page)[1]
-    shown = page.splitlines()
+@pytest.fixture
+def page():
+    return (ROOT / "docs" / "concealed.md").read_text(encoding="utf-8")
+
+
+def rows_of(commit, capsys):
+    """Printed rows and lists, heads left out."""
     printed(RESULTS / f"scores_sealed_{commit}.json")
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("| ", "- **")) and not line.startswith("| bar ")]
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith(("| ", "- **")) and not line.startswith("| bar ")]
+
+
+def test_the_proofs_page_shows_what_its_first_file_of_scores_holds(page, capsys):
+    """Bars may have a column more at the right."""
+    rows, shown = rows_of(TOLD.findall(page)[0], capsys), page.splitlines()
     assert len(rows) > 80
-    missing = [row for row in rows if not any(line.startswith(row.rstrip(" |")) for line in shown)]
-    assert missing == []
+    assert [row for row in rows if not any(line.startswith(row) for line in shown)] == []
+
+
+def test_its_last_column_and_the_lists_of_the_second_run_are_those_of_the_second_file(page, capsys):
+    rows, shown = rows_of(TOLD.findall(page)[1], capsys), page.splitlines()
+    lists = [row for row in rows if row.startswith("- **")]
+    assert len(lists) == 7 and [row for row in lists if row not in shown] == []
+    bars = [[cell.strip() for cell in row.strip("| ").split("|")] for row in rows if " | ≥ " in row or " | ≤ " in row or "not asked" in row]
+    assert len(bars) > 15
+    for name, measured, *_ in bars:
+        (line,) = [line for line in shown if line.startswith(f"| {name} | ")]
+        assert line.strip("| ").split("|")[-1].strip().startswith(measured), name
