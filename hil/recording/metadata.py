@@ -72,7 +72,10 @@ def parse_metadata(text: str, where: str) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, RecursionError) as problem:
         raise RecordingError(f"{where}: no TOML: {problem}") from None
     if metadata.pop("recording_format", None) != RECORDING_FORMAT:
-        raise RecordingError(f"{where}: no recording's metadata: it lacks `recording_format = {RECORDING_FORMAT}`")
+        raise RecordingError(
+            f"{where}: no recording's metadata: it lacks `recording_format = {RECORDING_FORMAT}`;"
+            " add that line, or, if it is another file, a machine's say, give it another name than the recording's"
+        )
     for table in ("machine", "experiment", "initial"):
         if not isinstance(metadata.get(table, {}), dict):
             raise RecordingError(f"{where}: `{table}` must be a table")

@@ -32,24 +32,31 @@ def on_every_tick(recording: Recording) -> Recording:
     rows = int(ticks[-1]) + 1
     if rows == recording.rows:
         return recording
-    period = recording.experiment.get("period_samples")
-    every = np.arange(rows)
     channels = {}
     for name, channel in recording.channels.items():
         values = np.full(rows, np.nan)
         values[ticks] = channel.values
         if name == "time":
-            values = recording.time[0] + every / recording.sample_rate_Hz
+            values = recording.time[0] + np.arange(rows) / recording.sample_rate_Hz
             values[ticks] = channel.values
         elif name.startswith(PLANNED):
-            missing = np.isnan(values)
-            missing[ticks] = False  # what was no number stays none
-            if name.startswith("excitation_") and isinstance(period, int) and 0 < period < rows:
-                values[missing] = _elsewhere(values, missing, period)[every[missing] % period]
-                missing &= np.isnan(values)
-            values[missing] = np.interp(every[missing], ticks, channel.values)
+            values = planned(recording, name, ticks, channel.values, rows)
         channels[name] = Channel(channel.unit, values)
     return Recording(channels, recording.metadata)
+
+
+def planned(recording: Recording, name: str, ticks: np.ndarray, values: np.ndarray, rows: int) -> np.ndarray:
+    """(rows,) a planned channel on every tick, from its (N,) values at some; what was no number stays none."""
+    every, whole = np.arange(rows), np.full(rows, np.nan)
+    whole[ticks] = values
+    missing = np.isnan(whole)
+    missing[ticks] = False
+    period = recording.experiment.get("period_samples")
+    if name.startswith("excitation_") and isinstance(period, int) and 0 < period < rows:
+        whole[missing] = _elsewhere(whole, missing, period)[every[missing] % period]
+        missing &= np.isnan(whole)
+    whole[missing] = np.interp(every[missing], ticks, values)
+    return whole
 
 
 def _elsewhere(values: np.ndarray, missing: np.ndarray, period: int) -> np.ndarray:

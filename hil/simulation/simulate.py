@@ -74,7 +74,10 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     states = initial.get("controller_states") if closed else None
     pose = _start_pose(machine, recording, reference)
     speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
-    deviation = _per_axis(machine, initial.get("standing", {}).get("deviation"), "initial.standing.deviation")
+    standing = initial.get("standing", {})
+    if not isinstance(standing, dict):
+        raise RecordingError(f"metadata initial.standing is {standing!r}; a table with `deviation` would be right")
+    deviation = _per_axis(machine, standing.get("deviation"), "initial.standing.deviation")
     if deviation is not None:  # a reading that was missing tells nothing
         deviation = np.nan_to_num(deviation)
     return Inputs(reference, excitation, feedforward, command, pose, states, speed, deviation)
@@ -129,14 +132,21 @@ def _in_words(machine: Machine) -> list[str]:
 def _complete(machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None) -> np.ndarray:
     """(N, n_axes) values without a hole."""
     names = [f"{group}_{axis}" for axis in machine.axes]
-    if default is not None and not any(name in recording for name in names):
-        return default
-    values = recording.matrix(names)
-    holes = np.argwhere(~np.isfinite(values))
-    if holes.size:
-        row, column = holes[0]
-        raise RecordingError(f"{names[column]} is missing in row {row} ({recording.time[row]:.6g} s); a simulation needs every row of it")
-    return values
+    columns = []
+    for i, (name, units) in enumerate(zip(names, machine.units, strict=True)):
+        if default is not None and name not in recording:
+            columns.append(default[:, i])
+            continue
+        channel = recording.channel(name)
+        wanted = units.position if group == "reference" else units.effort
+        if channel.unit != wanted:
+            raise RecordingError(f"{name} is in [{channel.unit}]; {machine.name} takes it in [{wanted}]")
+        holes = np.flatnonzero(~np.isfinite(channel.values))
+        if holes.size:
+            row = int(holes[0])
+            raise RecordingError(f"{name} is missing in row {row} ({recording.time[row]:.6g} s); a simulation needs every row of it")
+        columns.append(channel.values)
+    return np.column_stack(columns)
 
 
 def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | None) -> np.ndarray:
@@ -163,13 +173,16 @@ def _per_axis(machine: Machine, values: Sequence[float] | None, key: str) -> np.
     """(n_axes,) metadata; None where there are none."""
     if values is None:
         return None
+    if not isinstance(values, list | tuple) or not all(isinstance(value, int | float) for value in values):
+        raise RecordingError(f"metadata {key} is {values!r}; a list of {len(machine.axes)} numbers, one per axis, would be right")
     if len(values) != len(machine.axes):
         raise RecordingError(f"metadata {key} has {len(values)} entries; {machine.name} has {len(machine.axes)} axes")
     return np.array(values, dtype=float)
 
 
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:
-    """As recorded: a function of the reference, computed before the run."""
-    if not any(controller.gravity_feedforward for controller in machine.controllers):
+    """As recorded: a function of the reference, computed before the run, whether or not the machine file's controllers compute one."""
+    if not machine.controllers:
         return np.zeros(shape)
-    return _complete(machine, recording, "feedforward")
+    needed = any(controller.gravity_feedforward for controller in machine.controllers)
+    return _complete(machine, recording, "feedforward", None if needed else np.zeros(shape))

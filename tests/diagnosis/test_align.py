@@ -67,6 +67,35 @@ def test_at_another_rate_a_sample_has_the_input_in_force_when_it_begins(rate_Hz)
     np.testing.assert_array_equal(found, np.floor(np.arange(len(found)) * rate_Hz / 1000.0 + 1e-9))
 
 
+def with_reference(time: np.ndarray, gaps_s: tuple[float, float] = (0.0, 0.0)) -> Recording:
+    kept = (time < gaps_s[0]) | (time >= gaps_s[1])
+    columns = {"time": ("s", time), "reference_carriage": ("m", 0.3 * np.sin(3.0 * time))}
+    columns |= {"feedforward_carriage": ("V", np.cos(3.0 * time)), "excitation_carriage": ("V", np.arange(len(time)) % 2.0)}
+    return Recording({name: Channel(unit, values[kept]) for name, (unit, values) in columns.items()}, {})
+
+
+@pytest.mark.parametrize("rate_Hz", [100.0, 133.0, 200.0, 333.0, 400.0])
+def test_a_reference_is_taken_between_rows_at_any_rate(rate_Hz):
+    """It is no channel that is held: half a row late, a closed loop would follow another motion."""
+    even = resampled(with_reference(np.arange(int(4.0 * rate_Hz)) / rate_Hz), 200.0)
+    assert np.abs(even["reference_carriage"] - 0.3 * np.sin(3.0 * even.time)).max() < 0.3 * 9.0 / 8.0 / rate_Hz**2 * 1.01
+    assert np.abs(even["feedforward_carriage"] - np.cos(3.0 * even.time)).max() < 9.0 / 8.0 / rate_Hz**2 * 1.01
+
+
+def test_a_reference_is_whole_across_a_gap_in_which_nothing_was_measured():
+    time = np.arange(800) / 200.0
+    even = resampled(with_reference(time, (1.0, 1.2)), 200.0)
+    assert even.rows == 800 and np.isfinite(even["reference_carriage"]).all()
+    assert np.abs(even["reference_carriage"] - 0.3 * np.sin(3.0 * even.time)).max() < 0.3 * 9.0 * 0.205**2 / 8.0
+
+
+def test_across_a_gap_a_run_has_the_reference_of_its_repeat():
+    time = np.arange(800) / 200.0
+    with pytest.warns(RecordingWarning, match=r"b: rows are not equally spaced"):
+        even = aligned(load_machine("laas_anti_cogging"), {"b": with_reference(time * 0.2, (0.2, 0.24)), "a": with_reference(time * 0.2)})
+    np.testing.assert_array_equal(even["b"]["reference_carriage"], even["a"]["reference_carriage"])
+
+
 def of_periods(rate_Hz: float, **experiment) -> Recording:
     time = np.arange(900) / rate_Hz
     moved = recording(time, command_rotor=np.sin(time), position_rotor=np.sin(time))

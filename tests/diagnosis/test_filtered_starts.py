@@ -57,7 +57,8 @@ def runs_of(machine: Machine, **inputs: Channel):
             for name, own in answer.items()
             if name not in channels and not (name.startswith("command_") and machine.controllers)
         }
-        return Recording(channels | noisy, recording_metadata(machine))
+        planned = {name: own for name, own in answer.items() if name.startswith("feedforward_")}
+        return Recording(channels | noisy | planned, recording_metadata(machine))
 
     return mismatch(machine, aligned(machine, {f"repeat {k}": repeat() for k in range(3)}))
 

@@ -27,6 +27,10 @@ def exported(lost: list[int], noise_seed: int = 0, wanted: np.ndarray = WANTED, 
     return Recording({name: Channel(unit, values[kept]) for name, (unit, values) in columns.items()}, recording_metadata(MACHINE))
 
 
+def with_reference(recording: Recording, values: np.ndarray) -> Recording:
+    return Recording({**recording.channels, "reference_carriage": Channel("m", values)}, recording.metadata)
+
+
 def grouped(**recordings: Recording) -> tuple[list[tuple[str, ...]], list[str]]:
     """The groups' labels, and what was warned of besides the resampling."""
     with warnings.catch_warnings(record=True) as caught:
@@ -42,14 +46,35 @@ def test_a_last_row_that_comes_early_does_not_part_them(lost):
     assert groups == [("a", "b")] and not said
 
 
-def test_rows_that_none_resampled_are_not_cut():
+@pytest.mark.parametrize("rows", [ROWS - 1, int(0.92 * ROWS)])
+def test_a_repeat_that_ends_early_cuts_the_others_and_it_is_said(rows):
     one, other = exported([]), exported([], 1)
-    even = aligned(MACHINE, {"a": one, "b": other.part(slice(ROWS - 1))})
-    assert [recording.rows for recording in even.values()] == [ROWS, ROWS - 1]
+    with pytest.warns(RecordingWarning, match=rf"^a: cut to the {rows} rows of b, which they repeat$"):
+        even = aligned(MACHINE, {"a": one, "b": other.part(slice(rows))})
+    assert [recording.rows for recording in even.values()] == [rows, rows]
+
+
+def test_half_a_repeat_leaves_the_other_whole():
+    even = aligned(MACHINE, {"a": exported([]), "b": exported([], 1).part(slice(ROWS // 2))})
+    assert [recording.rows for recording in even.values()] == [ROWS, ROWS // 2]
+
+
+def test_rows_that_one_lost_have_the_inputs_of_the_others():
+    groups, said = grouped(a=exported([]), b=exported([400, 500], 1), c=exported([30], 2))
+    assert groups == [("a", "b", "c")] and not said
+
+
+def test_last_digits_of_an_input_do_not_part_repeats():
+    one = exported([])
+    other = with_reference(exported([], 1), WANTED * (1.0 + 1e-15))
+    assert not np.array_equal(other["reference_carriage"], WANTED)
+    assert grouped(a=one, b=other) == ([("a", "b")], [])
 
 
 def test_few_rows_that_differ_in_their_inputs_are_said():
-    groups, said = grouped(a=exported([]), b=exported([400, 500], 1), c=exported([30], 2))
+    moved = WANTED.copy()
+    moved[[400, 500]] += 1e-6
+    groups, said = grouped(a=exported([]), b=with_reference(exported([], 1), moved), c=exported([30], 2))
     assert groups == [("a", "c"), ("b",)]
     assert len(said) == 1
     assert said[0].startswith("b: no repeat of a: its inputs differ in 2 rows, the first reference_carriage in row 400 (0.4 s);")

@@ -114,3 +114,13 @@ def test_without_numbers_that_show_there_is_no_step():
     none = replace(tuning(), indices=INDICES[:0], scale=np.zeros(0), offset=np.zeros(0))
     assert bounded_step(none, np.zeros((0, 0)), np.zeros(0), none.offset).shape == (0,)
     assert sensitivity_trials(none, none.offset, ())[0] == []
+
+
+def test_a_body_that_has_the_name_of_a_sensor_is_re_tuned_apart_from_it():
+    machine = machine_from_text(CARM.text.replace('"detector"', '"imu"'))
+    parameters = plant_parameters(machine.plant)
+    assert len({parameter.name for parameter in parameters}) < len(parameters), "no two of one name: the test shows nothing"
+    raised = [1.1 if parameter.name in ("imu.mass_kg", "imu.gyro_bandwidth_Hz") else 1.0 for parameter in parameters]
+    values = np.array([parameter.value for parameter in parameters]) * raised
+    read = machine_from_text(retuned_text(machine, parameters, values))
+    assert [parameter.value for parameter in plant_parameters(read.plant)] == pytest.approx(values.tolist(), rel=1e-9)

@@ -33,10 +33,10 @@ def retuned_text(machine: Machine, parameters: Sequence[PlantParameter], values:
         if value != parameter.value and parameter.value != 0.0:
             _scale(document, machine, parameter, float(value / parameter.value))
     text = f"# {machine.name}, its numbers re-tuned to recordings by `isocenter diagnose`\n" + toml_text(document)
-    wanted = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
-    for read in plant_parameters(machine_from_text(text, machine.path).plant):
-        if abs(read.value - wanted[read.name]) > AGREEMENT * max(abs(wanted[read.name]), 1e-12):
-            raise BadAnswer(f"{machine.name}: re-tuned {read.name} = {wanted[read.name]:g} cannot be written into its file")
+    # by their order: a body and a sensor may have the same name
+    for read, value in zip(plant_parameters(machine_from_text(text, machine.path).plant), values, strict=True):
+        if abs(read.value - value) > AGREEMENT * max(abs(value), 1e-12):
+            raise BadAnswer(f"{machine.name}: re-tuned {read.name} = {value:g} cannot be written into its file")
     return text
 
 

@@ -20,8 +20,9 @@ DETECTABLE_SHARE = 0.5
 def what_is_missing(train: Mismatch, selection: Selection) -> str:
     """One sentence; "" where the recordings suffice."""
     longest = max((group for group in train.groups), key=lambda group: len(group.time_s))
-    duration = float(sum(group.time_s[-1] - group.time_s[0] for group in train.groups))
-    if duration < LEAST_DURATION_s:
+    period = 1.0 / train.machine.sample_rate_Hz  # the last row lasts one, too
+    duration = float(sum(group.time_s[-1] - group.time_s[0] + period for group in train.groups))
+    if duration < LEAST_DURATION_s - 0.5 * period:
         return f"the recordings last {duration:.3g} s in all; {LEAST_DURATION_s:g} s or more are needed"
     if len(longest.time_s) < LEAST_ROWS:
         return f"the longest recording has {len(longest.time_s)} rows; {LEAST_ROWS} or more are needed"

@@ -82,10 +82,10 @@ def _best(errors: Mapping[int, float]) -> int:
 
 
 def _errors_by_shift(found: Mismatch, column: int) -> dict[int, float]:
-    """Sum of squares over all groups when the simulation is shifted by so many rows; none of recordings too short for that."""
+    """Sum of squares over all groups when the simulation is shifted by so many rows; none of too few rows, in all or a second."""
     most = round(LARGEST_LAG_s * found.noise.rate_Hz)
     pairs = [(_centred(group.mean[:, column]), _centred(group.simulated[:, column])) for group in found.groups]
-    if any(len(measured) <= 4 * most for measured, _ in pairs):
+    if most == 0 or any(len(measured) <= 4 * most for measured, _ in pairs):
         return {}
     return {
         lag: sum(float(np.sum((m[most:-most] - s[most - lag : len(s) - most - lag]) ** 2)) for m, s in pairs)

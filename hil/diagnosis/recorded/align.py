@@ -10,15 +10,20 @@ from typing import Any
 import numpy as np
 
 from hil.diagnosis.recorded.lost_ticks import with_every_tick
+from hil.diagnosis.recorded.repeated import are_equal_inputs
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Channel, Recording, RecordingWarning
 from hil.recording.channels import is_whole
+from hil.recording.ticks import PLANNED, planned
 from hil.simulation.simulate import RATE_TOLERANCE
 
 INPUTS = ("reference_", "excitation_", "feedforward_")
-HELD = (*INPUTS, "damping_", "command_")
-"""Channels that keep their value until the next row; the others are taken linearly between rows."""
+SMOOTH = ("reference_", "feedforward_")
+"""Inputs that are smooth: linear between rows however far these are apart, for a simulation needs all of them."""
+
+HELD = ("excitation_", "damping_", "command_")
+"""Channels that keep their value until the next row; those that were measured are taken linearly between rows."""
 
 HELD_AT = 0.499
 """So far behind a sample time, in the shorter of both sample periods, the row in force is the sample's: in the middle, for a row stamped
@@ -30,6 +35,9 @@ WHOLE = 1e-6
 
 PERIOD_KEYS = ("period_samples", "settle_periods", "periods")
 """Of the experiment's metadata: what makes a recording a periodic one."""
+
+LEAST_COMMON = 0.9
+"""Of the longer of two recordings with the same inputs as far as both go, that the shorter one holds at least, to be cut to one length."""
 
 LONGEST_GAP = 4.0
 """Rows of the machine's sample period over which measured values are interpolated; across longer gaps they are missing."""
@@ -45,7 +53,8 @@ def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, 
     """
     even = {label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()}
     moved = {label for label, recording in recordings.items() if even[label] is not recording}
-    return _equally_long(machine, with_every_tick(even), moved)
+    kept = {label: ticks for label in moved if (ticks := _ticks_kept(recordings[label], machine.sample_rate_Hz)) is not None}
+    return _equally_long(machine, with_every_tick(even, kept), moved)
 
 
 def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Recording:
@@ -78,16 +87,21 @@ def resampled(recording: Recording, rate_Hz: float, label: str = "the recording"
     RecordingWarning
         Where its period is no whole number of the new rows: it is no periodic recording then.
     """
-    time = recording.time
-    count = int(np.floor((time[-1] - time[0]) * rate_Hz + 1e-6)) + 1
+    time, count = recording.time, _rows_at(recording, rate_Hz)
     even = time[0] + np.arange(count) / rate_Hz
-    middle = even + HELD_AT * min(1.0 / rate_Hz, float(np.median(np.diff(time))))
-    in_force = np.clip(np.searchsorted(time, middle, side="right") - 1, 0, len(time) - 1)
+    in_force = _in_force(recording, rate_Hz)
+    kept = _ticks_kept(recording, rate_Hz)
     channels = {"time": Channel("s", even)}
     for name, channel in recording.channels.items():
         if name == "time":
             continue
         values = channel.values
+        if kept is not None and name.startswith(PLANNED):
+            channels[name] = Channel(channel.unit, planned(recording, name, kept, values[in_force[kept]], count))
+            continue
+        if name.startswith(SMOOTH):
+            channels[name] = Channel(channel.unit, np.interp(even, time, values))
+            continue
         if name.startswith(HELD) or is_whole(name):
             channels[name] = Channel(channel.unit, values[in_force])
             continue
@@ -101,6 +115,24 @@ def resampled(recording: Recording, rate_Hz: float, label: str = "the recording"
         channels[name] = Channel(channel.unit, np.where(width * rate_Hz > LONGEST_GAP, np.nan, taken))
     counted = {"experiment": _counted_in_new_rows(recording, rate_Hz, label)} if recording.experiment else {}
     return Recording(channels, {**recording.metadata, **counted})
+
+
+def _rows_at(recording: Recording, rate_Hz: float) -> int:
+    return int(np.floor((recording.time[-1] - recording.time[0]) * rate_Hz + 1e-6)) + 1
+
+
+def _in_force(recording: Recording, rate_Hz: float) -> np.ndarray:
+    """(rows,) the recorded row that each new one belongs to."""
+    time = recording.time
+    middle = time[0] + np.arange(_rows_at(recording, rate_Hz)) / rate_Hz + HELD_AT * min(1.0 / rate_Hz, float(np.median(np.diff(time))))
+    return np.clip(np.searchsorted(time, middle, side="right") - 1, 0, len(time) - 1)
+
+
+def _ticks_kept(recording: Recording, rate_Hz: float) -> np.ndarray | None:
+    """New rows that a recorded one belongs to, of a recording at this rate which lost some; None of one at another rate."""
+    if abs(_recorded_rate(recording, rate_Hz) - 1.0) > RATE_TOLERANCE:
+        return None
+    return np.flatnonzero(np.diff(_in_force(recording, rate_Hz), prepend=-1))
 
 
 def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> dict[str, Any]:
@@ -120,39 +152,49 @@ def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> di
     return experiment
 
 
+def _recorded_rate(recording: Recording, rate_Hz: float) -> float:
+    """New rows per recorded row, lost ones counted."""
+    steps, span = np.diff(recording.time), float(recording.time[-1] - recording.time[0])
+    return span * rate_Hz / float(np.rint(steps / np.median(steps)).sum())
+
+
 def _new_rows_per_row(recording: Recording, rate_Hz: float) -> float:
     """1 where the recorder's rows, lost ones counted, stay within half a row of the new ones to the end: its stamps tell no better."""
-    steps, span = np.diff(recording.time), float(recording.time[-1] - recording.time[0])
-    rows = float(np.rint(steps / np.median(steps)).sum())
-    ratio = span * rate_Hz / rows
-    return 1.0 if abs(ratio - 1.0) <= RATE_TOLERANCE and abs(span * rate_Hz - rows) < 0.5 else ratio
+    ratio, span = _recorded_rate(recording, rate_Hz), float(recording.time[-1] - recording.time[0])
+    return 1.0 if abs(ratio - 1.0) <= RATE_TOLERANCE and abs(span * rate_Hz * (1.0 - 1.0 / ratio)) < 0.5 else ratio
 
 
 def _equally_long(machine: Machine, recordings: Mapping[str, Recording], moved: Set[str]) -> dict[str, Recording]:
-    """Repeats that resampling left a row apart, cut to the shortest: a last time a hair before its tick costs a row."""
+    """Repeats of which some end early, cut to the shortest: a last time a hair before its tick costs a resampled one a row."""
     groups: list[list[str]] = []
     for label, recording in recordings.items():
         for group in groups:
-            if all(_repeat_but_for_a_row(machine, recording, recordings[other]) for other in group):
+            if all(_repeat_but_for_the_end(machine, recording, recordings[other]) for other in group):
                 group.append(label)
                 break
         else:
             groups.append([label])
     cut = dict(recordings)
     for group in groups:
-        shortest = min(recordings[label].rows for label in group)
-        for label in group if not moved.isdisjoint(group) else ():
-            if recordings[label].rows > shortest:
-                cut[label] = recordings[label].part(slice(shortest))
+        rows = {label: recordings[label].rows for label in group}
+        shortest = min(rows.values())
+        longer = [label for label in group if rows[label] > shortest]
+        for label in longer:
+            cut[label] = recordings[label].part(slice(shortest))
+        said = [label for label in longer if rows[label] > shortest + 1 or moved.isdisjoint(group)]
+        if said:
+            first = next(label for label in group if rows[label] == shortest)
+            words = f"{', '.join(said)}: cut to the {shortest} rows of {first}, which they repeat"
+            warnings.warn(words, RecordingWarning, stacklevel=3)
     return cut
 
 
-def _repeat_but_for_a_row(machine: Machine, one: Recording, other: Recording) -> bool:
-    if abs(one.rows - other.rows) > 1 or one.machine_hash != other.machine_hash:
+def _repeat_but_for_the_end(machine: Machine, one: Recording, other: Recording) -> bool:
+    rows, most = sorted((one.rows, other.rows))
+    if rows < LEAST_COMMON * most or one.machine_hash != other.machine_hash:
         return False
     if one.experiment.get("start_pose") != other.experiment.get("start_pose"):
         return False
     inputs = INPUTS if machine.controllers else (*INPUTS, "command_")
-    rows = min(one.rows, other.rows)
     driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
-    return all(name in one and name in other and np.array_equal(one[name][:rows], other[name][:rows], equal_nan=True) for name in driven)
+    return all(name in one and name in other and are_equal_inputs(one[name][:rows], other[name][:rows]) for name in driven)

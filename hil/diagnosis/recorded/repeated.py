@@ -24,6 +24,9 @@ MEDIAN_OF_THIRD_DIFFERENCES = 0.6745 * 20.0**0.5
 FEW_ROWS = 0.01
 """Of the rows: inputs that differ in fewer were meant to be the same."""
 
+ROUNDED = 1e-9
+"""Of an input's largest value, that two recordings of it may differ by: last digits, which another unit or another file leaves."""
+
 INPUTS = ("reference", "command", "excitation", "feedforward")
 
 
@@ -91,8 +94,19 @@ def from_mean_start(members: Sequence[Member]) -> Inputs:
     return replace(first, deviation=np.mean(deviations, axis=0))
 
 
+def are_equal_inputs(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two inputs are the same, but for how their recorder's file rounded them."""
+    if np.array_equal(one, other, equal_nan=True):
+        return True
+    if one.shape != other.shape or not np.array_equal(np.isfinite(one), np.isfinite(other)):
+        return False
+    there = np.isfinite(one)
+    largest = float(np.abs(one[there]).max(initial=0.0))
+    return bool(np.abs(one[there] - other[there]).max(initial=0.0) <= ROUNDED * largest)
+
+
 def _equal(one: np.ndarray | None, other: np.ndarray | None) -> bool:
-    return one is other or (one is not None and other is not None and np.array_equal(one, other))
+    return one is other or (one is not None and other is not None and are_equal_inputs(one, other))
 
 
 def _differing(one: Member, other: Member) -> Iterator[tuple[str, np.ndarray]]:
@@ -103,8 +117,12 @@ def _differing(one: Member, other: Member) -> Iterator[tuple[str, np.ndarray]]:
         if own is None or others is None:
             continue
         for i, axis in enumerate(one.machine.axes):
-            if (differ := np.flatnonzero(own[:rows, i] != others[:rows, i])).size:
+            if (differ := np.flatnonzero(_differ(own[:rows, i], others[:rows, i]))).size:
                 yield f"{name}_{axis}", differ
+
+
+def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.asarray(np.abs(one - other) > ROUNDED * np.abs(one).max(initial=0.0))
 
 
 def _begin_alike(one: Member, other: Member) -> bool:

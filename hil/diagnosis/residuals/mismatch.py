@@ -22,28 +22,26 @@ from hil.diagnosis.residuals.loop_lattices import loop_lattices
 from hil.diagnosis.residuals.noise import NoiseModel, noise_model
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.simulated import channel_outputs
-from hil.diagnosis.residuals.spectra import FILTER_ORDER
+from hil.diagnosis.residuals.usable import (
+    LARGEST_MISSING_SHARE,
+    channels_in_common,
+    check_usable,
+    missing_share,
+    settled_rows,
+    that_differ,
+    warn_of_a_first_period,
+    warn_of_motion_at_the_start,
+)
 from hil.errors import MachineFileError, RecordingError
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
 from hil.recording import Recording, RecordingWarning
 from hil.simulation import Simulator, inputs_of
+from hil.simulation.simulate import RATE_TOLERANCE
 from virtual_bus.settings import EffectSetting
-
-SILENT = 1e-12
-"""A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
 
 SPEED_WINDOW_s = 0.05
 """Length of the local parabola that speeds are taken from: longer than an encoder's steps, shorter than what a joint can reverse in."""
-
-LEAST_ROWS = FILTER_ORDER + 4
-"""Of a recording: fewer leave nothing behind the noise's filter to judge by."""
-
-LARGEST_READING = 1e30
-"""In whatever unit: its square is still a number."""
-
-LARGEST_MISSING_SHARE = 0.5
-"""A channel that misses more of its samples than this is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +116,15 @@ def mismatch(
         raise RecordingError("no recording to diagnose; give at least one")
     _warn_of_controllers(machine, recordings)
     drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
-    if channels is None:
-        channels = _channels(machine, [(member.label, member.recording, simulated) for group, simulated in drawn for member in group])
-    channels = tuple(channels)
+    warn_of_motion_at_the_start(machine, drawn)
+    chosen = channels_in_common(machine, drawn) if channels is None else tuple(channels)
     for members, _ in drawn:
         for member in members:
-            _check(member, channels)
-    made = tuple(_group(group, simulated, channels) for group, simulated in drawn)
+            check_usable(member, chosen)
+    made = tuple(_group(group, simulated, chosen) for group, simulated in drawn)
+    if channels is None and noise is None and (live := that_differ(machine, made, chosen)) != chosen:
+        chosen, made = live, tuple(_group(group, simulated, live) for group, simulated in drawn)
+    channels = chosen
     lattices = coarser_lattices(machine, channels, [group.measured for group in made])
     lost: dict[str, Dropout] = {}
     for number, group in enumerate(made):
@@ -211,10 +211,13 @@ def _own_machine(machine: Machine, recording: Recording) -> tuple[Machine | None
         own = machine_from_text(recording.machine_text, label="its own machine file")
     except MachineFileError as problem:
         return None, str(problem) if machine.controllers else ""
-    if own.axes == machine.axes and bool(own.controllers) == bool(machine.controllers):
+    as_fast = abs(own.sample_rate_Hz / machine.sample_rate_Hz - 1.0) <= RATE_TOLERANCE
+    if own.axes == machine.axes and bool(own.controllers) == bool(machine.controllers) and (as_fast or not own.controllers):
         return own, ""
     if not machine.controllers:
         return None, ""
+    if own.axes == machine.axes and own.controllers:
+        return None, f"its own machine file {own.name} runs at {own.sample_rate_Hz:g} Hz, and its controller at no other rate"
     lacks = f"its axes are {', '.join(own.axes)}" if own.axes != machine.axes else "it has no controller"
     return None, f"its own machine file {own.name}: {lacks}"
 
@@ -230,59 +233,6 @@ def _warn_of_controllers(machine: Machine, recordings: Mapping[str, Recording]) 
         warnings.warn(words, RecordingWarning, stacklevel=3)
 
 
-def _channels(machine: Machine, drawn: Sequence[tuple[str, Recording, Mapping[str, np.ndarray]]]) -> tuple[str, ...]:
-    """Channels that are recorded and simulated everywhere and move in one of both; warns of those that only some recordings lack."""
-    _, first_recording, first_simulated = drawn[0]
-    pairs = [(recording, simulated) for _, recording, simulated in drawn]
-    closed = bool(machine.controllers)
-    chosen = []
-    for name in first_simulated:
-        if name.startswith("command_"):
-            axis = name.removeprefix("command_")
-            measured = f"current_{axis}" in first_recording or f"effort_{axis}" in first_recording
-            if not closed or measured:  # given, or shown by what the drive measured
-                continue
-        if not all(name in simulated for _, simulated in pairs):
-            continue
-        if lacking := [label for label, recording, _ in drawn if _missing_share(recording, name) > LARGEST_MISSING_SHARE]:
-            if len(lacking) < len(drawn):
-                words = f"{', '.join(lacking)}: no {name}, or most of its samples missing; the channel is left out of the diagnosis"
-                warnings.warn(words, RecordingWarning, stacklevel=2)
-            continue
-        if all(_is_silent(recording[name]) and _is_silent(simulated[name]) for recording, simulated in pairs):
-            continue
-        chosen.append(name)
-    if not chosen:
-        raise RecordingError("no channel in common with the simulation besides the inputs; record position, current or IMU")
-    return tuple(chosen)
-
-
-def _check(member: Member, channels: Sequence[str]) -> None:
-    """RecordingError where a channel that the others are judged by is absent, mostly missing or holds what no sensor reads."""
-    if member.recording.rows < LEAST_ROWS:
-        raise RecordingError(f"{member.label}: {member.recording.rows} rows; {LEAST_ROWS} at least, and seconds of motion, are needed")
-    for name in channels:
-        share = _missing_share(member.recording, name)
-        if share > LARGEST_MISSING_SHARE:
-            has = f"misses {share:.0%} of its samples" if name in member.recording else "is not in it"
-            raise RecordingError(f"{member.label}: {name} {has}; the recordings to fit to have it: hold out one that has it too")
-        values = member.recording[name]
-        senseless = np.flatnonzero(np.abs(values) > LARGEST_READING)
-        if senseless.size:
-            raise RecordingError(
-                f"{member.label}: {name} is {values[senseless[0]]:g} in row {senseless[0]}; leave a reading empty that is missing"
-            )
-
-
-def _missing_share(recording: Recording, name: str) -> float:
-    return float(recording.channel(name).missing.mean()) if name in recording else 1.0
-
-
-def _is_silent(values: np.ndarray) -> bool:
-    values = values[np.isfinite(values)]
-    return values.size == 0 or bool(np.ptp(values) <= SILENT * max(np.abs(values).max(), 1e-300))
-
-
 def _group(members: Sequence[Member], simulated: Mapping[str, np.ndarray], channels: tuple[str, ...]) -> RepeatGroup:
     machine, inputs, recording = members[0].machine, members[0].inputs, members[0].recording
     measured = np.stack([member.measured(channels) for member in members])
@@ -295,7 +245,8 @@ def _group(members: Sequence[Member], simulated: Mapping[str, np.ndarray], chann
             windows = tuple(periods)
             labels = tuple(f"{labels[0]} period {number}" for number in range(1, len(periods) + 1))
             measured = np.stack([measured[0, window] for window in windows])
-    elif settle_rows := recording.experiment.get("settle_rows"):
+            warn_of_a_first_period(members[0], measured)
+    elif settle_rows := settled_rows(members[0]):
         windows = (slice(settle_rows, len(rows)),)
         measured = measured[:, settle_rows:]
     time_s = recording.time[windows[0]]
@@ -335,7 +286,7 @@ def _whole_periods(recording: Recording) -> tuple[slice, ...]:
 def _position_channel(axis: str, members: Sequence[Member], simulated: Mapping[str, np.ndarray]) -> str:
     """The encoder an axis's motion is taken from: the motor's, else the link's, and where neither is recorded the one that is simulated."""
     names = (f"position_{axis}", f"link_position_{axis}")
-    recorded = (n for n in names if all(_missing_share(member.recording, n) <= LARGEST_MISSING_SHARE for member in members))
+    recorded = (n for n in names if all(missing_share(member.recording, n) <= LARGEST_MISSING_SHARE for member in members))
     return next(recorded, None) or next((n for n in names if n in simulated), names[0])
 
 
