@@ -112,6 +112,29 @@ def test_few_losses_show_in_noise_that_repeats_no_reading_so_often_in_a_row():
     assert np.isnan(kept).sum() <= 20 + 3
 
 
+@pytest.mark.parametrize(("length", "held"), [(7, True), (3, False)])
+def test_a_single_burst_in_all_recordings_shows_where_noise_would_have_changed_it(length, held):
+    """Three in a row come about by themselves in one of many recordings."""
+    for seed in range(5):
+        print(f"seed {seed}")
+        measured, simulated = in_noise(runs=((1, 1200, length),), seed=seed)
+        kept, lost = without_lost_samples(measured, simulated, CHANNELS)
+        assert set(lost) == ({"imu_x"} if held else set())
+        if held:
+            low, high = lost["imu_x"].ci95
+            assert low < length / 9000 < high < 0.01 and lost["imu_x"].length == length
+            assert np.isnan(kept[1, 1200 : 1200 + length, 1]).all() and np.isnan(kept).sum() <= length + 1
+
+
+@pytest.mark.parametrize("value", [-1.5, 0.0, 1.5])
+def test_a_single_stay_at_a_limit_or_without_effort_is_no_burst(value):
+    measured, simulated = in_noise()
+    measured = np.clip(measured, -1.5, 1.5)
+    measured[np.abs(measured) == 1.5] = 1.45
+    measured[1, 1200:1208, 1] = value
+    assert not without_lost_samples(measured, simulated, CHANNELS)[1]
+
+
 @pytest.mark.parametrize(("share", "count"), [(0.1, 0.05), (0.1, 0.1), (0.4, 0.05), (0.4, 0.15)])
 def test_many_bursts_of_losses_of_a_channel_that_does_not_move_are_measured(share, count):
     """The largest reading of all among them."""

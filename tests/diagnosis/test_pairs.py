@@ -117,6 +117,10 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("rectified_sensor", [2e-5, 1.0], True),
         ("backlash", [1e-5, 9e-5], False),  # b, flank: fits keep it within that (`coordinates.AT_MOST`)
         ("backlash", [1e-5, 0.0], False),
+        ("end_stop", [50.0, 0.0, 0.3, 1.0], False),  # K, D, at_position, side: the travel's middle is at 0.2
+        ("end_stop", [50.0, 0.0, 0.1, 1.0], True),
+        ("end_stop", [50.0, 0.0, 0.1, -1.0], False),
+        ("end_stop", [50.0, 0.0, 0.3, -1.0], True),
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
@@ -125,6 +129,7 @@ def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
         "base_motion": (1.0, np.inf),
         "bouc_wen_hysteresis": (0.001, 0.025),
         "presliding_hysteresis": (0.001, 0.025),
+        "end_stop": (0.2, 0.2),
     }
     limits_at = {EffectAt(effect, "carriage"): ends for effect, ends in limits.items()}
     assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost

@@ -275,6 +275,15 @@ def said_of(names: Sequence[str], *, share: float, rival: float = 0.0, **standin
     return verdict_of(Standing(one.gates, hypotheses, 3.0 * NOISE, noise=NOISE, shown=8, missing="", **numbers))
 
 
+@pytest.mark.parametrize(
+    ("left", "left_held_out", "said"),
+    [(1.05, None, "ambiguous"), (1.05, 1.05, "ambiguous"), (1.1, 1.05, "unknown_physics"), (1.05, 1.1, "unknown_physics")],
+)
+def test_an_unlikely_set_is_a_name_where_it_leaves_nothing_above_noise_in_either_motion(left, left_held_out, said):
+    held_out = None if left_held_out is None else (2.0 * NOISE, left_held_out * NOISE, NOISE)
+    assert said_of(("coulomb_friction",), share=0.2, best_misfit=left * NOISE, held_out=held_out)[0] == said
+
+
 THREE = ("coulomb_friction", "cogging", "end_stop")
 
 

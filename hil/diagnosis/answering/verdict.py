@@ -44,7 +44,8 @@ UNNAMED_LEFT = 1.0
 less."""
 
 NAMED = 0.5
-"""Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier."""
+"""Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier: what the best
+of them leaves above noise then has none. Where it leaves nothing, in either motion, it is a name all the same, of little confidence."""
 
 TOGETHER = 2
 """Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the
@@ -98,7 +99,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if found and standing.drift < DRIFTED:
         said = f"one law would by chance with a probability of {standing.drift:.2g}"
         return "unknown_physics", f"the best known effects want other values in the held-out recordings than in training; {said}"
-    if found and sum(h.confidence for h in standing.hypotheses) < confidence_of(NAMED):
+    if found and sum(h.confidence for h in standing.hypotheses) < confidence_of(NAMED) and not _leaves_nothing(standing):
         return "unknown_physics", "the known effects that were found are together less likely than not to be the whole of it"
     if found:
         best = standing.hypotheses[0]
@@ -163,6 +164,12 @@ def _stands_out(gate: Gate, standing: Standing) -> bool:
     held_out = standing.held_out
     also_there = gate.is_followed or held_out is None or min(held_out[:2]) - held_out[2] > certain_excess(held_out[2])
     return also_there or standing.best_misfit > (1.0 + NULLS_LEFT) * standing.noise
+
+
+def _leaves_nothing(standing: Standing) -> bool:
+    """Whether neither motion has anything above noise, for certain, beside the likeliest set."""
+    motions = [(standing.best_misfit, standing.noise), *([] if standing.held_out is None else [standing.held_out[1:]])]
+    return all(left - noise <= certain_excess(noise) for left, noise in motions)
 
 
 def _left_held_out(standing: Standing) -> float:

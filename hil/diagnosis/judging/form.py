@@ -98,6 +98,8 @@ def lost_form(fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]], re
             return f"{effect} slides at {slides_at:.3g}, more than the {most:.3g} that the recordings can show: what fits may be a spring"
         if effect.effect in BENDS_BY and (bends_by := BENDS_BY[effect.effect](*values)) < least:
             return f"{effect} bends by {bends_by:.3g}, less than the {least:.3g} that its encoder shows: any dry friction does"
+        if effect.effect == "end_stop" and effect in limits and not _stops(*values, least, most):
+            return f"{effect} begins at {values[2]:.3g}, before the middle of the travel: what fits is a spring, or a load"
         if effect.effect == "presliding_hysteresis" and _sticks_hard(fitted, number):
             return f"{effect} sticks at {values[0] + values[1]:.3g} and slides at {values[0]:.3g}: what fits is no longer that effect"
         for parameter, value in zip(effects()[effect.effect].parameters, values, strict=True):
@@ -130,6 +132,11 @@ def _sticks_hard(fitted: Fitted, number: int) -> bool:
 def _keeps_its_sign(share: float, sign: float) -> bool:
     """Whether most of a channel's sign is there, and right."""
     return 0.0 < share < LOST_SIGN and sign > 0.0
+
+
+def _stops(K: float, D: float, at_position: float, side: float, least: float, most: float) -> bool:
+    """Whether a stop begins where one of its side may."""
+    return at_position >= least if side > 0.0 else at_position <= most
 
 
 def _left_after_a_cycle(damping_ratio: float) -> float:

@@ -28,6 +28,12 @@ SAFETY = 2.0
 LARGEST_CHANCE = 0.2
 """Probability of a repeat, safety in it, above which a row says nothing: noise of three counts."""
 
+LEAST_RUN = 3
+"""Repeats in a row from which on they are no single ones."""
+
+RARELY_MORE = 1e-2
+"""Probability with which rows of one strength of noise repeat oftener than they are taken to."""
+
 LONGEST = 8
 """Repeats in a row that are asked for at most."""
 
@@ -96,6 +102,7 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     if np.mean(np.abs(counts - np.rint(counts)) > ON_LATTICE) > ON_LATTICE:
         return None
     chance, by_others = (SAFETY * each for each in _chances(counts))
+    as_often = np.minimum(chance, _as_often(counts == 0.0, chance))
     telling = chance <= LARGEST_CHANCE
     still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
     runs, chance = _runs(still), chance[telling]
@@ -107,19 +114,23 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     certain = by_chance < np.maximum(1.0, AMONG_THEM * seen)
     least = 1 + int(np.argmax(certain)) if certain.any() else LONGEST + 1
     long = runs[runs[:, 2] >= least]
-    if unlikely > largest_chance or least > LONGEST or not len(long) or _is_at_one_value(measured, runs):
+    length = float(np.mean(long[:, 2] - least + 1.0)) if len(long) else 0.0  # bursts that last go on as if they had just begun
+    rows_that_tell = chance.size
+    if unlikely > largest_chance or least > LONGEST or not len(long):
+        long, rows_that_tell = _clear(counts == 0.0, as_often, quiet, measured, largest_chance)
+        least, length = int(long[:, 2].min(initial=LONGEST)), float(np.sum(long[:, 2])) / max(len(long), 1)
+    if not len(long) or _is_at_one_value(measured, runs if len(runs) else long):
         return None
     lively = by_others <= LARGEST_CHANCE  # where the other repeats say so: in a burst's own rows nothing moves
     lost = float(np.sum(counts[lively] == 0.0)) - float(by_others[lively].sum()) / SAFETY
-    return _losses(long, least, max(lost, float(long[:, 2].sum())), max(int(lively.sum()), chance.size), measured.shape)
+    return _losses(long, least, length, max(lost, float(long[:, 2].sum())), max(int(lively.sum()), rows_that_tell), measured.shape)
 
 
-def _losses(long: np.ndarray, least: int, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
+def _losses(long: np.ndarray, least: int, length: float, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
     """Of runs of `least` repeats or more, and of so many lost samples among those rows that can tell."""
     rows = np.zeros(shape, dtype=bool)
-    for repeat, first, length in long.tolist():
-        rows[repeat, first + 1 : first + 1 + length] = True
-    length = float(np.mean(long[:, 2] - least + 1.0))  # bursts that last go on as if they had just begun
+    for repeat, first, lasts in long.tolist():
+        rows[repeat, first + 1 : first + 1 + lasts] = True
     bursts = max(lost / length, 1.0)
     # the number of bursts scatters as Poisson's, and their lengths by as much again
     low, high = scipy.stats.chi2.ppf([0.025, 0.975], [bursts, bursts + 2.0]) / bursts
@@ -138,6 +149,54 @@ def _chances(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     others = np.stack([np.median(np.delete(windows, r, axis=0), axis=(0, 2)) for r in range(len(counts))])
     least, others = (DENSITY / np.maximum(spread / 0.6745, 1e-9) for spread in (np.min([*spreads, others], axis=0), others))
     return least, others
+
+
+def _as_often(still: np.ndarray, chance: np.ndarray) -> np.ndarray:
+    """(R, N - 1) how often rows of about as strong a noise repeat at most, but for runs.
+
+    The quietest of what says how strong noise is has it repeat up to twenty times as often as it does: too often for a single burst to be
+    told from it.
+    """
+    octave = np.floor(np.log2(np.maximum(chance, 1e-12))).astype(int)
+    octave -= octave.min()
+    alone = still.copy()
+    for repeat, first, length in _runs(still).tolist():
+        alone[repeat, first : first + length] &= length < LEAST_RUN
+    seen, rows = np.bincount(octave[alone], minlength=octave.max() + 1), np.bincount(octave.ravel())
+    most = 0.5 * scipy.stats.chi2.ppf(1.0 - RARELY_MORE, 2 * seen + 2) / np.maximum(rows, 1)
+    return np.asarray(most[octave])
+
+
+def _clear(still: np.ndarray, chance: np.ndarray, quiet: np.ndarray, measured: np.ndarray, largest_chance: float) -> tuple[np.ndarray, int]:
+    """(K, 3) runs each of which is too unlikely by itself, and how many rows can tell.
+
+    Counted are all stretches of rows that are no likelier still, each as often as chance leaves it so.
+    """
+    telling = chance <= LARGEST_CHANCE
+    each = np.where(telling, np.log(np.clip(chance, 1e-12, 1.0)), np.inf)
+    stretches = [np.lib.stride_tricks.sliding_window_view(each, k, axis=1).sum(axis=2) for k in range(1, LONGEST + 1)]
+    every = np.sort(np.concatenate([stretch.ravel() for stretch in stretches]))
+    as_likely = np.cumsum(np.exp(-np.where(np.isfinite(every), -every, np.inf)))
+    runs = _runs(still)
+    runs = runs[runs[:, 2] >= LEAST_RUN]
+    in_a_run = np.zeros_like(still)
+    for repeat, first, length in runs.tolist():
+        in_a_run[repeat, first : first + length] = True
+    clear = []
+    for repeat, first, length in runs.tolist():
+        counted = min(length, LONGEST)
+        value = measured[repeat, first]
+        no_loss = (
+            value in (0.0, measured.min(), measured.max())  # without effort, or at a limit
+            or first == 0
+            or first + length == still.shape[1]  # begun late, or ended early
+            or in_a_run[:, first : first + length].any(axis=1).sum() > 1  # all of them stand
+        )
+        least = stretches[counted - 1][repeat, first : first + length - counted + 1].min()
+        by_itself = as_likely[np.searchsorted(every, least, side="right") - 1]
+        if not no_loss and np.isfinite(least) and quiet[counted - 1] == 0 and by_itself <= largest_chance:
+            clear.append((repeat, first, length))
+    return np.array(clear, dtype=int).reshape(-1, 3), int(telling.sum())
 
 
 def _windows(small: np.ndarray, length: int) -> int:
