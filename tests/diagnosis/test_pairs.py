@@ -121,6 +121,11 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("end_stop", [50.0, 0.0, 0.1, 1.0], True),
         ("end_stop", [50.0, 0.0, 0.1, -1.0], False),
         ("end_stop", [50.0, 0.0, 0.3, -1.0], True),
+        ("cable_spring", [1.0, 3.9, 0.0], False),  # kc, kc3, theta0: the travel's ends are at -1 and 0.5
+        ("cable_spring", [1.0, 4.1, 0.0], True),
+        ("cable_spring", [1.0, 1.9, 0.5], True),
+        ("cable_spring", [0.0, 1e-3, 0.0], True),
+        ("cable_spring", [1e-3, 0.0, 0.0], False),
     ],
 )
 def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
@@ -130,9 +135,19 @@ def test_a_shape_at_the_end_of_its_law_is_no_name(name, values, lost):
         "bouc_wen_hysteresis": (0.001, 0.025),
         "presliding_hysteresis": (0.001, 0.025),
         "end_stop": (0.2, 0.2),
+        "cable_spring": (-1.0, 0.5),
     }
     limits_at = {EffectAt(effect, "carriage"): ends for effect, ends in limits.items()}
     assert bool(lost_form(fitted(name, values), limits_at, np.zeros(0))) == lost
+
+
+@pytest.mark.parametrize(("places", "lost"), [(("carriage", "carriage"), True), (("carriage", "load"), False)])
+def test_two_hystereses_at_one_place_are_no_names_of_one(places, lost):
+    """What one law leaves of another a second one takes up."""
+    bristles, spring = [0.06, 0.0, 0.1, 50.0, 0.0], [1.0, 1.0, 0.02, 0.5, 1.0]
+    names = tuple(EffectAt(name, at) for name, at in zip(("presliding_hysteresis", "bouc_wen_hysteresis"), places, strict=True))
+    both = replace(fitted("presliding_hysteresis", bristles), effects=names, values=(np.array(bristles), np.array(spring)))
+    assert ("one hysteresis" in lost_form(both, {}, np.zeros(0))) == lost
 
 
 @pytest.mark.parametrize("parameters", [(10.0, 10.0, 1e-3, 7e3, 0.0), (0.0, 20.0, 1e-3, 7e3, 0.0), (10.0, 0.0, 1e-3, 7e3, 0.0)])

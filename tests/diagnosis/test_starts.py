@@ -115,12 +115,13 @@ def test_a_hysteresis_without_repeats_bends_by_more_than_is_assumed_of_its_encod
         assert shape_limits("bouc_wen_hysteresis", "roll", motion)[0] == pytest.approx(least)
 
 
-@pytest.mark.parametrize(("at", "least", "most"), [("roll", 0.0, 0.0), ("c_arc", -np.inf, np.inf)])
-def test_a_stop_begins_on_its_own_side_of_the_middle_of_the_travel(at, least, most):
+def test_a_stop_begins_on_its_own_side_of_the_middle_of_the_travel_which_a_cable_has_the_ends_of():
     """Behind a spring no travel is known."""
-    middle = 0.5 * (POSITION.min() + POSITION.max())
-    found = shape_limits("end_stop", at, moved(at, SPEED, 9e5))
-    assert found == pytest.approx((least + middle, most + middle))
+    ends, motion = (POSITION.min(), POSITION.max()), moved("roll", SPEED, 9e5)
+    assert shape_limits("cable_spring", "roll", motion) == pytest.approx(ends)
+    assert shape_limits("end_stop", "roll", motion) == pytest.approx((np.mean(ends),) * 2)
+    for name in ("end_stop", "cable_spring"):
+        assert shape_limits(name, "c_arc", motion) == (-np.inf, np.inf)
 
 
 def test_a_base_motion_is_a_vibration_of_a_floor_however_long_it_was_recorded():

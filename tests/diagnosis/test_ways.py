@@ -224,3 +224,13 @@ def test_a_set_that_competes_by_both_motions_is_kept_where_ways_are_joined():
     assert each_once((strong, weak)) == [strong, weak]
     assert each_once((strong, contender(40.0, RIPPLE, held_out=10.0))) == [strong]
     assert each_once((strong, contender(60.0, RIPPLE, held_out=-50.0)))[1:] != []
+
+
+def test_where_ways_are_joined_a_set_that_passed_gives_way_to_none_that_did_not():
+    """Neither a larger one nor a fit of the same that is a little closer."""
+    there, unsure = contender(16_000.0, COGGING), contender(16_001.0, COGGING, DELAY, passed=False)
+    assert each_once((there, unsure)) == [there, unsure]
+    assert each_once((there, contender(16_001.0, COGGING, DELAY))) != [there]
+    assert each_once((contender(15_999.0, COGGING, passed=False), unsure)) == [unsure]
+    closer = contender(16_000.5, COGGING, passed=False)
+    assert each_once((there, closer)) == each_once((closer, there)) == [there]

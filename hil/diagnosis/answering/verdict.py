@@ -44,8 +44,8 @@ UNNAMED_LEFT = 1.0
 less."""
 
 NAMED = 0.5
-"""Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier: what the best
-of them leaves above noise then has none. Where it leaves nothing, in either motion, it is a name all the same, of little confidence."""
+"""Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier: what the
+best of them leaves above noise then has none. Where it leaves nothing in either motion it is a name all the same, of little confidence."""
 
 TOGETHER = 2
 """Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the

@@ -339,7 +339,9 @@ class Search:
             starts += exchanged(tuning, several, singles, first, there)
             there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
             banks = bank_of((), screened), bank_of(singles, first)
-            starts += neighbours_of_all(several, stand.effects, banks, there, runs.machine.plant)
+            for likely_set in {id(fit): fit for fit in (several, passed[0].fitted)}.values():
+                found_there = [*there, *(set(names) for names, _ in starts)]
+                starts += neighbours_of_all(likely_set, stand.effects, banks, found_there, runs.machine.plant)
             refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
             more = judgement.contenders(stand, refitted, tried, placebos, limits, len(fits))
             more = without_surplus(more, (*smaller, *refitted))

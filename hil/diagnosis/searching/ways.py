@@ -104,14 +104,21 @@ def closer_parts(one: Contender, way: Way) -> list[Contender]:
 
 
 def each_once(contenders: Sequence[Contender]) -> list[Contender]:
-    """Of sets that were fitted twice the closer one; without those that are part of another, or gain too little to compete."""
+    """Of sets that were fitted twice the closer one, of those that passed the gate where one did; without those that gain too little to
+    compete, or that are part of another, unless they passed and it did not.
+    """
     closest: dict[frozenset[EffectAt], Contender] = {}
     for one in contenders:
         known = closest.setdefault(frozenset(one.fitted.effects), one)
-        if one.fitted.cost < known.fitted.cost:
+        if (not one.passed, one.fitted.cost) < (not known.passed, known.fitted.cost):
             closest[frozenset(one.fitted.effects)] = one
     sets = list(closest.values())
-    return [one for own, one in closest.items() if is_rival_of(one, sets) and not any(own < others for others in closest)]
+    return [one for one in sets if is_rival_of(one, sets) and not any(is_replaced_by(one, other) for other in sets)]
+
+
+def is_replaced_by(one: Contender, other: Contender) -> bool:
+    """Whether a set is part of another that is there for certain, or as little as this one."""
+    return set(one.fitted.effects) < set(other.fitted.effects) and (other.passed or not one.passed)
 
 
 def with_others(contenders: Sequence[Contender], more: Sequence[Contender], stand: Fitted) -> list[Contender]:

@@ -39,10 +39,11 @@ def shape_limits(name: str, at: str, motion: Motion) -> tuple[float, float]:
     Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle, and of a base motion what
     floors do. Of a hysteresis the least [rad or m] that it bends before it slides, and the largest displacement at which it does. Of a stop
     the positions between which one of either side begins: both are the middle of the travel, since one that a joint is in for more than
-    half of its way is a spring.
+    half of its way is a spring. Of a cable the ends of the travel.
     """
-    if name == "end_stop":
-        return _middle(motion, at)
+    if name in ("end_stop", "cable_spring"):
+        low, high = _ends(motion, at)
+        return (0.5 * (low + high),) * 2 if name == "end_stop" and np.isfinite(low) else (low, high)
     if name in HYSTERESES:
         return LEAST_BEND * _count(motion, at), _stroke(motion, at) * (1.0 - LEAST_SLIDING) / 2.0
     if name in TURNING_WITH_THE_MOTOR:
@@ -62,13 +63,12 @@ def _stroke(motion: Motion, at: str) -> float:
     return float(np.ptp(motion.deflection(settings.tree.joint_index(hanging))))
 
 
-def _middle(motion: Motion, at: str) -> tuple[float, float]:
-    """Of an axis' travel, twice; without a limit for a spring without a drive."""
+def _ends(motion: Motion, at: str) -> tuple[float, float]:
+    """Of an axis' travel; none of a spring without a drive."""
     if undriven_joint_at(at, motion.machine.plant) is not None:
         return -inf, inf
     position = motion.residual(at).position
-    middle = 0.5 * (float(position.min()) + float(position.max()))
-    return middle, middle
+    return float(position.min()), float(position.max())
 
 
 def _count(motion: Motion, at: str) -> float:
