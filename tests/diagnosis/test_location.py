@@ -127,6 +127,25 @@ def test_what_an_imu_loses_is_in_its_channels():
     assert said.channels == pytest.approx({"position_carriage": 0.5, "imu_x": 1 / 6, "imu_z": 1 / 6, "gyro_y": 1 / 6})
 
 
+@pytest.mark.parametrize("adds", [0.0, 2e-7])
+def test_lost_readings_are_located_where_they_were_lost_beside_what_effects_add(adds):
+    found = mismatch_of({})
+    whole, rows, command = found.groups[0], slice(1000, 1005), found.channels.index("command_carriage")
+    held = whole.measured.copy()
+    held[0, rows, command] += 40.0 * found.noise.std[command]
+    kept = held.copy()
+    kept[0, rows, command] = np.nan
+    found = replace(found, groups=(replace(whole, measured=held).without(kept),), lost={"command_carriage": LOST})
+    effect = np.zeros((ROWS, len(found.channels)))
+    effect[2000:2500, 1 - command] = adds * np.sin(2.0 * np.pi * 50.0 * TIME[2000:2500])
+    said = locate_outcome(found, [whole.simulated], [effect], named=True)
+    taper = 2.0 * np.sin(np.pi * (np.arange(ROWS) + 0.5) / ROWS) ** 2
+    lost, other = 5 * 40.0**2 / whole.repeats * taper[1002], float(taper @ (effect[:, 1 - command] / found.noise.std[1 - command]) ** 2)
+    assert said.channels["command_carriage"] == pytest.approx(lost / (lost + other), rel=0.2)  # both noises are nearly white
+    begins = [begin for begin, _ in said.time_s["repeat 1"]]
+    assert begins[0] == pytest.approx(TIME[1000], abs=0.2) and len(begins) == (1 if adds == 0.0 else 2)
+
+
 def test_unknown_physics_beside_lost_samples_is_where_the_simulation_is_off():
     """The lost samples are the encoder's, the unknown wave is in the command."""
     wave = 0.05 * np.sin(2.0 * np.pi * 40.0 * TIME) * (TIME > 6.0)

@@ -53,15 +53,22 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     found : Mismatch
         Beside the simulation whose mismatch is meant: the re-tuned one, say.
     effect : sequence of (N, C) arrays, optional
-        Per group, what the named effects add to the simulation. Without it the mean residual is located.
+        Per group, what the named effects add to the simulation, beside which lost readings are located, too. Without it the mean residual
+        is located, which has none of these.
     """
     signals = [group.mean - group.simulated for group in found.groups] if effect is None else list(effect)
     whitened = [in_noise_units(found.noise, signal) for signal in signals]
+    lost = [
+        np.zeros((0, *signal.shape)) if effect is None or g.lost is None else g.lost
+        for g, signal in zip(found.groups, signals, strict=True)
+    ]
+    whitened = [_with_lost(found, one, off) for one, off in zip(whitened, lost, strict=True)]
     left = [1.0 / group.repeats if effect is None else 0.0 for group in found.groups]  # noise power in the mean of repeats
     total = sum(np.maximum((w.power[1:] - noise).sum(axis=0), 0.0) for w, noise in zip(whitened, left, strict=True))
     if not np.any(total > 0.0):
         return Location()
-    powers = [(signal / found.noise.std) ** 2 - noise for signal, noise in zip(signals, left, strict=True)]
+    squares = [signal**2 + np.mean(off**2, axis=0) if len(off) else signal**2 for signal, off in zip(signals, lost, strict=True)]
+    powers = [square / found.noise.std**2 - noise for square, noise in zip(squares, left, strict=True)]
     where = Location(
         channels={name: float(share) for name, share in zip(found.channels, total / np.sum(total), strict=True)},
         time_s=_times(found, powers),
@@ -72,6 +79,13 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
         direction=_directions(found, powers),
     )
     return replace(where, shares=_shares(found, where, np.concatenate(powers).sum(axis=1), _over_frequency(where, whitened, left)))
+
+
+def _with_lost(found: Mismatch, whitened: InNoiseUnits, lost: np.ndarray) -> InNoiseUnits:
+    """With the power of lost readings (R, N, C), which come at other times in every repeat, in the mean of the repeats."""
+    if not len(lost):
+        return whitened
+    return replace(whitened, power=whitened.power + np.mean([in_noise_units(found.noise, off).power for off in lost], axis=0))
 
 
 def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency: float | None) -> dict[str, dict[str, float]]:
@@ -125,7 +139,8 @@ def locate_outcome(
     retuned : sequence of (N, C) arrays
         Simulated rows per group.
     change : sequence of (N, C) arrays or None
-        What the named effects add to the simulation; nothing where they were read off the recordings, which is in their channels then.
+        What the named effects add to the simulation; nothing where they were read off the recordings: lost readings are where they are
+        lost, and a lattice is in its channel.
     named : bool
     unknown : bool
         Whether physics is left that no effect explains: beside what was read off alone, that is what is located.
@@ -133,7 +148,10 @@ def locate_outcome(
     adds = change is not None and any(np.any(rows) for rows in change)
     if not named or change is None or (unknown and not adds):
         return locate(found.with_simulated(retuned))
-    return locate(found, change) if adds or not found.read_off else Location(channels=_read_off_shares(found))
+    if adds or not found.read_off:
+        return locate(found, change)
+    where = Location() if found.lattices else locate(found, change)
+    return where if where.channels else Location(channels=_read_off_shares(found))
 
 
 def _read_off_shares(found: Mismatch) -> dict[str, float]:

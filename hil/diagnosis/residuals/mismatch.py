@@ -131,7 +131,7 @@ def mismatch(
         kept, found = without_lost_samples(group.measured, group.simulated, channels)
         lost |= {at: one for at, one in found.items() if at not in lost or one.clarity > lost[at].clarity}
         if found:
-            made = (*made[:number], replace(group, measured=kept), *made[number + 1 :])
+            made = (*made[:number], group.without(kept), *made[number + 1 :])
     first = next(iter(recordings.values()))
     units = tuple(first.channel(name).unit for name in channels)
     if noise is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,8 @@ class RepeatGroup:
         machine has no controller.
     imu : CarriedImu, optional
         What the encoders say of the IMU along this motion; none where one of both is not recorded.
+    lost : (R, N, C) array, optional
+        How far readings that were lost, and were taken out of `measured`, were from what stands in their place; zero elsewhere.
     """
 
     labels: tuple[str, ...]
@@ -50,6 +52,7 @@ class RepeatGroup:
     effort: np.ndarray
     reference: np.ndarray
     imu: CarriedImu | None = None
+    lost: np.ndarray | None = None
 
     @property
     def repeats(self) -> int:
@@ -68,6 +71,12 @@ class RepeatGroup:
             missing = np.isnan(residual[r, :, c])
             residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c])
         return residual + self.simulated
+
+    def without(self, kept: np.ndarray) -> RepeatGroup:
+        """With those readings (R, N, C) alone that were not lost, NaN in place of these."""
+        bare = replace(self, measured=kept)
+        gone = np.isnan(kept) & ~np.isnan(self.measured)
+        return replace(bare, lost=np.where(gone, self.measured - bare.complete, 0.0))
 
     def fold(self, rows: np.ndarray) -> np.ndarray:
         """Simulated rows of the whole recording (M, C) as those of the repeats (N, C); of one window a part of them, not a copy."""
