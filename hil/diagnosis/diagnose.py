@@ -26,7 +26,17 @@ from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.locating.disturbance import disturbance_shares
 from hil.diagnosis.locating.location import locate, locate_outcome
 from hil.diagnosis.ranking.both_motions import with_both_motions
-from hil.diagnosis.ranking.naming import CAP_UNCONFIRMED, LIKELIER, Evidence, Weighed, confidence_of, imitated, ranking, tempers_of
+from hil.diagnosis.ranking.naming import (
+    CAP_UNCONFIRMED,
+    LIKELIER,
+    Evidence,
+    Weighed,
+    confidence_of,
+    imitated,
+    ranking,
+    standing_alone,
+    tempers_of,
+)
 from hil.diagnosis.ranking.weighing import cap_of, evidence_of, plausible_among, with_unsure
 from hil.diagnosis.recorded.align import aligned
 from hil.diagnosis.residuals.excess import certain_excess
@@ -210,6 +220,9 @@ def diagnose(
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
             estimates = effect_estimates(machine.plant, believed(runs, tuning, hypotheses, spread))
             findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(cap_of(runs)), verdict, unsure)
+        if verdict == "explained" and chosen is not None:
+            findings = tuple(replace(finding, confidence=standing_alone(finding.confidence)) for finding in findings)
+            hypotheses = tuple(replace(h, confidence=standing_alone(h.confidence)) for h in hypotheses)
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)

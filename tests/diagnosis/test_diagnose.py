@@ -11,6 +11,8 @@ from carriage import DAMPING, MACHINE, MASS_kg, recording, repeats
 
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS
+from hil.diagnosis.ranking.naming import STANDS_ALONE
 from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
 
@@ -68,12 +70,17 @@ def test_other_numbers_alone_are_no_missing_physics():
     assert outcome.diagnosis.findings == ()
 
 
-@pytest.mark.parametrize(("force_N", "verdict"), [(0.17, "ambiguous"), (0.5, "explained")])
-def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_could_imitate(force_N, verdict):
+@pytest.mark.parametrize(
+    ("force_N", "verdict", "confidence"), [(0.17, "ambiguous", 1.0 - WEIGHTS.outside), (0.5, "explained", STANDS_ALONE)]
+)
+def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_could_imitate(force_N, verdict, confidence):
+    """And is as sure as such names have been right."""
     truth = {"at": lambda x: force_N * np.cos(900.0 * x + 0.4), "duration_s": 3.0, "seed": 9}
     outcome = diagnose(MACHINE, repeats(**truth), repeats(1, experiment=1, **truth), look_further=False)
     assert [str(finding.effect) for finding in outcome.diagnosis.findings] == ["cogging at carriage"]
     assert outcome.diagnosis.verdict == verdict
+    assert outcome.diagnosis.findings[0].confidence == pytest.approx(outcome.diagnosis.hypotheses[0].confidence)
+    assert outcome.diagnosis.findings[0].confidence == pytest.approx(confidence * outcome.hypotheses[0].share, rel=0.02)
     assert ("another law, known or not, may look like so little" in outcome.diagnosis.reason) == (verdict == "ambiguous")
 
 
