@@ -359,13 +359,13 @@ def test_a_set_is_priced_by_what_its_fit_says_of_its_simpler_forms():
 @pytest.mark.parametrize(
     ("shares", "listed"),
     [
-        ((0.985, 0.010, 0.005), 1),
-        ((0.90, 0.03, 0.03, 0.02, 0.02), 4),  # of which none has 2 %, and the first alone not 98 %
-        ((0.50, 0.40, 0.09, 0.01), 3),
+        ((0.9992, 0.0005, 0.0003), 1),
+        ((0.90, 0.035, 0.035, 0.0295, 0.0005), 4),  # of which all but the first have less than 2 %, and that alone not 99.9 %
+        ((0.50, 0.40, 0.0995, 0.0005), 3),
         ((0.20, 0.20, 0.20, 0.20, 0.10, 0.10), 6),
     ],
 )
-def test_sets_that_are_not_told_apart_have_forty_nine_fiftieths_of_what_known_ones_have(shares, listed):
+def test_sets_that_are_not_told_apart_have_999_in_a_thousand_of_what_known_ones_have(shares, listed):
     """Whatever share of it all known sets have; nothing and the unknown are no sets."""
     one = Fitted((EffectAt("coulomb_friction", "arm"),), (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
     sets = [Weighed(one, 0.0, 0.0, confidence=0.52 * share) for share in shares]

@@ -229,7 +229,7 @@ def findings_of(
         Largest confidence; CAP_UNCONFIRMED where no set with the effect passed the gate.
     verdict : str
         A name that stands alone is told apart from sets that are not plausible by themselves: under `explained` none is listed so that all
-        have 98 % together.
+        have 99.9 % together.
     unsure : sequence of Weighed
         Plausible sets whose last effect is not there for certain, listed behind the others.
     """

@@ -59,7 +59,7 @@ alone is decided before."""
 
 STANDS_ALONE = 0.78
 """Confidence of all that has a name, in place of what `outside` leaves it, where a name stands alone: of 244 sealed answers that three
-tools called `explained` by fits (4a7f462, 1662be8 and 63203d3), 189 named all that is hidden and nothing else; their shares add up to 241."""
+tools called `explained` by fits (4a7f462, 1662be8, 63203d3), 189 named all that is hidden and nothing else; their shares sum to 241."""
 
 CAP_UNCONFIRMED = 0.5
 """Largest confidence of a set that did not pass the gate."""
@@ -71,9 +71,11 @@ nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
 PLAUSIBLE = 0.02
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
-LISTED = 0.98
+LISTED = 0.999
 """Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
-until they do, so that the truth is among them in 95 of 100 answers, if it is a known set at all and shares are a little too sure."""
+until they do. Shares are surer than they are right: of 301 sealed `ambiguous` answers of effects in the catalogue (4a7f462, 1662be8 and
+63203d3) sets of 0.98 held the truth in 237 and had 2.3 effects, of 0.999 in 243 with 2.8, of 0.99999 in 247 with 3.2. Of most others an
+effect that is hidden beside another hardly shows and is in no set."""
 
 
 def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
