@@ -204,6 +204,7 @@ def diagnose(
             gained=selection.gained_by_least(chosen),
             only_held_out=only.times,
             imitated=_imitated(selection, evidence),
+            is_noise_known=train.noise.kind != "assumed",
         )
         verdict, reason = verdict_of(standing)
         is_only_held_out = reason == only_there(standing)
@@ -215,14 +216,14 @@ def diagnose(
             unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
             reason += what_may_act_too(unsure)
         verdict, reason = with_read_off(verdict, reason, [what.says(channel) for channel, what in train.read_off])
+        whole = confidence_of(cap_of(runs))
+        if verdict == "explained" and chosen is not None:
+            whole, hypotheses = standing_alone(whole), tuple(replace(h, confidence=standing_alone(h.confidence)) for h in hypotheses)
         spread = spread_of(runs, tuning, chosen)
         findings: tuple[Finding, ...] = ()
         if chosen is not None and verdict in ("ambiguous", "explained", "unknown_physics"):
             estimates = effect_estimates(machine.plant, believed(runs, tuning, hypotheses, spread))
-            findings = findings_of(selection.contenders, hypotheses, estimates, confidence_of(cap_of(runs)), verdict, unsure)
-        if verdict == "explained" and chosen is not None:
-            findings = tuple(replace(finding, confidence=standing_alone(finding.confidence)) for finding in findings)
-            hypotheses = tuple(replace(h, confidence=standing_alone(h.confidence)) for h in hypotheses)
+            findings = findings_of(selection.contenders, hypotheses, estimates, whole, verdict, unsure)
         if verdict == "unknown_physics":
             findings = tuple(replace(finding, confidence=min(finding.confidence, CAP_UNCONFIRMED)) for finding in findings)
             hypotheses = tuple(_at_most(h, CAP_UNCONFIRMED) for h in hypotheses)
@@ -248,7 +249,7 @@ def diagnose(
             findings=findings,
             hypotheses=tuple(
                 hypothesis_of(h, contenders, [finding.effect for finding in read_off], judged is not None)
-                for h in with_unsure(hypotheses, unsure, confidence_of(cap_of(runs)))
+                for h in with_unsure(hypotheses, unsure, whole)
             ),
             retuned=retuned,
             frozen=frozen,

@@ -16,6 +16,7 @@ from hil.diagnosis.ranking.naming import (
     CAP_ASSUMED,
     CONFIDENT,
     LIKELIER,
+    LISTED,
     UNLIKE_ONE,
     UNLIKE_ONE_PART,
     Evidence,
@@ -369,7 +370,7 @@ def test_sets_that_are_not_told_apart_have_999_in_a_thousand_of_what_known_ones_
     """Whatever share of it all known sets have; nothing and the unknown are no sets."""
     one = Fitted((EffectAt("coulomb_friction", "arm"),), (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
     sets = [Weighed(one, 0.0, 0.0, confidence=0.52 * share) for share in shares]
-    assert not_told_apart([*sets, Weighed(None, 0.0, 0.0, confidence=0.3)]) == sets[:listed]
+    assert not_told_apart([*sets, Weighed(None, 0.0, 0.0, confidence=0.3)], LISTED) == sets[:listed]
 
 
 def exact_after(removed: float, left: float = 0.0, held_out: tuple[float, float] | None = None) -> float:

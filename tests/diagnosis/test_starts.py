@@ -47,6 +47,7 @@ def moved(at: str, effort: np.ndarray, stiffness: float = 0.0) -> SimpleNamespac
         axis_of=lambda at: 0,
         deflection=lambda joint: spring,
         assumed={},
+        visited={},
     )
 
 
@@ -116,12 +117,22 @@ def test_a_hysteresis_without_repeats_bends_by_more_than_is_assumed_of_its_encod
 
 
 def test_a_stop_begins_on_its_own_side_of_the_middle_of_the_travel_which_a_cable_has_the_ends_of():
-    """Behind a spring no travel is known."""
+    """In all recordings; behind a spring no travel is known."""
     ends, motion = (POSITION.min(), POSITION.max()), moved("roll", SPEED, 9e5)
+    motion.axis_of = lambda at: 1
     assert shape_limits("cable_spring", "roll", motion) == pytest.approx(ends)
     assert shape_limits("end_stop", "roll", motion) == pytest.approx((np.mean(ends),) * 2)
     for name in ("end_stop", "cable_spring"):
         assert shape_limits(name, "c_arc", motion) == (-np.inf, np.inf)
+    motion.visited = {"roll": (ends[0] - 1.0, ends[1])}
+    assert shape_limits("end_stop", "roll", motion) == pytest.approx((np.mean(ends) - 0.5,) * 2)
+
+
+def test_a_cable_beside_the_machine_file_s_own_spring_may_have_any_linear_part():
+    sprung = load_machine("silverbox")
+    motion = SimpleNamespace(machine=sprung, residual=None, visited={"mass": (-1.0, 1.0)}, axis_of=lambda at: 0)
+    assert shape_limits("cable_spring", "mass", motion) == (-np.inf, np.inf)
+    assert shape_limits("end_stop", "mass", SimpleNamespace(**{**vars(motion), "residual": moved("roll", SPEED).residual})) == (0.0, 0.0)
 
 
 def test_a_base_motion_is_a_vibration_of_a_floor_however_long_it_was_recorded():

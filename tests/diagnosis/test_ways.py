@@ -230,7 +230,10 @@ def test_where_ways_are_joined_a_set_that_passed_gives_way_to_none_that_did_not(
     """Neither a larger one nor a fit of the same that is a little closer."""
     there, unsure = contender(16_000.0, COGGING), contender(16_001.0, COGGING, DELAY, passed=False)
     assert each_once((there, unsure)) == [there, unsure]
-    assert each_once((there, contender(16_001.0, COGGING, DELAY))) != [there]
+    larger = contender(16_001.0, COGGING, DELAY)
+    assert each_once((there, larger)) == [larger]
     assert each_once((contender(15_999.0, COGGING, passed=False), unsure)) == [unsure]
+    far = contender(40_000.0, RIPPLE, DELAY, passed=False)
+    assert each_once((there, far)) == [there, far]
     closer = contender(16_000.5, COGGING, passed=False)
     assert each_once((there, closer)) == each_once((closer, there)) == [there]

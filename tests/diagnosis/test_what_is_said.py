@@ -281,7 +281,9 @@ def said_of(names: Sequence[str], *, share: float, rival: float = 0.0, **standin
 )
 def test_an_unlikely_set_is_a_name_where_it_leaves_nothing_above_noise_in_either_motion(left, left_held_out, said):
     held_out = None if left_held_out is None else (2.0 * NOISE, left_held_out * NOISE, NOISE)
-    assert said_of(("coulomb_friction",), share=0.2, best_misfit=left * NOISE, held_out=held_out)[0] == said
+    one = {"share": 0.2, "best_misfit": left * NOISE, "held_out": held_out}
+    assert said_of(("coulomb_friction",), **one)[0] == said
+    assert said_of(("coulomb_friction",), **one, is_noise_known=False)[0] == "unknown_physics"  # it is what the closest set leaves
 
 
 THREE = ("coulomb_friction", "cogging", "end_stop")

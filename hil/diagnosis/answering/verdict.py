@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hil.diagnosis.answering.drift import DRIFTED
 from hil.diagnosis.judging.gate import LEVEL, Gate
 from hil.diagnosis.judging.judgement import Contender
-from hil.diagnosis.ranking.naming import CAP_UNCONFIRMED, CONFIDENT, PLAUSIBLE, Weighed, confidence_of, not_told_apart
+from hil.diagnosis.ranking.naming import CAP_UNCONFIRMED, CONFIDENT, LISTED, PLAUSIBLE, Weighed, confidence_of, not_told_apart
 from hil.diagnosis.residuals.excess import certain_excess
 from hil.diagnosis.result import EffectAt, Estimate, Finding, Verdict
 from virtual_bus.effects import registry
@@ -45,7 +45,8 @@ less."""
 
 NAMED = 0.5
 """Confidence of all sets together, as a share of what `outside` leaves them, below which something without a name is likelier: what the
-best of them leaves above noise then has none. Where it leaves nothing in either motion it is a name all the same, of little confidence."""
+best of them leaves above noise then has none. Where it leaves nothing of known noise in either motion it is a name all the same, of little
+confidence."""
 
 TOGETHER = 2
 """Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the
@@ -79,6 +80,7 @@ class Standing:
     gained: float = math.inf  # fall of training's |residual|^2 by that effect of the likeliest set that it loses least without
     only_held_out: float = 0.0  # |residual|^2 of held-out recordings in units of noise, see held_out_alone.py
     imitated: str = ""  # why a set that is likelier than all names is none, see naming.py; "" where none is
+    is_noise_known: bool = True  # from repeats or periods; else it is what the closest set leaves
 
 
 def verdict_of(standing: Standing) -> tuple[Verdict, str]:
@@ -125,7 +127,7 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
     """What of a name that stands alone the likeliest set of effects lacks, which leaves this share above noise; "" where nothing."""
     best = standing.hypotheses[0]
     is_sure = best.passed and best.share >= CONFIDENT
-    named = [h.fitted.effects for h in not_told_apart(standing.hypotheses) if h is not best and h.fitted is not None]
+    named = [h.fitted.effects for h in not_told_apart(standing.hypotheses, LISTED) if h is not best and h.fitted is not None]
     if not is_sure and named:
         return f", which these recordings do not tell apart from {'; '.join(' and '.join(map(str, one)) for one in named)}"
     if standing.imitated:
@@ -167,9 +169,9 @@ def _stands_out(gate: Gate, standing: Standing) -> bool:
 
 
 def _leaves_nothing(standing: Standing) -> bool:
-    """Whether neither motion has anything above noise, for certain, beside the likeliest set."""
+    """Whether neither motion has anything above noise that is known, for certain, beside the likeliest set."""
     motions = [(standing.best_misfit, standing.noise), *([] if standing.held_out is None else [standing.held_out[1:]])]
-    return all(left - noise <= certain_excess(noise) for left, noise in motions)
+    return standing.is_noise_known and all(left - noise <= certain_excess(noise) for left, noise in motions)
 
 
 def _left_held_out(standing: Standing) -> float:
@@ -236,7 +238,7 @@ def findings_of(
     best = next(contender for contender in contenders if contender.fitted is hypotheses[0].fitted)
     passed = {id(contender.fitted) for contender in contenders if contender.passed}
     plausible = [h for h in hypotheses if h.confidence >= PLAUSIBLE]
-    listed = plausible if verdict == "explained" else not_told_apart(hypotheses)
+    listed = plausible if verdict == "explained" else not_told_apart(hypotheses, LISTED)
     found = []
     for effect, gate, parameters in zip(best.fitted.effects, best.gates, estimates, strict=True):
         for_it, against = gate.evidence()

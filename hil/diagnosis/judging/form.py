@@ -5,7 +5,9 @@ hardly swings is no structure's, a Stribeck speed above every speed that was dri
 motion shows less than a part of a cycle: an offset and a slope; and a hysteresis that hardly slides: a spring; or that slides before the
 encoder has seen it bend: dry friction of any law; or that sticks several times as hard as it slides: no surface does. A strength at the
 bound that no real machine exceeds is not that machine's either, and no oil is viscous one way only: a load beside dry friction looks like
-that. A gap that is held from wider flanks, and wants them, is a spring that hardens.
+that. A gap that is held from wider flanks, and wants them, is a spring that hardens. A stop that a joint is in for more than half of its
+travel is a spring, or a load; a cable that gives nothing in its middle and stiffens at its ends is a stop; and two hystereses at one place
+are a third.
 """
 
 from __future__ import annotations
@@ -47,9 +49,9 @@ STICKS_AT_MOST = 3.0
 kept answers; with 3.8, 6.2, 16 and 75 they stood for other frictions (sealed 1307, 984, 1250, 1045), whose form at low speed they took."""
 
 STIFFENS_AT_MOST = 4.0
-"""A cable's cubic over its linear effort at the end of the travel. An effort that grows as a hyperbolic sine has 4 where it is fourteen
-times its linear part. Twelve hidden cables were fitted with 1.2 at most (one, not confirmed, without a linear part); three
-stops and two relaxing springs were fitted as cables with 7 and more (sealed 4820, 4945, 7027, 5635, 6867, spent)."""
+"""A cable's cubic over its linear effort at the end of the travel. Of a hyperbolic sine the least squares' cubic has that where the sine is
+four times its own linear part. Of thirteen hidden cables twelve were fitted with 1.2 at most, one, not confirmed, without a linear part;
+three stops and two relaxing springs were fitted as cables with 7 and more (sealed 4820, 4945, 7027, 5635, 6867, spent)."""
 
 ONE_LEVEL = 0.9
 """Squared cosine of the responses to the level of sliding and to what is above it while sticking, from which on they are one."""

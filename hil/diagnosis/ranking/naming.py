@@ -71,11 +71,14 @@ nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
 PLAUSIBLE = 0.02
 """A set at least this likely belongs to what cannot be told apart from the first."""
 
+PLAUSIBLE_TOGETHER = 0.98
+"""Share of the probability of all known sets that plausible ones have together at the least: less likely ones join them until they do. Of
+them intervals are mixed, and from them the next experiment is to separate the likeliest."""
+
 LISTED = 0.999
-"""Share of the probability of all known sets that those which cannot be told apart have together at the least: less likely ones join them
-until they do. Shares are surer than they are right: of 301 sealed `ambiguous` answers of effects in the catalogue (4a7f462, 1662be8 and
-63203d3) sets of 0.98 held the truth in 237 and had 2.3 effects, of 0.999 in 243 with 2.8, of 0.99999 in 247 with 3.2. Of most others an
-effect that is hidden beside another hardly shows and is in no set."""
+"""The same of those that are listed beside a name. Shares are surer than they are right: of 301 sealed `ambiguous` answers of effects in
+the catalogue (4a7f462, 1662be8, 63203d3) sets of 0.98 held the truth in 237 and had 2.3 effects, of 0.999 in 243 with 2.8, of 0.99999 in
+247 with 3.2. Of most others an effect that is hidden beside another hardly shows and is in no set."""
 
 
 def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
@@ -323,14 +326,16 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     return [h.in_units(*levels) for h in sets]
 
 
-def not_told_apart(hypotheses: Sequence[Weighed]) -> list[Weighed]:
-    """The likeliest set of effects and those that belong beside it; hypotheses are the likeliest first."""
+def not_told_apart(hypotheses: Sequence[Weighed], share: float = PLAUSIBLE_TOGETHER) -> list[Weighed]:
+    """The likeliest set of effects and those that belong beside it, this share of what all have together; hypotheses are the likeliest
+    first.
+    """
     sets = [h for h in hypotheses if h.fitted is not None]
     whole = sum(h.confidence for h in sets)
     found: list[Weighed] = []
     together = 0.0
     for h in sets:
-        if found and h.confidence < PLAUSIBLE and together >= LISTED * whole:
+        if found and h.confidence < PLAUSIBLE and together >= share * whole:
             break
         found.append(h)
         together += h.confidence
@@ -342,9 +347,9 @@ def confidence_of(share: float, weights: Weights = WEIGHTS) -> float:
     return share * (1.0 - weights.outside)
 
 
-def standing_alone(confidence: float, weights: Weights = WEIGHTS) -> float:
+def standing_alone(confidence: float) -> float:
     """Confidence of what stands alone, from what it has as one of all names."""
-    return confidence * STANDS_ALONE / (1.0 - weights.outside)
+    return confidence * STANDS_ALONE / confidence_of(1.0)
 
 
 def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int) -> list[float]:

@@ -1,8 +1,9 @@
 """Lost samples of a channel that noise never leaves still: the same reading several times in a row, in one repeat alone.
 
 Where noise of several counts changes every reading, two in a row are the same once in a hundred rows or so, and five never. This asks for
-no motion, where `dropout.without_lost_samples` does, and sees losses that are few. What is quiet at times is told from what is lost by how
-far readings move around, by what the other repeats do in the same rows, and by steps of a single count, which quiet noise makes as well.
+no motion, where `dropout.without_lost_samples` does, and sees losses that are few, down to a single burst. What is quiet at times is told
+from what is lost by how far readings move around, by what the other repeats do in the same rows, and by steps of a single count, which
+quiet noise makes as well.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ SAFETY = 2.0
 """Factor on the probability that a reading repeats by itself."""
 
 LARGEST_CHANCE = 0.2
-"""Probability of a repeat, safety in it, above which a row says nothing: noise of three counts."""
+"""Probability of a repeat, safety in it, above which a row says nothing where many runs are seen: noise of three counts."""
+
+LARGEST_OF_A_BURST = 0.5
+"""The same of a row in a single burst, whose own rows pass for quieter noise than there is."""
 
 LEAST_RUN = 3
 """Repeats in a row from which on they are no single ones."""
@@ -36,6 +40,8 @@ RARELY_MORE = 1e-2
 
 LONGEST = 8
 """Repeats in a row that are asked for at most."""
+
+LENGTHS = range(1, LONGEST + 1)
 
 AMONG_THEM = 0.25
 """Share of runs that may be by chance where many are seen."""
@@ -102,40 +108,65 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
     if np.mean(np.abs(counts - np.rint(counts)) > ON_LATTICE) > ON_LATTICE:
         return None
     chance, by_others = (SAFETY * each for each in _chances(counts))
-    as_often = np.minimum(chance, _as_often(counts == 0.0, chance))
+    lively = by_others <= LARGEST_CHANCE  # where the other repeats say so: in a burst's own rows nothing moves
+    several = _several(counts, chance, largest_chance)
+    if several is None:
+        several = _clear(counts, chance, measured, largest_chance)
+        if several is None:
+            return None
+        lost = float(several.runs[:, 2].sum())
+    else:
+        lost = float(np.sum(counts[lively] == 0.0)) - float(by_others[lively].sum()) / SAFETY
+    still = _runs((counts == 0.0) & (chance <= LARGEST_CHANCE))
+    if _is_at_one_value(measured, still if len(still) else several.runs):
+        return None
+    return _losses(several, max(lost, float(several.runs[:, 2].sum())), max(int(lively.sum()), several.telling), measured.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bursts:
+    """`runs` (K, 3) of at least so many repeats, the mean number of samples lost at once, and how many rows can tell."""
+
+    runs: np.ndarray
+    least: int
+    length: float
+    telling: int
+
+
+def _several(counts: np.ndarray, chance: np.ndarray, largest_chance: float) -> _Bursts | None:
+    """Runs of one length or more of which there are more than chance makes; None where there are none."""
     telling = chance <= LARGEST_CHANCE
-    still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
-    runs, chance = _runs(still), chance[telling]
-    lengths = range(1, LONGEST + 1)
-    quiet = np.array([_windows(near, k) - _windows(still, k) for k in lengths])  # of so many small steps that are not all none
-    by_chance = np.array([np.sum(chance**k) for k in lengths]) + quiet
-    seen = np.array([np.sum(runs[:, 2] >= k) for k in lengths])
+    still, chance = (counts == 0.0) & telling, chance[telling]
+    runs = _runs(still)
+    by_chance = np.array([np.sum(chance**k) for k in LENGTHS]) + _quiet(counts, telling)
+    seen = np.array([np.sum(runs[:, 2] >= k) for k in LENGTHS])
     unlikely = (LONGEST - 1) * float(np.min(scipy.stats.poisson.sf(seen[1:] - 1, by_chance[1:])))
     certain = by_chance < np.maximum(1.0, AMONG_THEM * seen)
-    least = 1 + int(np.argmax(certain)) if certain.any() else LONGEST + 1
-    long = runs[runs[:, 2] >= least]
-    length = float(np.mean(long[:, 2] - least + 1.0)) if len(long) else 0.0  # bursts that last go on as if they had just begun
-    rows_that_tell = chance.size
-    if unlikely > largest_chance or least > LONGEST or not len(long):
-        long, rows_that_tell = _clear(counts == 0.0, as_often, quiet, measured, largest_chance)
-        least, length = int(long[:, 2].min(initial=LONGEST)), float(np.sum(long[:, 2])) / max(len(long), 1)
-    if not len(long) or _is_at_one_value(measured, runs if len(runs) else long):
+    if unlikely > largest_chance or not certain.any():
         return None
-    lively = by_others <= LARGEST_CHANCE  # where the other repeats say so: in a burst's own rows nothing moves
-    lost = float(np.sum(counts[lively] == 0.0)) - float(by_others[lively].sum()) / SAFETY
-    return _losses(long, least, length, max(lost, float(long[:, 2].sum())), max(int(lively.sum()), rows_that_tell), measured.shape)
+    least = 1 + int(np.argmax(certain))
+    long = runs[runs[:, 2] >= least]
+    if not len(long):
+        return None
+    return _Bursts(long, least, float(np.mean(long[:, 2] - least + 1.0)), chance.size)  # bursts that last go on as if they had just begun
 
 
-def _losses(long: np.ndarray, least: int, length: float, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
-    """Of runs of `least` repeats or more, and of so many lost samples among those rows that can tell."""
+def _quiet(counts: np.ndarray, telling: np.ndarray) -> np.ndarray:
+    """(LONGEST,) how many stretches of so many rows have small steps that are not all none."""
+    still, near = (counts == 0.0) & telling, (np.abs(counts) < 1.5) & telling
+    return np.array([_windows(near, k) - _windows(still, k) for k in LENGTHS])
+
+
+def _losses(bursts: _Bursts, lost: float, telling: int, shape: tuple[int, ...]) -> Repeated:
+    """Of so many lost samples among those rows that can tell."""
     rows = np.zeros(shape, dtype=bool)
-    for repeat, first, lasts in long.tolist():
+    for repeat, first, lasts in bursts.runs.tolist():
         rows[repeat, first + 1 : first + 1 + lasts] = True
-    bursts = max(lost / length, 1.0)
+    number = max(lost / bursts.length, 1.0)
     # the number of bursts scatters as Poisson's, and their lengths by as much again
-    low, high = scipy.stats.chi2.ppf([0.025, 0.975], [bursts, bursts + 2.0]) / bursts
+    low, high = scipy.stats.chi2.ppf([0.025, 0.975], [number, number + 2.0]) / number
     share = lost / telling
-    return Repeated(rows, len(long), least, share, (float(low * share), float(min(high * share, 1.0))), length)
+    return Repeated(rows, len(bursts.runs), bursts.least, share, (float(low * share), float(min(high * share, 1.0))), bursts.length)
 
 
 def _chances(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +183,7 @@ def _chances(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _as_often(still: np.ndarray, chance: np.ndarray) -> np.ndarray:
-    """(R, N - 1) how often rows of about as strong a noise repeat at most, but for runs.
+    """(R, N - 1) how often rows of about as strong a noise repeat once or twice in a row, at most.
 
     The quietest of what says how strong noise is has it repeat up to twenty times as often as it does: too often for a single burst to be
     told from it.
@@ -167,36 +198,40 @@ def _as_often(still: np.ndarray, chance: np.ndarray) -> np.ndarray:
     return np.asarray(most[octave])
 
 
-def _clear(still: np.ndarray, chance: np.ndarray, quiet: np.ndarray, measured: np.ndarray, largest_chance: float) -> tuple[np.ndarray, int]:
-    """(K, 3) runs each of which is too unlikely by itself, and how many rows can tell.
+def _clear(counts: np.ndarray, chance: np.ndarray, measured: np.ndarray, largest_chance: float) -> _Bursts | None:
+    """Runs each of which is too unlikely by itself; None where there are none.
 
     Counted are all stretches of rows that are no likelier still, each as often as chance leaves it so.
     """
-    telling = chance <= LARGEST_CHANCE
-    each = np.where(telling, np.log(np.clip(chance, 1e-12, 1.0)), np.inf)
-    stretches = [np.lib.stride_tricks.sliding_window_view(each, k, axis=1).sum(axis=2) for k in range(1, LONGEST + 1)]
-    every = np.sort(np.concatenate([stretch.ravel() for stretch in stretches]))
-    as_likely = np.cumsum(np.exp(-np.where(np.isfinite(every), -every, np.inf)))
+    still, telling = counts == 0.0, chance <= LARGEST_OF_A_BURST
     runs = _runs(still)
     runs = runs[runs[:, 2] >= LEAST_RUN]
-    in_a_run = np.zeros_like(still)
-    for repeat, first, length in runs.tolist():
-        in_a_run[repeat, first : first + length] = True
-    clear = []
-    for repeat, first, length in runs.tolist():
+    if not len(runs) or not telling.any():
+        return None
+    each = np.where(telling, np.log(np.clip(np.minimum(chance, _as_often(still, chance)), 1e-12, 1.0)), np.inf)
+    stretches = [np.lib.stride_tricks.sliding_window_view(each, k, axis=1).sum(axis=2) for k in LENGTHS]
+    every = np.sort(np.concatenate([stretch.ravel() for stretch in stretches]))
+    as_likely = np.cumsum(np.exp(-np.where(np.isfinite(every), -every, np.inf)))
+    quiet, clear = _quiet(counts, telling), []
+    for repeat, first, length in runs[_may_be_lost(runs, measured)].tolist():
         counted = min(length, LONGEST)
-        value = measured[repeat, first]
-        no_loss = (
-            value in (0.0, measured.min(), measured.max())  # without effort, or at a limit
-            or first == 0
-            or first + length == still.shape[1]  # begun late, or ended early
-            or in_a_run[:, first : first + length].any(axis=1).sum() > 1  # all of them stand
-        )
         least = stretches[counted - 1][repeat, first : first + length - counted + 1].min()
         by_itself = as_likely[np.searchsorted(every, least, side="right") - 1]
-        if not no_loss and np.isfinite(least) and quiet[counted - 1] == 0 and by_itself <= largest_chance:
+        if np.isfinite(least) and quiet[counted - 1] == 0 and by_itself <= largest_chance:
             clear.append((repeat, first, length))
-    return np.array(clear, dtype=int).reshape(-1, 3), int(telling.sum())
+    if not clear:
+        return None
+    long = np.array(clear)
+    return _Bursts(long, int(long[:, 2].min()), float(long[:, 2].mean()), int(telling.sum()))
+
+
+def _may_be_lost(runs: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(K,) of runs (K, 3): not those without effort or at a limit, at an end of the record, or where another repeat stands as well."""
+    repeat, first, length = runs.T
+    values, end = measured[repeat, first], measured.shape[1] - 1
+    inside = (first > 0) & (first + length < end)
+    apart = np.array([not np.any((repeat != r) & (first < b + n) & (b < first + length)) for r, b, n in runs.tolist()])
+    return inside & apart & ~np.isin(values, (0.0, measured.min(), measured.max()))
 
 
 def _windows(small: np.ndarray, length: int) -> int:

@@ -37,6 +37,8 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
     train = runs.sets[TRAIN]
     is_assumed = train.noise.kind == "assumed"
     assumed = dict(zip(train.channels, train.noise.std.tolist(), strict=True)) if is_assumed else {}
+    positions = np.concatenate([group.position for group in train.groups])
+    visited = {axis: (float(q.min()), float(q.max())) for axis, q in zip(train.axes, positions.T, strict=True)}
     loop = ThroughTheLoop(runs, TRAIN, tuning)
 
     def found_beside(found: Fitted | None) -> Sequence[Candidate]:
@@ -44,7 +46,7 @@ def candidates_for(runs: FreeRuns, tuning: Tuning) -> Callable[[Fitted | None], 
         rows = runs.rows(Trial(values, () if found is None else found.settings))
         assert rows is not None
         groups = [replace(group, simulated=simulated) for group, simulated in zip(train.groups, rows, strict=True)]
-        motions = [Motion(train.machine, values, group, train.channels, assumed=assumed) for group in groups]
+        motions = [Motion(train.machine, values, group, train.channels, assumed=assumed, visited=visited) for group in groups]
         longest = max(len(simulated) for simulated in rows)
         first, *others = [motion for motion in motions if len(motion.group.simulated) == longest]
         present = () if found is None else found.effects

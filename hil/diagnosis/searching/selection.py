@@ -340,8 +340,9 @@ class Search:
             there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
             banks = bank_of((), screened), bank_of(singles, first)
             for likely_set in {id(fit): fit for fit in (several, passed[0].fitted)}.values():
-                found_there = [*there, *(set(names) for names, _ in starts)]
-                starts += neighbours_of_all(likely_set, stand.effects, banks, found_there, runs.machine.plant)
+                near = neighbours_of_all(likely_set, stand.effects, banks, there, runs.machine.plant)
+                there += [set(names) for names, _ in near]
+                starts += near
             refitted = polish(runs, tuning, measured, [fit for fit in refit(runs, tuning, measured, starts) if fit is not None])
             more = judgement.contenders(stand, refitted, tried, placebos, limits, len(fits))
             more = without_surplus(more, (*smaller, *refitted))

@@ -105,7 +105,7 @@ def closer_parts(one: Contender, way: Way) -> list[Contender]:
 
 def each_once(contenders: Sequence[Contender]) -> list[Contender]:
     """Of sets that were fitted twice the closer one, of those that passed the gate where one did; without those that gain too little to
-    compete, or that are part of another, unless they passed and it did not.
+    compete, or that are part of another. One that passed gives way to none that did not.
     """
     closest: dict[frozenset[EffectAt], Contender] = {}
     for one in contenders:
@@ -113,11 +113,13 @@ def each_once(contenders: Sequence[Contender]) -> list[Contender]:
         if (not one.passed, one.fitted.cost) < (not known.passed, known.fitted.cost):
             closest[frozenset(one.fitted.effects)] = one
     sets = list(closest.values())
-    return [one for one in sets if is_rival_of(one, sets) and not any(is_replaced_by(one, other) for other in sets)]
+    there = [one for one in sets if one.passed]
+    rivals = [one for one in sets if is_rival_of(one, there if one.passed else sets)]
+    return [one for one in rivals if not any(is_replaced_by(one, other) for other in rivals)]
 
 
 def is_replaced_by(one: Contender, other: Contender) -> bool:
-    """Whether a set is part of another that is there for certain, or as little as this one."""
+    """Whether a set is part of a larger one that is there for certain, or as little as this one."""
     return set(one.fitted.effects) < set(other.fitted.effects) and (other.passed or not one.passed)
 
 

@@ -42,6 +42,8 @@ class Motion:
         Of other groups as long as this one, such as the pieces of one long record: a residual is of all of them.
     assumed : mapping of str to float
         Noise rms of every channel in its unit, where no repeats show it and it is bounded from the residual; else nothing.
+    visited : mapping of axis to pair of float
+        Ends [rad or m] of its travel in all training groups, as far as they are known.
     """
 
     machine: Machine
@@ -50,6 +52,7 @@ class Motion:
     channels: tuple[str, ...]
     others: tuple[Motion, ...] = ()
     assumed: Mapping[str, float] = field(default_factory=dict)
+    visited: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def plant(self) -> CompiledPlant:

@@ -39,11 +39,14 @@ def shape_limits(name: str, at: str, motion: Motion) -> tuple[float, float]:
     Of a wave the lowest order [cycles per turn, as the effect counts it] or frequency [Hz]: half a cycle, and of a base motion what
     floors do. Of a hysteresis the least [rad or m] that it bends before it slides, and the largest displacement at which it does. Of a stop
     the positions between which one of either side begins: both are the middle of the travel, since one that a joint is in for more than
-    half of its way is a spring. Of a cable the ends of the travel.
+    half of its way is a spring. Of a cable the ends of the travel, where the joint has no spring of its own, which the cable's linear
+    part cannot be told from.
     """
-    if name in ("end_stop", "cable_spring"):
+    if name == "end_stop":
         low, high = _ends(motion, at)
-        return (0.5 * (low + high),) * 2 if name == "end_stop" and np.isfinite(low) else (low, high)
+        return (0.5 * (low + high),) * 2 if np.isfinite(low) else (low, high)
+    if name == "cable_spring":
+        return (-inf, inf) if _has_a_spring(motion, at) else _ends(motion, at)
     if name in HYSTERESES:
         return LEAST_BEND * _count(motion, at), _stroke(motion, at) * (1.0 - LEAST_SLIDING) / 2.0
     if name in TURNING_WITH_THE_MOTOR:
@@ -64,11 +67,17 @@ def _stroke(motion: Motion, at: str) -> float:
 
 
 def _ends(motion: Motion, at: str) -> tuple[float, float]:
-    """Of an axis' travel; none of a spring without a drive."""
+    """Of an axis' travel in all training recordings; none of a spring without a drive."""
     if undriven_joint_at(at, motion.machine.plant) is not None:
         return -inf, inf
     position = motion.residual(at).position
-    return float(position.min()), float(position.max())
+    return motion.visited.get(motion.machine.axes[motion.axis_of(at)], (float(position.min()), float(position.max())))
+
+
+def _has_a_spring(motion: Motion, at: str) -> bool:
+    """Whether the machine file gives the place's own joint a stiffness."""
+    settings = motion.machine.plant
+    return any(joint.name == joint_at(at, settings) and joint.stiffness > 0.0 for joint in settings.tree.joints)
 
 
 def _count(motion: Motion, at: str) -> float:
