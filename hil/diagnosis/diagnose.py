@@ -264,7 +264,9 @@ def diagnose(
                 unknown=verdict == "unknown_physics",
             ),
             fit=fit,
-            unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0)) if explainable > 0.0 else 0.0,
+            unexplained_share=float(np.clip((misfits[2] - noise) / explainable, 0.0, 1.0))
+            if explainable > 0.0
+            else float(is_only_held_out),
             seconds=time.monotonic() - began,
             disturbance=disturbed,
             suspicions=suspicions(train, train.with_simulated(stages[TRAIN]["extended"]) if verdict in SAYS_WHAT_IT_IS else None),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from math import isfinite
 
 import numpy as np
 
@@ -72,12 +73,14 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     feedforward = _feedforward(machine, recording, shape)
     initial = recording.metadata.get("initial", {})
     states = initial.get("controller_states") if closed else None
+    if states is not None and not (isinstance(states, dict) and all(isinstance(state, dict) for state in states.values())):
+        raise RecordingError(f"metadata initial.controller_states is {states!r}; a table for each axis would be right")
     pose = _start_pose(machine, recording, reference)
     speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
     standing = initial.get("standing", {})
     if not isinstance(standing, dict):
         raise RecordingError(f"metadata initial.standing is {standing!r}; a table with `deviation` would be right")
-    deviation = _per_axis(machine, standing.get("deviation"), "initial.standing.deviation")
+    deviation = _per_axis(machine, standing.get("deviation"), "initial.standing.deviation", is_a_reading=True)
     if deviation is not None:  # a reading that was missing tells nothing
         deviation = np.nan_to_num(deviation)
     return Inputs(reference, excitation, feedforward, command, pose, states, speed, deviation)
@@ -129,12 +132,14 @@ def _in_words(machine: Machine) -> list[str]:
     ]
 
 
-def _complete(machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None) -> np.ndarray:
-    """(N, n_axes) values without a hole."""
+def _complete(
+    machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None, *, needed: Collection[str] = ()
+) -> np.ndarray:
+    """(N, n_axes) values without a hole; of an axis that is not recorded the default, where there is one and it is not needed."""
     names = [f"{group}_{axis}" for axis in machine.axes]
     columns = []
     for i, (name, units) in enumerate(zip(names, machine.units, strict=True)):
-        if default is not None and name not in recording:
+        if default is not None and name not in recording and units.axis not in needed:
             columns.append(default[:, i])
             continue
         channel = recording.channel(name)
@@ -169,20 +174,26 @@ def position_channel(recording: Recording, axis: str) -> str | None:
     return next((name for name in names if name in recording and np.isfinite(recording[name]).any()), None)
 
 
-def _per_axis(machine: Machine, values: Sequence[float] | None, key: str) -> np.ndarray | None:
-    """(n_axes,) metadata; None where there are none."""
+def _per_axis(machine: Machine, values: Sequence[float] | None, key: str, *, is_a_reading: bool = False) -> np.ndarray | None:
+    """(n_axes,) metadata; None where there are none. A reading may be missing."""
     if values is None:
         return None
-    if not isinstance(values, list | tuple) or not all(isinstance(value, int | float) for value in values):
+    numbers = isinstance(values, list | tuple) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    if not numbers or not all(is_a_reading or isfinite(value) for value in values):
         raise RecordingError(f"metadata {key} is {values!r}; a list of {len(machine.axes)} numbers, one per axis, would be right")
     if len(values) != len(machine.axes):
         raise RecordingError(f"metadata {key} has {len(values)} entries; {machine.name} has {len(machine.axes)} axes")
     return np.array(values, dtype=float)
 
 
+def takes_feedforward(machine: Machine) -> bool:
+    """Whether the machine file's controllers add one: then a recording's own drives its simulation."""
+    return any(controller.gravity_feedforward for controller in machine.controllers)
+
+
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:
-    """As recorded: a function of the reference, computed before the run, whether or not the machine file's controllers compute one."""
-    if not machine.controllers:
+    """As recorded: a function of the reference, computed before the run."""
+    needed = {axis for axis, controller in zip(machine.axes, machine.controllers, strict=False) if controller.gravity_feedforward}
+    if not needed:
         return np.zeros(shape)
-    needed = any(controller.gravity_feedforward for controller in machine.controllers)
-    return _complete(machine, recording, "feedforward", None if needed else np.zeros(shape))
+    return _complete(machine, recording, "feedforward", np.zeros(shape), needed=needed)

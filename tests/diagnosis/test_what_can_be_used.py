@@ -81,7 +81,8 @@ def test_a_run_that_began_in_motion_is_said_to_have_none_of_its_speed(initial, e
 
 def test_a_column_of_another_unit_s_name_is_said_to_be_left_out():
     current = ("A", np.ones(ROWS))
-    _, said = said_of(a=recorded(0, current_carriage=current), b=recorded(1, current_carriage=current))
+    channels, said = said_of(a=recorded(0, current_carriage=current), b=recorded(1, current_carriage=current))
+    assert channels == ("command_carriage", "position_carriage")  # what stands for the effort that is not there
     assert said == ["a, b: current_carriage is not compared: the drive of emps is in V, and its measured effort is effort_carriage [V]"]
 
 
@@ -89,6 +90,36 @@ def test_an_empty_column_of_measured_effort_leaves_the_command():
     empty = ("V", np.full(ROWS, np.nan))
     channels, _ = said_of(a=recorded(0, effort_carriage=empty), b=recorded(1, effort_carriage=empty))
     assert channels == ("command_carriage", "position_carriage")
+
+
+def test_the_command_stands_for_an_effort_that_one_of_the_recordings_lacks():
+    effort = ("V", recorded(0)["command_carriage"])
+    channels, _ = said_of(a=recorded(0, effort_carriage=effort), b=recorded(1))
+    assert channels == ("command_carriage", "position_carriage")
+
+
+@pytest.mark.parametrize(("name", "unit", "right"), [("command_carriage", "A", "V"), ("position_carriage", "rad", "m")])
+def test_readings_in_another_unit_than_the_machine_s_are_refused(name, unit, right):
+    wrong = recorded(0, **{name: (unit, recorded(0)[name])})
+    with pytest.raises(RecordingError, match=rf"^a: {name} is in \[{unit}\]; emps reads it in \[{right}\]$"):
+        said_of(a=wrong, b=recorded(1))
+
+
+def test_copies_that_differ_by_rounding_are_refused():
+    one = recorded(0)
+    columns = {name: (one.channel(name).unit, one[name] * (1.0 + 1e-15)) for name in ("command_carriage", "position_carriage")}
+    with pytest.raises(RecordingError, match="a, b: the same but for rounding; repeats differ by noise"):
+        said_of(a=one, b=recorded(0, **columns))
+
+
+@pytest.mark.parametrize(("slow", "said"), [(1.0, True), (0.0, False)])
+def test_a_simulation_that_accelerates_otherwise_did_not_begin_in_motion(slow, said):
+    """Of the first ten rows the recording makes more of the same acceleration, or as much of a speed of its own."""
+    from_rest = 3e-4 * np.minimum(np.arange(ROWS), 40.0) ** (2.0 - slow)
+    _, warned = said_of(
+        **{name: recorded(k, position_carriage=("m", recorded(k)["position_carriage"] + from_rest)) for k, name in enumerate("ab")}
+    )
+    assert any("began in motion" in words for words in warned) is said
 
 
 def test_a_column_that_is_mostly_empty_everywhere_is_said_to_be_left_out():
@@ -109,6 +140,11 @@ def test_a_column_that_is_mostly_empty_everywhere_is_said_to_be_left_out():
         ({"experiment": {"settle_rows": 10**7}}, r"metadata experiment.settle_rows is 10000000; a whole number of rows from 0 to"),
         ({"initial": {"speeds": ["fast"]}}, r"metadata initial.speeds is \['fast'\]; a list of 1 numbers"),
         ({"initial": {"standing": 0.1}}, r"metadata initial.standing is 0.1; a table with `deviation`"),
+        ({"experiment": {"start_pose": [True]}}, r"metadata experiment.start_pose is \[True\]; a list of 1 numbers"),
+        ({"initial": {"speeds": [float("inf")]}}, r"metadata initial.speeds is \[inf\]; a list of 1 numbers"),
+        ({"initial": {"controller_states": "none"}}, r"metadata initial.controller_states is 'none'; a table for each axis"),
+        ({"experiment": {"period_samples": 200.0}}, r"a: metadata experiment.period_samples is 200.0; a whole number, 1 or more"),
+        ({"experiment": {"period_samples": 200, "settle_periods": "1"}}, r"a: metadata experiment.settle_periods is '1'; a whole number"),
     ],
 )
 def test_metadata_of_another_kind_are_refused_with_what_would_be_right(tables, said):
@@ -134,12 +170,15 @@ def test_an_excitation_of_one_axis_leaves_the_others_unshaken():
         np.testing.assert_array_equal(answers[0][name], answers[1][name])
 
 
-def test_a_recorded_feedforward_drives_the_simulation_of_a_loop_that_computes_none():
+def test_a_recorded_feedforward_of_a_loop_that_computes_none_is_said_not_to_be_simulated():
+    """A simulation reads reference and excitation; an empty column, or zeros, were no effort."""
     pushed = ("V", 3.0 * np.sin(20.0 * TIME))
     without, given = (simulate(MACHINE, each)["position_carriage"] for each in (recorded(0), recorded(0, feedforward_carriage=pushed)))
-    assert np.abs(given - without).max() > 5e-5
-    excited = simulate(MACHINE, recorded(0, excitation_carriage=pushed))["position_carriage"]
-    np.testing.assert_allclose(given, excited, atol=1e-12)
+    np.testing.assert_array_equal(given, without)
+    _, said = said_of(a=recorded(0, feedforward_carriage=pushed), b=recorded(1, feedforward_carriage=pushed))
+    assert said == ["a, b: feedforward is recorded and not simulated: emps says of no controller `gravity_feedforward`"]
+    for none in (np.zeros(ROWS), np.full(ROWS, np.nan)):
+        assert said_of(a=recorded(0, feedforward_carriage=("V", none)), b=recorded(1))[1] == []
 
 
 @pytest.mark.parametrize(("settle", "said"), [(0, True), (1, False)])

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from math import ceil
 from typing import Any
 
 import numpy as np
 
 from hil.diagnosis.recorded.lost_ticks import with_every_tick
-from hil.diagnosis.recorded.repeated import are_equal_inputs
+from hil.diagnosis.recorded.repeated import are_equal_inputs, begin_near
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Channel, Recording, RecordingWarning
 from hil.recording.channels import is_whole
 from hil.recording.ticks import PLANNED, planned
-from hil.simulation.simulate import RATE_TOLERANCE
+from hil.simulation.simulate import RATE_TOLERANCE, takes_feedforward
 
 INPUTS = ("reference_", "excitation_", "feedforward_")
 SMOOTH = ("reference_", "feedforward_")
@@ -42,6 +42,9 @@ LEAST_COMMON = 0.9
 LONGEST_GAP = 4.0
 """Rows of the machine's sample period over which measured values are interpolated; across longer gaps they are missing."""
 
+NEXT_ROW = 1.5
+"""Of a recorder's own rows, up to which the next one follows: between two of a slower recorder is no gap, however its stamps jitter."""
+
 
 def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, Recording]:
     """Recordings on the machine's own sample times, a row for every tick: what was measured is missing where a run skipped some.
@@ -49,12 +52,52 @@ def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, 
     Warns
     -----
     RecordingWarning
-        Where rows were not equally spaced, or not at the machine's rate, and have been resampled; where that leaves no whole periods.
+        Where rows were not equally spaced, or not at the machine's rate, and have been resampled; where that leaves no whole periods; where
+        a recording is cut to the rows of one that it repeats.
     """
     even = {label: _on_equal_rows(machine, label, recording) for label, recording in recordings.items()}
     moved = {label for label, recording in recordings.items() if even[label] is not recording}
     kept = {label: ticks for label in moved if (ticks := _ticks_kept(recordings[label], machine.sample_rate_Hz)) is not None}
-    return _equally_long(machine, with_every_tick(even, kept), moved)
+    even = _with_equal_inputs(machine, recordings, even, sorted(moved - kept.keys()))
+    return _equally_long(machine, with_every_tick(even, kept, is_open=not machine.controllers), moved)
+
+
+def _with_equal_inputs(
+    machine: Machine, recordings: Mapping[str, Recording], even: Mapping[str, Recording], of_another_rate: Sequence[str]
+) -> dict[str, Recording]:
+    """Of recordings of another rate those with the same inputs row by row have the same between rows, however their stamps jitter: those
+    of the one that is longest on the machine's rows.
+    """
+    inputs = _inputs(machine)
+    groups: list[list[str]] = []
+    for label in of_another_rate:
+        one = recordings[label]
+        for group in groups:
+            other = recordings[group[0]]
+            driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
+            if one.rows == other.rows and all(
+                name in one and name in other and are_equal_inputs(one[name], other[name]) for name in driven
+            ):
+                group.append(label)
+                break
+        else:
+            groups.append([label])
+    shared = dict(even)
+    for group in groups:
+        longest = even[max(group, key=lambda label: even[label].rows)]
+        for label in group:
+            own = even[label]
+            taken = {name: channel for name, channel in longest.channels.items() if name.startswith(inputs)}
+            channels = {name: Channel(channel.unit, channel.values[: own.rows]) for name, channel in taken.items()}
+            shared[label] = Recording({**own.channels, **channels}, own.metadata)
+    return shared
+
+
+def _inputs(machine: Machine) -> tuple[str, ...]:
+    """How the names of what drives a simulation begin."""
+    if not machine.controllers:
+        return "excitation_", "command_"
+    return INPUTS if takes_feedforward(machine) else tuple(name for name in INPUTS if name != "feedforward_")
 
 
 def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Recording:
@@ -87,9 +130,11 @@ def resampled(recording: Recording, rate_Hz: float, label: str = "the recording"
     RecordingWarning
         Where its period is no whole number of the new rows: it is no periodic recording then.
     """
+    recording = _on_its_ticks(recording, rate_Hz)
     time, count = recording.time, _rows_at(recording, rate_Hz)
     even = time[0] + np.arange(count) / rate_Hz
     in_force = _in_force(recording, rate_Hz)
+    gap_s = max(LONGEST_GAP / rate_Hz, NEXT_ROW * float(np.median(np.diff(time))))
     kept = _ticks_kept(recording, rate_Hz)
     channels = {"time": Channel("s", even)}
     for name, channel in recording.channels.items():
@@ -112,7 +157,7 @@ def resampled(recording: Recording, rate_Hz: float, label: str = "the recording"
         taken = np.interp(even, time[there], values[there], left=np.nan, right=np.nan)
         after = np.clip(np.searchsorted(time[there], even), 0, len(there) - 1)
         width = time[there][after] - time[there][np.maximum(after - 1, 0)]
-        channels[name] = Channel(channel.unit, np.where(width * rate_Hz > LONGEST_GAP, np.nan, taken))
+        channels[name] = Channel(channel.unit, np.where(width > gap_s, np.nan, taken))
     counted = {"experiment": _counted_in_new_rows(recording, rate_Hz, label)} if recording.experiment else {}
     return Recording(channels, {**recording.metadata, **counted})
 
@@ -132,7 +177,16 @@ def _ticks_kept(recording: Recording, rate_Hz: float) -> np.ndarray | None:
     """New rows that a recorded one belongs to, of a recording at this rate which lost some; None of one at another rate."""
     if abs(_recorded_rate(recording, rate_Hz) - 1.0) > RATE_TOLERANCE:
         return None
-    return np.flatnonzero(np.diff(_in_force(recording, rate_Hz), prepend=-1))
+    return np.flatnonzero(np.diff(_in_force(_on_its_ticks(recording, rate_Hz), rate_Hz), prepend=-1))
+
+
+def _on_its_ticks(recording: Recording, rate_Hz: float) -> Recording:
+    """With the time of a clock that runs as the machine's does, where it is off by less than another rate: rows stay with their ticks."""
+    ratio = _recorded_rate(recording, rate_Hz)
+    if abs(ratio - 1.0) > RATE_TOLERANCE:
+        return recording
+    time = recording.time
+    return Recording({**recording.channels, "time": Channel("s", time[0] + (time - time[0]) / ratio)}, recording.metadata)
 
 
 def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> dict[str, Any]:
@@ -195,6 +249,9 @@ def _repeat_but_for_the_end(machine: Machine, one: Recording, other: Recording) 
         return False
     if one.experiment.get("start_pose") != other.experiment.get("start_pose"):
         return False
-    inputs = INPUTS if machine.controllers else (*INPUTS, "command_")
-    driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
+    if one.metadata.get("initial", {}).get("speeds") != other.metadata.get("initial", {}).get("speeds"):
+        return False
+    if not machine.controllers and one.experiment.get("start_pose") is None and not begin_near(machine, one, other):
+        return False
+    driven = {name for name in (*one.channels, *other.channels) if name.startswith(_inputs(machine))}
     return all(name in one and name in other and are_equal_inputs(one[name][:rows], other[name][:rows]) for name in driven)

@@ -12,7 +12,9 @@ from hil.recording import Channel, Recording
 from hil.recording.ticks import PLANNED, on_every_tick
 
 
-def with_every_tick(recordings: Mapping[str, Recording], kept: Mapping[str, np.ndarray] | None = None) -> dict[str, Recording]:
+def with_every_tick(
+    recordings: Mapping[str, Recording], kept: Mapping[str, np.ndarray] | None = None, *, is_open: bool = False
+) -> dict[str, Recording]:
     """A row for every tick; what was measured is missing there.
 
     The plan of a tick that one run lost is that of the same tick in another run of the same plan: interpolated, it would differ in the last
@@ -23,6 +25,8 @@ def with_every_tick(recordings: Mapping[str, Recording], kept: Mapping[str, np.n
     recordings : mapping of str to Recording
     kept : mapping of str to (K,) array, optional
         Ticks that have a row of their own, of recordings in which lost ones have been filled already.
+    is_open : bool
+        Whether commands are planned, too: of a machine without a controller.
     """
     filled = kept or {}
     whole = {label: on_every_tick(recording) for label, recording in recordings.items()}
@@ -30,7 +34,8 @@ def with_every_tick(recordings: Mapping[str, Recording], kept: Mapping[str, np.n
         return whole
     groups: list[list[_Run]] = []
     for label, recording in recordings.items():
-        run = _Run(label, whole[label], np.isin(np.arange(whole[label].rows), filled.get(label, recording.ticks)))
+        own = np.isin(np.arange(whole[label].rows), filled.get(label, recording.ticks))
+        run = _Run(label, whole[label], own, (*PLANNED, "command_") if is_open else PLANNED)
         for group in groups:
             if all(run.may_repeat(other) for other in group):
                 group.append(run)
@@ -45,12 +50,13 @@ class _Run:
     label: str
     whole: Recording
     kept: np.ndarray  # (N,) whether the tick has a row of its own
+    inputs: tuple[str, ...]  # how their names begin
 
     @property
     def planned(self) -> dict[str, np.ndarray]:
         """Without an observer's damping, which answers to each run's own noise."""
         channels = self.whole.channels.items()
-        return {name: channel.values for name, channel in channels if name.startswith(PLANNED) and not name.startswith("damping_")}
+        return {name: channel.values for name, channel in channels if name.startswith(self.inputs) and not name.startswith("damping_")}
 
     def may_repeat(self, other: _Run) -> bool:
         """Whether both have the same plan wherever both kept a row: but for a last one, which a clock a hair early costs."""

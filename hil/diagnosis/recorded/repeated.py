@@ -64,12 +64,16 @@ def are_repeats(one: Member, other: Member) -> bool:
 
 def why_no_repeats(one: Member, other: Member) -> str:
     """How two recordings differ that would be repeats but for few rows of their inputs, in words; "" where they differ otherwise."""
-    if one.machine is not other.machine or abs(one.recording.rows - other.recording.rows) > 1 or not _begin_alike(one, other):
+    if one.machine is not other.machine or not _begin_alike(one, other):
         return ""
     differing = dict(_differing(one, other))
     if not differing:
         return f"it has {one.recording.rows} rows and not {other.recording.rows}"
+    if abs(one.recording.rows - other.recording.rows) > 1:
+        return ""
     count = np.unique(np.concatenate(list(differing.values()))).size
+    if all(name.startswith("feedforward_") for name in differing):
+        return f"its feedforward differs in {count} row{'' if count == 1 else 's'}, of inputs that are the same else"
     if count >= FEW_ROWS * one.recording.rows:
         return ""
     first = min(differing, key=lambda name: int(differing[name][0]))
@@ -94,14 +98,14 @@ def from_mean_start(members: Sequence[Member]) -> Inputs:
     return replace(first, deviation=np.mean(deviations, axis=0))
 
 
-def are_equal_inputs(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two inputs are the same, but for how their recorder's file rounded them."""
+def are_equal_inputs(one: np.ndarray, other: np.ndarray, largest: float = 0.0) -> bool:
+    """Whether two inputs are the same, but for how their recorder's file rounded them; of parts of an input, `largest` is all of it."""
     if np.array_equal(one, other, equal_nan=True):
         return True
     if one.shape != other.shape or not np.array_equal(np.isfinite(one), np.isfinite(other)):
         return False
     there = np.isfinite(one)
-    largest = float(np.abs(one[there]).max(initial=0.0))
+    largest = max(float(np.abs(one[there]).max(initial=0.0)), largest)
     return bool(np.abs(one[there] - other[there]).max(initial=0.0) <= ROUNDED * largest)
 
 
@@ -130,22 +134,36 @@ def _begin_alike(one: Member, other: Member) -> bool:
     if not _equal(one.planned.start_speed, other.planned.start_speed):
         return False
     if not (one.start_is_measured or other.start_is_measured):
-        return _equal(one.planned.start_pose, other.planned.start_pose)
+        largest = 0.0 if one.planned.reference is None else float(np.abs(one.planned.reference).max(initial=0.0))
+        return are_equal_inputs(one.planned.start_pose, other.planned.start_pose, largest)
     apart = np.abs(one.planned.start_pose - other.planned.start_pose)
-    return all(apart[i] <= _near(one, other, axis) for i, axis in enumerate(one.machine.axes))
+    near = [_near(one.machine, one.recording, other.recording, axis) for axis in one.machine.axes]
+    return bool(np.all(apart <= near))
 
 
-def _near(one: Member, other: Member, axis: str) -> float:
+def begin_near(machine: Machine, one: Recording, other: Recording) -> bool:
+    """Whether the first readings of two recordings are so near as repeats stand, on every axis that both have a reading of."""
+    for axis in machine.axes:
+        name = position_channel(one, axis)
+        if name is None or name != position_channel(other, axis):
+            continue
+        first, its = (values[np.isfinite(values)][0] for values in (one[name], other[name]))
+        if abs(first - its) > _near(machine, one, other, axis):
+            return False
+    return True
+
+
+def _near(machine: Machine, one: Recording, other: Recording, axis: str) -> float:
     """How far apart [rad or m] an axis' measured starts may be by counts or by noise.
 
     What both readings differ by holds no motion that both make; its third differences hold no slow disturbance either.
     """
-    name = position_channel(one.recording, axis)
-    if name is None or name != position_channel(other.recording, axis):
+    name = position_channel(one, axis)
+    if name is None or name != position_channel(other, axis):
         return 0.0
-    count = next((encoder.resolution for encoder in one.machine.plant.encoders if encoder.channel == name), 0.0)
-    rows = min(one.recording.rows, other.recording.rows)
-    third = np.diff(one.recording[name][:rows] - other.recording[name][:rows], 3)
+    count = next((encoder.resolution for encoder in machine.plant.encoders if encoder.channel == name), 0.0)
+    rows = min(one.rows, other.rows)
+    third = np.diff(one[name][:rows] - other[name][:rows], 3)
     third = third[np.isfinite(third)]
     deviation = float(np.median(np.abs(third))) / MEDIAN_OF_THIRD_DIFFERENCES if third.size else 0.0
     return max(START_COUNTS * count, START_DEVIATIONS * deviation)

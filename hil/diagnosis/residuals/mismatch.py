@@ -25,11 +25,14 @@ from hil.diagnosis.residuals.simulated import channel_outputs
 from hil.diagnosis.residuals.usable import (
     LARGEST_MISSING_SHARE,
     channels_in_common,
+    check_periods,
+    check_units,
     check_usable,
     missing_share,
     settled_rows,
     that_differ,
     warn_of_a_first_period,
+    warn_of_feedforward,
     warn_of_motion_at_the_start,
 )
 from hil.errors import MachineFileError, RecordingError
@@ -115,15 +118,22 @@ def mismatch(
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
     _warn_of_controllers(machine, recordings)
+    warn_of_feedforward(machine, recordings)
     drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
     warn_of_motion_at_the_start(machine, drawn)
     chosen = channels_in_common(machine, drawn) if channels is None else tuple(channels)
     for members, _ in drawn:
         for member in members:
             check_usable(member, chosen)
+            check_units(machine, member.label, member.recording, chosen)
+            check_periods(member)
+            settled_rows(member)
     made = tuple(_group(group, simulated, chosen) for group, simulated in drawn)
     if channels is None and noise is None and (live := that_differ(machine, made, chosen)) != chosen:
         chosen, made = live, tuple(_group(group, simulated, live) for group, simulated in drawn)
+    for (members, _), group in zip(drawn, made, strict=True):
+        if len(group.windows) == group.repeats > len(members):
+            warn_of_a_first_period(members[0], group.measured)
     channels = chosen
     lattices = coarser_lattices(machine, channels, [group.measured for group in made])
     lost: dict[str, Dropout] = {}
@@ -245,7 +255,6 @@ def _group(members: Sequence[Member], simulated: Mapping[str, np.ndarray], chann
             windows = tuple(periods)
             labels = tuple(f"{labels[0]} period {number}" for number in range(1, len(periods) + 1))
             measured = np.stack([measured[0, window] for window in windows])
-            warn_of_a_first_period(members[0], measured)
     elif settle_rows := settled_rows(members[0]):
         windows = (slice(settle_rows, len(rows)),)
         measured = measured[:, settle_rows:]

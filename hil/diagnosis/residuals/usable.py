@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hil.diagnosis.recorded.repeated import Member
+from hil.diagnosis.recorded.repeated import MEDIAN_OF_THIRD_DIFFERENCES, START_DEVIATIONS, Member
 from hil.diagnosis.residuals.noise import NO_FLOOR, sensor_floor
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.spectra import FILTER_ORDER
 from hil.errors import RecordingError
 from hil.machine import Machine
+from hil.machine.model import AxisUnits
 from hil.recording import Recording, RecordingWarning
-from hil.simulation.simulate import position_channel
+from hil.simulation.simulate import IMU_UNITS, position_channel, takes_feedforward
 
 SILENT = 1e-12
 """A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
@@ -40,6 +41,9 @@ FIRST_ROWS = 6
 IN_MOTION = 0.1
 """Of the largest speed between so many rows, by which the first ones move away from the simulation where a run began in motion."""
 
+MOST_OF_A_WAY = 0.7
+"""Of the way of so many rows that one step makes, from which it is a jump."""
+
 Drawn = tuple[list[Member], Mapping[str, np.ndarray]]
 """Repeats, and the simulated channels of their experiment."""
 
@@ -58,18 +62,15 @@ def channels_in_common(machine: Machine, groups: Sequence[Drawn]) -> tuple[str, 
         Of those that some recordings lack, or of which most samples are missing.
     """
     drawn = [(member.label, member.recording, simulated) for group, simulated in groups for member in group]
-    _, first_recording, first_simulated = drawn[0]
+    first_simulated = drawn[0][2]
     pairs = [(recording, simulated) for _, recording, simulated in drawn]
     _warn_of_other_efforts(machine, [(label, recording) for label, recording, _ in drawn])
     closed = bool(machine.controllers)
+    shown = {f"command_{units.axis}" for units in machine.units if _is_effort_measured(units, pairs)}
     chosen = []
     for name in first_simulated:
-        if name.startswith("command_"):
-            axis = name.removeprefix("command_")
-            efforts = (f"current_{axis}", f"effort_{axis}")
-            measured = any(missing_share(first_recording, effort) <= LARGEST_MISSING_SHARE for effort in efforts)
-            if not closed or measured:  # given, or shown by what the drive measured
-                continue
+        if name.startswith("command_") and (not closed or name in shown):  # given, or shown by what the drive measured
+            continue
         if not all(name in simulated for _, simulated in pairs):
             continue
         if lacking := [label for label, recording, _ in drawn if missing_share(recording, name) > LARGEST_MISSING_SHARE]:
@@ -83,6 +84,25 @@ def channels_in_common(machine: Machine, groups: Sequence[Drawn]) -> tuple[str, 
     if not chosen:
         raise RecordingError("no channel in common with the simulation besides the inputs; record position, current or IMU")
     return tuple(chosen)
+
+
+def _is_effort_measured(units: AxisUnits, pairs: Sequence[tuple[Recording, Mapping[str, np.ndarray]]]) -> bool:
+    """Whether all recordings have a drive's measured effort, by the name that its unit gives it, and it is simulated."""
+    name = f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}"
+    return all(name in simulated and missing_share(recording, name) <= LARGEST_MISSING_SHARE for recording, simulated in pairs)
+
+
+def check_units(machine: Machine, label: str, recording: Recording, channels: Sequence[str]) -> None:
+    """RecordingError where a channel that is compared is in another unit than its simulation; one without a unit is taken to be in that."""
+    wanted = dict(IMU_UNITS)
+    for units in machine.units:
+        wanted |= {f"{group}_{units.axis}": units.position for group in ("position", "link_position")}
+        wanted |= {f"{group}_{units.axis}": units.effort for group in ("command", "effort", "current")}
+        wanted[f"speed_{units.axis}"] = f"{units.position}/s"
+    for name in channels:
+        unit = recording.channel(name).unit
+        if unit and unit != wanted.get(name, unit):
+            raise RecordingError(f"{label}: {name} is in [{unit}]; {machine.name} reads it in [{wanted[name]}]")
 
 
 def check_usable(member: Member, channels: Sequence[str]) -> None:
@@ -108,13 +128,22 @@ def that_differ(machine: Machine, groups: Sequence[RepeatGroup], channels: tuple
     Warns
     -----
     RecordingWarning
-        Of each that is left out. Where no channel differs, all stay: the recordings are copies.
+        Of each that is left out.
+
+    Raises
+    ------
+    RecordingError
+        No channel differs by more than rounding, and some sensor has no resolution: the recordings are copies.
     """
     repeated = [group.measured for group in groups if group.repeats > 1]
     same = [all(_are_the_same(measured[:, :, column]) for measured in repeated) for column in range(len(channels))]
+    no_floor = sensor_floor(channels, machine) <= NO_FLOOR
+    are_equal = all(np.array_equal(measured, np.broadcast_to(measured[0], measured.shape), equal_nan=True) for measured in repeated)
+    if repeated and all(same) and np.any(no_floor) and not are_equal:  # those the noise model refuses
+        labels = ", ".join(label for group in groups if group.repeats > 1 for label in group.labels)
+        raise RecordingError(f"{labels}: the same but for rounding; repeats differ by noise: give recordings, not copies of one")
     if not repeated or all(same):
         return channels
-    no_floor = sensor_floor(channels, machine) <= NO_FLOOR
     dead = [name for name, is_same, is_without in zip(channels, same, no_floor, strict=True) if is_same and is_without]
     for name in dead:
         words = f"{name}: the same in all repeats, and {machine.name} gives its sensor no resolution: its noise is unknown; it is left out"
@@ -125,8 +154,8 @@ def that_differ(machine: Machine, groups: Sequence[RepeatGroup], channels: tuple
 def _are_the_same(values: np.ndarray) -> bool:
     """Whether the rows of (R, N) differ by rounding alone."""
     found = values[:, np.isfinite(values).all(axis=0)]
-    if not found.size:
-        return True
+    if not found.size:  # none has a sample where another has one: nothing says so
+        return False
     apart = (found.max(axis=0) - found.min(axis=0)).max()
     return bool(apart <= SAME * (found.max() - found.min()))
 
@@ -134,10 +163,19 @@ def _are_the_same(values: np.ndarray) -> bool:
 def settled_rows(member: Member) -> int:
     """Rows at the beginning that are not judged; RecordingError where the metadata give no such number."""
     rows = member.recording.experiment.get("settle_rows", 0)
-    if not isinstance(rows, int) or not 0 <= rows <= max(member.recording.rows - LEAST_ROWS, 0):
+    if isinstance(rows, bool) or not isinstance(rows, int) or not 0 <= rows <= max(member.recording.rows - LEAST_ROWS, 0):
         right = f"a whole number of rows from 0 to {max(member.recording.rows - LEAST_ROWS, 0)} would be right"
         raise RecordingError(f"{member.label}: metadata experiment.settle_rows is {rows!r}; {right}")
     return rows
+
+
+def check_periods(member: Member) -> None:
+    """RecordingError where the metadata say of periods what is no whole number."""
+    for key, least in (("period_samples", 1), ("settle_periods", 0)):
+        value = member.recording.experiment.get(key)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+            right = f"a whole number, {least} or more, would be right"
+            raise RecordingError(f"{member.label}: metadata experiment.{key} is {value!r}; {right}")
 
 
 def warn_of_motion_at_the_start(machine: Machine, groups: Sequence[Drawn]) -> None:
@@ -159,7 +197,10 @@ def warn_of_a_first_period(member: Member, measured: np.ndarray) -> None:
     """Say of a periodic recording that its first period, of (P, N, C), differs from the others by more than these among themselves."""
     if member.recording.experiment.get("settle_periods") or len(measured) < 3:
         return
-    apart = np.nanstd(measured - np.nanmean(measured[1:], axis=0), axis=1)
+    there = np.isfinite(measured).all(axis=0).all(axis=1)  # rows that every period has
+    if not there.any():
+        return
+    apart = np.std(measured[:, there] - np.mean(measured[1:, there], axis=0), axis=1)
     if np.any(apart[0] > TRANSIENT * apart[1:].max(axis=0)):
         words = (
             f"{member.label}: its first period differs from the others by more than {TRANSIENT:g} times what these do: the transient of its"
@@ -169,20 +210,44 @@ def warn_of_a_first_period(member: Member, measured: np.ndarray) -> None:
 
 
 def _begins_in_motion(member: Member, axis: str, simulated: Mapping[str, np.ndarray]) -> bool:
-    """By the way that the first rows make beyond the simulation's, against the longest in as many rows and against the readings' noise."""
+    """By the speed at row 0 of a parabola through what the first rows have beyond the simulation, against the longest way in as many rows
+    and against the readings' noise: what a simulation accelerates wrongly has none.
+    """
     name = position_channel(member.recording, axis)
     if name is None or name not in simulated or member.recording.rows <= 4 * FIRST_ROWS:
         return False
     values = member.recording[name]
     beyond = (values - simulated[name])[: FIRST_ROWS + 1]
     ways = np.abs(values[FIRST_ROWS:] - values[:-FIRST_ROWS])
+    third = np.diff(values, 3)
     if not np.isfinite(beyond).all() or not np.isfinite(ways).any():
         return False
-    # a jump, of an encoder's offset say, is one step and no motion: every row goes on
-    steps = np.diff(beyond)
-    way = abs(float(beyond[-1] - beyond[0]))
-    noise = float(np.median(np.abs(np.diff(values, 3)[np.isfinite(np.diff(values, 3))])))
-    return way > IN_MOTION * float(np.nanmax(ways)) and way > 6.0 * noise and bool(np.all(steps * np.sign(beyond[-1] - beyond[0]) > 0.0))
+    rows = np.arange(FIRST_ROWS + 1) / FIRST_ROWS
+    design = np.column_stack([np.ones_like(rows), rows, rows**2])
+    speed = float(np.linalg.lstsq(design, beyond, rcond=None)[0][1])  # in so many rows
+    of_noise = float(np.sqrt(np.linalg.inv(design.T @ design)[1, 1]))
+    noise = _median_size(third) / MEDIAN_OF_THIRD_DIFFERENCES
+    steps = np.diff(beyond) * np.sign(speed)
+    goes_on = float(steps.max(initial=0.0)) < MOST_OF_A_WAY * float(steps.sum())  # a jump, of an encoder's offset say, is one step
+    return abs(speed) > max(IN_MOTION * float(np.nanmax(ways)), START_DEVIATIONS * of_noise * noise) and goes_on
+
+
+def _median_size(values: np.ndarray) -> float:
+    values = np.abs(values[np.isfinite(values)])
+    return float(np.median(values)) if values.size else 0.0
+
+
+def warn_of_feedforward(machine: Machine, recordings: Mapping[str, Recording]) -> None:
+    """Say which recordings have a feedforward that the machine file's controllers do not add, and that is not simulated therefore."""
+    if not machine.controllers or takes_feedforward(machine):
+        return
+    names = [f"feedforward_{axis}" for axis in machine.axes]
+    labels = [label for label, own in recordings.items() if any(name in own and np.nan_to_num(own[name]).any() for name in names)]
+    if labels:
+        words = (
+            f"{', '.join(labels)}: feedforward is recorded and not simulated: {machine.name} says of no controller `gravity_feedforward`"
+        )
+        warnings.warn(words, RecordingWarning, stacklevel=3)
 
 
 def _warn_of_other_efforts(machine: Machine, recordings: Sequence[tuple[str, Recording]]) -> None:
