@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from math import isfinite
+from collections.abc import Callable, Sequence
+from math import isfinite, isnan
+from typing import Any
 
 import numpy as np
 
@@ -73,8 +74,8 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     feedforward = _feedforward(machine, recording, shape)
     initial = recording.metadata.get("initial", {})
     states = initial.get("controller_states") if closed else None
-    if states is not None and not (isinstance(states, dict) and all(isinstance(state, dict) for state in states.values())):
-        raise RecordingError(f"metadata initial.controller_states is {states!r}; a table for each axis would be right")
+    if states is not None:
+        _check_states(machine, states)
     pose = _start_pose(machine, recording, reference)
     speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
     standing = initial.get("standing", {})
@@ -133,13 +134,15 @@ def _in_words(machine: Machine) -> list[str]:
 
 
 def _complete(
-    machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None, *, needed: Collection[str] = ()
+    machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None, *, of: Sequence[bool] | None = None
 ) -> np.ndarray:
-    """(N, n_axes) values without a hole; of an axis that is not recorded the default, where there is one and it is not needed."""
+    """(N, n_axes) values without a hole; of an axis that is not recorded the default, where there is one. `of`: of some axes alone."""
     names = [f"{group}_{axis}" for axis in machine.axes]
     columns = []
     for i, (name, units) in enumerate(zip(names, machine.units, strict=True)):
-        if default is not None and name not in recording and units.axis not in needed:
+        if of is not None and not of[i]:
+            continue
+        if default is not None and name not in recording:
             columns.append(default[:, i])
             continue
         channel = recording.channel(name)
@@ -152,6 +155,18 @@ def _complete(
             raise RecordingError(f"{name} is missing in row {row} ({recording.time[row]:.6g} s); a simulation needs every row of it")
         columns.append(channel.values)
     return np.column_stack(columns)
+
+
+def _check_states(machine: Machine, states: Any) -> None:
+    """RecordingError where metadata's controller states are none of this machine's axes."""
+    for axis in machine.axes:
+        try:
+            for values in states[axis].values():
+                if not np.isfinite(np.asarray(values, dtype=float)).all():
+                    raise ValueError
+        except (AttributeError, KeyError, TypeError, ValueError):
+            right = "a table of numbers for each filter of each axis would be right"
+            raise RecordingError(f"metadata initial.controller_states is {states!r} of {axis}; {right}") from None
 
 
 def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | None) -> np.ndarray:
@@ -179,21 +194,22 @@ def _per_axis(machine: Machine, values: Sequence[float] | None, key: str, *, is_
     if values is None:
         return None
     numbers = isinstance(values, list | tuple) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
-    if not numbers or not all(is_a_reading or isfinite(value) for value in values):
+    if not numbers or not all(isfinite(value) or (is_a_reading and isnan(value)) for value in values):
         raise RecordingError(f"metadata {key} is {values!r}; a list of {len(machine.axes)} numbers, one per axis, would be right")
     if len(values) != len(machine.axes):
         raise RecordingError(f"metadata {key} has {len(values)} entries; {machine.name} has {len(machine.axes)} axes")
     return np.array(values, dtype=float)
 
 
-def takes_feedforward(machine: Machine) -> bool:
-    """Whether the machine file's controllers add one: then a recording's own drives its simulation."""
-    return any(controller.gravity_feedforward for controller in machine.controllers)
+def axes_with_feedforward(machine: Machine) -> set[str]:
+    """Of whose controllers the machine file says that they add one: a recording's own drives its simulation there."""
+    return {controller.axis for controller in machine.controllers if controller.gravity_feedforward}
 
 
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:
     """As recorded: a function of the reference, computed before the run."""
-    needed = {axis for axis, controller in zip(machine.axes, machine.controllers, strict=False) if controller.gravity_feedforward}
-    if not needed:
-        return np.zeros(shape)
-    return _complete(machine, recording, "feedforward", np.zeros(shape), needed=needed)
+    values = np.zeros(shape)
+    adds = [axis in axes_with_feedforward(machine) for axis in machine.axes]
+    if any(adds):
+        values[:, adds] = _complete(machine, recording, "feedforward", of=adds)
+    return values

@@ -75,8 +75,36 @@ def test_repeats_of_another_rate_stay_repeats_however_their_rows_are_stamped(clo
         channels = {name: Channel(channel.unit, channel.values[::every]) for name, channel in whole.channels.items()}
         return Recording({**channels, "time": Channel("s", time + off - off[0])}, whole.metadata)
 
-    groups, said = grouped(a=slower(0), b=slower(1), c=slower(2))
-    assert groups == [("a", "b", "c")] and not said
+    groups, said = grouped(a=slower(0), b=slower(1), c=slower(2).part(slice(-1)))
+    assert groups == [("a", "b", "c")] and all("c, which they repeat" in words for words in said)
+
+
+@pytest.mark.parametrize("slow", ["twice as slow", "a pause"])
+def test_the_same_table_at_other_times_is_another_reference(slow):
+    """Each is on its own times: where one is driven half as fast, or waits in the middle."""
+    every = 4
+    rows = np.arange(0, ROWS, every)
+    times = {"a": rows / 1000.0, "b": rows / 500.0 if slow == "twice as slow" else rows / 1000.0 + 1.0 * (rows > ROWS // 2)}
+    whole = exported([])
+    channels = {name: Channel(channel.unit, channel.values[::every]) for name, channel in whole.channels.items()}
+    runs = {label: Recording({**channels, "time": Channel("s", time)}, whole.metadata) for label, time in times.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)
+        even = aligned(MACHINE, runs)
+    for label, time in times.items():
+        np.testing.assert_allclose(even[label]["reference_carriage"], np.interp(even[label].time, time, WANTED[::every]), atol=1e-15)
+
+
+def test_pauses_that_are_no_whole_rows_do_not_make_a_clock_slow():
+    """Before them every row stays where it was."""
+    time = np.arange(ROWS) / MACHINE.sample_rate_Hz
+    for number in range(5):
+        time[ROWS - 50 + 10 * number :] += 9.45e-3
+    whole = exported([])
+    with pytest.warns(RecordingWarning, match="resampled"):
+        even = aligned(MACHINE, {"a": Recording({**whole.channels, "time": Channel("s", time)}, whole.metadata)})["a"]
+    np.testing.assert_allclose(even["reference_carriage"][: ROWS - 60], WANTED[: ROWS - 60], atol=1e-12)
+    np.testing.assert_allclose(even["position_carriage"][: ROWS - 60], whole["position_carriage"][: ROWS - 60], atol=1e-9)
 
 
 def test_rows_that_one_lost_have_the_inputs_of_the_others():

@@ -142,8 +142,10 @@ def test_a_column_that_is_mostly_empty_everywhere_is_said_to_be_left_out():
         ({"initial": {"standing": 0.1}}, r"metadata initial.standing is 0.1; a table with `deviation`"),
         ({"experiment": {"start_pose": [True]}}, r"metadata experiment.start_pose is \[True\]; a list of 1 numbers"),
         ({"initial": {"speeds": [float("inf")]}}, r"metadata initial.speeds is \[inf\]; a list of 1 numbers"),
-        ({"initial": {"controller_states": "none"}}, r"metadata initial.controller_states is 'none'; a table for each axis"),
-        ({"experiment": {"period_samples": 200.0}}, r"a: metadata experiment.period_samples is 200.0; a whole number, 1 or more"),
+        ({"initial": {"controller_states": "none"}}, r"metadata initial.controller_states is 'none' of carriage; a table of numbers"),
+        ({"initial": {"controller_states": {"carriage": {"position": "none"}}}}, r"initial.controller_states is .* of carriage; a table"),
+        ({"initial": {"standing": {"deviation": [float("inf")]}}}, r"metadata initial.standing.deviation is \[inf\]; a list of 1 numbers"),
+        ({"experiment": {"period_samples": 200.0}}, r"a: metadata experiment.period_samples is 200.0; a whole number"),
         ({"experiment": {"period_samples": 200, "settle_periods": "1"}}, r"a: metadata experiment.settle_periods is '1'; a whole number"),
     ],
 )
@@ -176,7 +178,7 @@ def test_a_recorded_feedforward_of_a_loop_that_computes_none_is_said_not_to_be_s
     without, given = (simulate(MACHINE, each)["position_carriage"] for each in (recorded(0), recorded(0, feedforward_carriage=pushed)))
     np.testing.assert_array_equal(given, without)
     _, said = said_of(a=recorded(0, feedforward_carriage=pushed), b=recorded(1, feedforward_carriage=pushed))
-    assert said == ["a, b: feedforward is recorded and not simulated: emps says of no controller `gravity_feedforward`"]
+    assert said == ["a, b: feedforward_carriage is recorded and not simulated: the controller of carriage has no `gravity_feedforward`"]
     for none in (np.zeros(ROWS), np.full(ROWS, np.nan)):
         assert said_of(a=recorded(0, feedforward_carriage=("V", none)), b=recorded(1))[1] == []
 

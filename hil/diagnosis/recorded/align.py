@@ -15,8 +15,9 @@ from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Channel, Recording, RecordingWarning
 from hil.recording.channels import is_whole
+from hil.recording.model import UNEQUAL_STEP
 from hil.recording.ticks import PLANNED, planned
-from hil.simulation.simulate import RATE_TOLERANCE, takes_feedforward
+from hil.simulation.simulate import RATE_TOLERANCE, axes_with_feedforward
 
 INPUTS = ("reference_", "excitation_", "feedforward_")
 SMOOTH = ("reference_", "feedforward_")
@@ -39,6 +40,9 @@ PERIOD_KEYS = ("period_samples", "settle_periods", "periods")
 LEAST_COMMON = 0.9
 """Of the longer of two recordings with the same inputs as far as both go, that the shorter one holds at least, to be cut to one length."""
 
+JITTER = 0.05
+"""Of a recorder's own row, by which the times of two recordings may differ whose rows are the same."""
+
 LONGEST_GAP = 4.0
 """Rows of the machine's sample period over which measured values are interpolated; across longer gaps they are missing."""
 
@@ -59,25 +63,20 @@ def aligned(machine: Machine, recordings: Mapping[str, Recording]) -> dict[str, 
     moved = {label for label, recording in recordings.items() if even[label] is not recording}
     kept = {label: ticks for label in moved if (ticks := _ticks_kept(recordings[label], machine.sample_rate_Hz)) is not None}
     even = _with_equal_inputs(machine, recordings, even, sorted(moved - kept.keys()))
-    return _equally_long(machine, with_every_tick(even, kept, is_open=not machine.controllers), moved)
+    return _equally_long(machine, with_every_tick(even, kept, (*_inputs(machine), "reference_", "damping_")), moved)
 
 
 def _with_equal_inputs(
     machine: Machine, recordings: Mapping[str, Recording], even: Mapping[str, Recording], of_another_rate: Sequence[str]
 ) -> dict[str, Recording]:
-    """Of recordings of another rate those with the same inputs row by row have the same between rows, however their stamps jitter: those
-    of the one that is longest on the machine's rows.
+    """Of recordings of another rate those with the same inputs row by row, at the same times but for jitter, have the same between rows:
+    those of the one that is longest on the machine's rows.
     """
     inputs = _inputs(machine)
     groups: list[list[str]] = []
     for label in of_another_rate:
-        one = recordings[label]
         for group in groups:
-            other = recordings[group[0]]
-            driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
-            if one.rows == other.rows and all(
-                name in one and name in other and are_equal_inputs(one[name], other[name]) for name in driven
-            ):
+            if all(_have_the_same_rows(inputs, recordings[label], recordings[other]) for other in group):
                 group.append(label)
                 break
         else:
@@ -93,11 +92,23 @@ def _with_equal_inputs(
     return shared
 
 
+def _have_the_same_rows(inputs: tuple[str, ...], one: Recording, other: Recording) -> bool:
+    """Whether both have the same inputs at the same times, as far as the shorter one goes."""
+    rows, most = sorted((one.rows, other.rows))
+    if rows < LEAST_COMMON * most:
+        return False
+    apart = (one.time[:rows] - one.time[0]) - (other.time[:rows] - other.time[0])
+    if np.abs(apart).max() > JITTER * float(np.median(np.diff(one.time))):
+        return False
+    driven = {name for name in (*one.channels, *other.channels) if name.startswith(inputs)}
+    return all(name in one and name in other and are_equal_inputs(one[name][:rows], other[name][:rows]) for name in driven)
+
+
 def _inputs(machine: Machine) -> tuple[str, ...]:
     """How the names of what drives a simulation begin."""
     if not machine.controllers:
         return "excitation_", "command_"
-    return INPUTS if takes_feedforward(machine) else tuple(name for name in INPUTS if name != "feedforward_")
+    return INPUTS if axes_with_feedforward(machine) else tuple(name for name in INPUTS if name != "feedforward_")
 
 
 def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Recording:
@@ -111,6 +122,8 @@ def _on_equal_rows(machine: Machine, label: str, recording: Recording) -> Record
         if abs(rate / machine.sample_rate_Hz - 1.0) <= RATE_TOLERANCE:
             return recording
         reason = f"{rate:g} rows a second; {machine.name} runs at {machine.sample_rate_Hz:g} Hz"
+        if (between := machine.sample_rate_Hz / rate) > LONGEST_GAP * (1.0 + RATE_TOLERANCE):
+            reason += f": what moves within {between:.3g} of its rows is not recorded, and interpolated"
     warnings.warn(f"{label}: {reason}; resampled to {machine.sample_rate_Hz:g} Hz", RecordingWarning, stacklevel=4)
     return resampled(recording, machine.sample_rate_Hz, label)
 
@@ -185,17 +198,18 @@ def _on_its_ticks(recording: Recording, rate_Hz: float) -> Recording:
     ratio = _recorded_rate(recording, rate_Hz)
     if abs(ratio - 1.0) > RATE_TOLERANCE:
         return recording
-    time = recording.time
-    return Recording({**recording.channels, "time": Channel("s", time[0] + (time - time[0]) / ratio)}, recording.metadata)
+    steps, _, is_whole_step = _steps(recording)
+    ticks_s = np.concatenate([[0.0], np.cumsum(np.where(is_whole_step, steps / ratio, steps))])  # a pause lasts as long as it says
+    return Recording({**recording.channels, "time": Channel("s", recording.time[0] + ticks_s)}, recording.metadata)
 
 
 def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> dict[str, Any]:
     """The experiment's metadata; settling rows are rounded up. Lines, amplitudes and numbers of periods stay what they are."""
     experiment = recording.experiment
     ratio = _new_rows_per_row(recording, rate_Hz)
-    if isinstance(settle := experiment.get("settle_rows"), int):
+    if isinstance(settle := experiment.get("settle_rows"), int) and not isinstance(settle, bool):
         experiment["settle_rows"] = ceil(settle * ratio * (1.0 - WHOLE))
-    if isinstance(samples := experiment.get("period_samples"), int):
+    if isinstance(samples := experiment.get("period_samples"), int) and not isinstance(samples, bool):
         period = samples * ratio
         if abs(period - round(period)) <= WHOLE * period:
             experiment["period_samples"] = round(period)
@@ -208,8 +222,16 @@ def _counted_in_new_rows(recording: Recording, rate_Hz: float, label: str) -> di
 
 def _recorded_rate(recording: Recording, rate_Hz: float) -> float:
     """New rows per recorded row, lost ones counted."""
-    steps, span = np.diff(recording.time), float(recording.time[-1] - recording.time[0])
-    return span * rate_Hz / float(np.rint(steps / np.median(steps)).sum())
+    steps, rows, is_whole_step = _steps(recording)
+    return float(steps[is_whole_step].sum()) * rate_Hz / float(rows[is_whole_step].sum())
+
+
+def _steps(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N - 1,) steps [s], how many rows each is, and whether it is so many whole ones; all are where stamps jitter by more."""
+    steps = np.diff(recording.time)
+    rows = np.rint(steps / np.median(steps))
+    is_whole_step = np.abs(steps - rows * np.median(steps)) <= UNEQUAL_STEP * np.median(steps)
+    return steps, rows, is_whole_step if is_whole_step.mean() > 0.5 else np.ones(len(steps), dtype=bool)
 
 
 def _new_rows_per_row(recording: Recording, rate_Hz: float) -> float:
@@ -245,7 +267,7 @@ def _equally_long(machine: Machine, recordings: Mapping[str, Recording], moved: 
 
 def _repeat_but_for_the_end(machine: Machine, one: Recording, other: Recording) -> bool:
     rows, most = sorted((one.rows, other.rows))
-    if rows < LEAST_COMMON * most or one.machine_hash != other.machine_hash:
+    if rows < LEAST_COMMON * most or (one.machine_hash or machine.hash) != (other.machine_hash or machine.hash):
         return False
     if one.experiment.get("start_pose") != other.experiment.get("start_pose"):
         return False

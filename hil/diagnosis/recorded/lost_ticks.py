@@ -13,7 +13,7 @@ from hil.recording.ticks import PLANNED, on_every_tick
 
 
 def with_every_tick(
-    recordings: Mapping[str, Recording], kept: Mapping[str, np.ndarray] | None = None, *, is_open: bool = False
+    recordings: Mapping[str, Recording], kept: Mapping[str, np.ndarray] | None = None, inputs: tuple[str, ...] = PLANNED
 ) -> dict[str, Recording]:
     """A row for every tick; what was measured is missing there.
 
@@ -25,8 +25,8 @@ def with_every_tick(
     recordings : mapping of str to Recording
     kept : mapping of str to (K,) array, optional
         Ticks that have a row of their own, of recordings in which lost ones have been filled already.
-    is_open : bool
-        Whether commands are planned, too: of a machine without a controller.
+    inputs : tuple of str
+        How the names of what was planned begin, and drives a simulation: of a machine without a controller commands, too.
     """
     filled = kept or {}
     whole = {label: on_every_tick(recording) for label, recording in recordings.items()}
@@ -35,7 +35,7 @@ def with_every_tick(
     groups: list[list[_Run]] = []
     for label, recording in recordings.items():
         own = np.isin(np.arange(whole[label].rows), filled.get(label, recording.ticks))
-        run = _Run(label, whole[label], own, (*PLANNED, "command_") if is_open else PLANNED)
+        run = _Run(label, whole[label], own, inputs)
         for group in groups:
             if all(run.may_repeat(other) for other in group):
                 group.append(run)

@@ -63,10 +63,14 @@ def are_repeats(one: Member, other: Member) -> bool:
 
 
 def why_no_repeats(one: Member, other: Member) -> str:
-    """How two recordings differ that would be repeats but for few rows of their inputs, in words; "" where they differ otherwise."""
+    """How two recordings differ that would be repeats but for few rows of their inputs, or for how many rows they have, in words; "" where
+    they differ otherwise.
+    """
     if one.machine is not other.machine or not _begin_alike(one, other):
         return ""
     differing = dict(_differing(one, other))
+    if not differing and all(member.recording.experiment.get("period_samples") for member in (one, other)):
+        return ""  # each is split into its own periods
     if not differing:
         return f"it has {one.recording.rows} rows and not {other.recording.rows}"
     if abs(one.recording.rows - other.recording.rows) > 1:
@@ -142,10 +146,12 @@ def _begin_alike(one: Member, other: Member) -> bool:
 
 
 def begin_near(machine: Machine, one: Recording, other: Recording) -> bool:
-    """Whether the first readings of two recordings are so near as repeats stand, on every axis that both have a reading of."""
+    """Whether the first readings of two recordings are so near as repeats stand, and of the same encoders."""
     for axis in machine.axes:
         name = position_channel(one, axis)
-        if name is None or name != position_channel(other, axis):
+        if name != position_channel(other, axis):
+            return False
+        if name is None:
             continue
         first, its = (values[np.isfinite(values)][0] for values in (one[name], other[name]))
         if abs(first - its) > _near(machine, one, other, axis):

@@ -118,9 +118,7 @@ def mismatch(
     if not recordings:
         raise RecordingError("no recording to diagnose; give at least one")
     _warn_of_controllers(machine, recordings)
-    warn_of_feedforward(machine, recordings)
     drawn = [_drawn(group, effects) for group in _grouped(machine, recordings)]
-    warn_of_motion_at_the_start(machine, drawn)
     chosen = channels_in_common(machine, drawn) if channels is None else tuple(channels)
     for members, _ in drawn:
         for member in members:
@@ -128,6 +126,8 @@ def mismatch(
             check_units(machine, member.label, member.recording, chosen)
             check_periods(member)
             settled_rows(member)
+    warn_of_feedforward(drawn)
+    warn_of_motion_at_the_start(machine, drawn)
     made = tuple(_group(group, simulated, chosen) for group, simulated in drawn)
     if channels is None and noise is None and (live := that_differ(machine, made, chosen)) != chosen:
         chosen, made = live, tuple(_group(group, simulated, live) for group, simulated in drawn)

@@ -15,7 +15,7 @@ from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.machine.model import AxisUnits
 from hil.recording import Recording, RecordingWarning
-from hil.simulation.simulate import IMU_UNITS, position_channel, takes_feedforward
+from hil.simulation.simulate import IMU_UNITS, axes_with_feedforward, position_channel
 
 SILENT = 1e-12
 """A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
@@ -93,7 +93,7 @@ def _is_effort_measured(units: AxisUnits, pairs: Sequence[tuple[Recording, Mappi
 
 
 def check_units(machine: Machine, label: str, recording: Recording, channels: Sequence[str]) -> None:
-    """RecordingError where a channel that is compared is in another unit than its simulation; one without a unit is taken to be in that."""
+    """RecordingError where a channel that is compared is in another unit than its simulation."""
     wanted = dict(IMU_UNITS)
     for units in machine.units:
         wanted |= {f"{group}_{units.axis}": units.position for group in ("position", "link_position")}
@@ -101,7 +101,7 @@ def check_units(machine: Machine, label: str, recording: Recording, channels: Se
         wanted[f"speed_{units.axis}"] = f"{units.position}/s"
     for name in channels:
         unit = recording.channel(name).unit
-        if unit and unit != wanted.get(name, unit):
+        if unit != wanted.get(name, unit):
             raise RecordingError(f"{label}: {name} is in [{unit}]; {machine.name} reads it in [{wanted[name]}]")
 
 
@@ -171,10 +171,10 @@ def settled_rows(member: Member) -> int:
 
 def check_periods(member: Member) -> None:
     """RecordingError where the metadata say of periods what is no whole number."""
-    for key, least in (("period_samples", 1), ("settle_periods", 0)):
+    for key in ("period_samples", "settle_periods"):
         value = member.recording.experiment.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-            right = f"a whole number, {least} or more, would be right"
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
+            right = "a whole number would be right, and none where nothing is periodic"
             raise RecordingError(f"{member.label}: metadata experiment.{key} is {value!r}; {right}")
 
 
@@ -197,11 +197,12 @@ def warn_of_a_first_period(member: Member, measured: np.ndarray) -> None:
     """Say of a periodic recording that its first period, of (P, N, C), differs from the others by more than these among themselves."""
     if member.recording.experiment.get("settle_periods") or len(measured) < 3:
         return
-    there = np.isfinite(measured).all(axis=0).all(axis=1)  # rows that every period has
-    if not there.any():
-        return
-    apart = np.std(measured[:, there] - np.mean(measured[1:, there], axis=0), axis=1)
-    if np.any(apart[0] > TRANSIENT * apart[1:].max(axis=0)):
+    is_transient = []
+    for channel in np.moveaxis(measured, 2, 0):
+        values = channel[:, np.isfinite(channel).all(axis=0)]  # rows that every period has
+        apart = np.std(values - np.mean(values[1:], axis=0), axis=1) if values.size else np.zeros(len(values))
+        is_transient.append(apart[0] > TRANSIENT * apart[1:].max())
+    if any(is_transient):
         words = (
             f"{member.label}: its first period differs from the others by more than {TRANSIENT:g} times what these do: the transient of its"
             " start counts as noise; metadata experiment.settle_periods say how many to leave out"
@@ -237,16 +238,18 @@ def _median_size(values: np.ndarray) -> float:
     return float(np.median(values)) if values.size else 0.0
 
 
-def warn_of_feedforward(machine: Machine, recordings: Mapping[str, Recording]) -> None:
-    """Say which recordings have a feedforward that the machine file's controllers do not add, and that is not simulated therefore."""
-    if not machine.controllers or takes_feedforward(machine):
-        return
-    names = [f"feedforward_{axis}" for axis in machine.axes]
-    labels = [label for label, own in recordings.items() if any(name in own and np.nan_to_num(own[name]).any() for name in names)]
-    if labels:
-        words = (
-            f"{', '.join(labels)}: feedforward is recorded and not simulated: {machine.name} says of no controller `gravity_feedforward`"
-        )
+def warn_of_feedforward(groups: Sequence[Drawn]) -> None:
+    """Say which recordings have a feedforward that their controllers do not add, and that is not simulated therefore."""
+    lacking: dict[str, list[str]] = {}
+    for member in (member for members, _ in groups for member in members):
+        adds = axes_with_feedforward(member.machine)
+        for axis in member.machine.axes if member.machine.controllers else ():
+            name = f"feedforward_{axis}"
+            if axis not in adds and name in member.recording and np.nan_to_num(member.recording[name]).any():
+                lacking.setdefault(name, []).append(member.label)
+    for name, labels in lacking.items():
+        axis = name.removeprefix("feedforward_")
+        words = f"{', '.join(labels)}: {name} is recorded and not simulated: the controller of {axis} has no `gravity_feedforward`"
         warnings.warn(words, RecordingWarning, stacklevel=3)
 
 
