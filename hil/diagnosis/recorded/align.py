@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from math import ceil
 from typing import Any
 
@@ -73,14 +73,7 @@ def _with_equal_inputs(
     those of the one that is longest on the machine's rows.
     """
     inputs = _inputs(machine)
-    groups: list[list[str]] = []
-    for label in of_another_rate:
-        for group in groups:
-            if all(_have_the_same_rows(inputs, recordings[label], recordings[other]) for other in group):
-                group.append(label)
-                break
-        else:
-            groups.append([label])
+    groups = _grouped(of_another_rate, lambda one, other: _have_the_same_rows(inputs, recordings[one], recordings[other]))
     shared = dict(even)
     for group in groups:
         longest = even[max(group, key=lambda label: even[label].rows)]
@@ -90,6 +83,18 @@ def _with_equal_inputs(
             channels = {name: Channel(channel.unit, channel.values[: own.rows]) for name, channel in taken.items()}
             shared[label] = Recording({**own.channels, **channels}, own.metadata)
     return shared
+
+
+def _grouped(labels: Sequence[str], are_alike: Callable[[str, str], bool]) -> list[list[str]]:
+    """Each with the first others that it is like all of."""
+    groups: list[list[str]] = []
+    for label in labels:
+        group = next((group for group in groups if all(are_alike(label, other) for other in group)), None)
+        if group is None:
+            groups.append([label])
+        else:
+            group.append(label)
+    return groups
 
 
 def _have_the_same_rows(inputs: tuple[str, ...], one: Recording, other: Recording) -> bool:
@@ -242,14 +247,7 @@ def _new_rows_per_row(recording: Recording, rate_Hz: float) -> float:
 
 def _equally_long(machine: Machine, recordings: Mapping[str, Recording], moved: Set[str]) -> dict[str, Recording]:
     """Repeats of which some end early, cut to the shortest: a last time a hair before its tick costs a resampled one a row."""
-    groups: list[list[str]] = []
-    for label, recording in recordings.items():
-        for group in groups:
-            if all(_repeat_but_for_the_end(machine, recording, recordings[other]) for other in group):
-                group.append(label)
-                break
-        else:
-            groups.append([label])
+    groups = _grouped([*recordings], lambda one, other: _repeat_but_for_the_end(machine, recordings[one], recordings[other]))
     cut = dict(recordings)
     for group in groups:
         rows = {label: recordings[label].rows for label in group}
