@@ -140,7 +140,7 @@ def locate_outcome(
         Simulated rows per group.
     change : sequence of (N, C) arrays or None
         What the named effects add to the simulation; nothing where they were read off the recordings: lost readings are where they are
-        lost, and a lattice is in its channel.
+        lost, and where a lattice was read off, too, all are in their channels.
     named : bool
     unknown : bool
         Whether physics is left that no effect explains: beside what was read off alone, that is what is located.
