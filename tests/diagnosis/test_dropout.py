@@ -231,3 +231,43 @@ def test_what_has_no_lattice_or_no_second_repeat_says_nothing():
     smooth = np.random.default_rng(0).standard_normal(measured.shape)
     smooth[0, 700:703, 1] = smooth[0, 699, 1]
     assert not without_lost_samples(smooth, simulated, CHANNELS)[1]
+
+
+def quiet(stays=(), sticks=None, repeats=3):
+    """(R, N) readings of an encoder whose repeats differ by a count at most; `stays` (repeat, row, length) are lost, and one repeat sticks
+    from a row on for so long and catches up within ten rows.
+    """
+    random = np.random.default_rng(7)
+    time_s = np.arange(2000) / 200.0
+    motion = 0.036 * np.sin(2.0 * np.pi * 0.9 * time_s) + 0.004 * np.sin(2.0 * np.pi * 2.3 * time_s)
+    passed = np.stack([motion + 1e-6 * random.standard_normal(len(motion)) for _ in range(repeats)])
+    if sticks is not None:
+        repeat, row, length = sticks
+        stuck = passed[repeat, row]
+        left = np.clip((np.arange(len(motion)) - row - length) / 10.0, 0.0, 1.0)
+        passed[repeat, row:] += ((1.0 - left) * (stuck - passed[repeat]))[row:]
+    readings = 5e-6 * np.round(passed / 5e-6)
+    for repeat, row, length in stays:
+        readings[repeat, row : row + length] = readings[repeat, row - 1]
+    return readings, motion
+
+
+@pytest.mark.parametrize("repeats", [2, 3])
+@pytest.mark.parametrize("length", [3, 17])
+def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, repeats):
+    """Seventeen readings of an encoder over its turning point, in one of three recordings (sealed 7760, spent)."""
+    readings, motion = quiet(stays=((1, 1270, length),), repeats=repeats)
+    kept, lost = without_lost_samples(readings[:, :, None], motion[:, None], ("position_cart",))
+    rows = np.zeros(readings.shape, dtype=bool)
+    rows[1, 1270 : 1270 + length] = True
+    assert np.array_equal(np.isnan(kept[:, :, 0]), rows)
+    assert lost["position_cart"].length == length and str(length) in lost["position_cart"].seen
+    low, high = lost["position_cart"].ci95
+    assert low < length / readings.size < high < 0.02
+
+
+@pytest.mark.parametrize("row", [160, 1000, 1266])
+def test_a_joint_that_sticks_in_one_repeat_alone_and_catches_up_loses_nothing(row):
+    readings, motion = quiet(sticks=(1, row, 12))
+    assert (np.diff(readings[1, row : row + 12]) == 0.0).all()
+    assert without_lost_samples(readings[:, :, None], motion[:, None], ("position_cart",))[1] == {}

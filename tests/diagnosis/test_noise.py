@@ -38,6 +38,26 @@ def group_of(noise):
     return RepeatGroup(labels, MACHINE, inputs, (slice(0, rows),), time_s, noise, simulated, still, still, still, still)
 
 
+@pytest.mark.parametrize("in_all", [False, True])
+def test_a_missing_sample_reads_what_the_other_repeats_do(in_all):
+    """A burst at a turning point: the simulation is of another machine and turns elsewhere. Where all miss it, nothing better is known."""
+    time_s = np.arange(400) / RATE_Hz
+    motion = np.sin(2.0 * np.pi * time_s * RATE_Hz / 60.0)
+    measured = np.stack([motion + offset for offset in (0.0, 0.1, 0.3)])[:, :, None]
+    group = replace(group_of(measured), simulated=0.5 * motion[:, None])
+    burst = slice(100, 120)
+    lost = measured.copy()
+    lost[:, burst] = np.nan if in_all else lost[:, burst]
+    lost[1, burst] = np.nan
+    group = replace(group, measured=lost)
+    if in_all:
+        assert np.isfinite(group.complete).all()
+        line = np.interp(time_s[burst], time_s[[99, 120]], measured[1, [99, 120], 0] - group.simulated[[99, 120], 0])
+        assert group.complete[1, burst, 0] == pytest.approx(group.simulated[burst, 0] + line)
+    else:
+        assert group.complete == pytest.approx(measured, abs=1e-9)
+
+
 def test_whitened_noise_of_other_repeats_is_white_at_every_frequency():
     model = noise_model([group_of(coloured(4, 0))], CHANNELS, MACHINE)
     powers = []

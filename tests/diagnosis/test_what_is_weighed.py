@@ -85,7 +85,8 @@ def weighed_together(*sets: tuple[tuple[Gate, ...], int], by_moving: tuple[float
         names = tuple(EffectAt("cogging", "carriage", k) for k in range(effects))
         fitted = Fitted(names, (nothing,) * effects, nothing, directions[number], 1000.0, (), np.zeros((ENTRIES, 0)), nothing)
         moved = by_moving if number == len(sets) - 1 else (0.0, 0.0)
-        gains = sum(one.certain_gain for one in gates) + moved[0], sum(one.held_out_gain for one in gates) + moved[1]
+        steps = {id(one): one for one in gates}.values()
+        gains = sum(one.certain_gain for one in steps) + moved[0], sum(one.held_out_gain for one in steps) + moved[1]
         contenders.append(Contender(fitted, gains[0], gains[1], 1000.0 - gains[1], gates, by_moving=moved, known=(7.0, 8.0)))
     return list(evidence_of(runs, tuning, None, contenders, tried=50, found=True).sets)
 
@@ -105,9 +106,16 @@ def test_sets_of_one_step_stand_apart_by_what_they_leave_beside_errors_of_what_b
     assert other.train - one.train == pytest.approx(500.0 - (460.0 - 2.0 * 20.0) + 30.0)  # as misfits they are what they were
 
 
-@pytest.mark.parametrize("effects", [1, 2])
-def test_sets_of_another_step_are_compared_with_none(effects):
-    """Alone, or beside another first effect."""
-    chosen, rival = (gate(1000.0, 1000.0, 10.0), gate(500.0, 60.0, 10.0)), (gate(990.0, 990.0, 10.0), gate(400.0, 60.0, 10.0))
-    _, other = weighed_together((chosen, 2), (rival[:effects], effects))
+def test_sets_of_as_many_effects_stand_apart_by_what_they_leave_whichever_effect_was_added_first():
+    """What a step is charged for chance depends on what it was added to: a pair that one step added is charged once, and little."""
+    steps, at_once = (gate(1000.0, 1000.0, 20.0, scatter=2.0), gate(500.0, 60.0, 10.0, scatter=3.0)), gate(1502.0, 1502.0, 10.0)
+    other, one = weighed_together((steps, 2), ((at_once, at_once), 2))
+    assert one.compared is None and one.train < other.train - 40.0
+    assert other.compared.apart == other.compared.beyond == pytest.approx((1502.0 - 1500.0, 0.0))
+    assert other.compared.known == (0.0, 0.0)
+
+
+def test_sets_of_more_or_fewer_effects_are_not_compared():
+    chosen, rival = (gate(1000.0, 1000.0, 10.0), gate(500.0, 60.0, 10.0)), gate(990.0, 990.0, 10.0)
+    _, other = weighed_together((chosen, 2), ((rival,), 1))
     assert other.compared is None

@@ -17,7 +17,7 @@ from hil.diagnosis.starting.start_waves import TURNING_WITH_THE_MOTOR
 from hil.diagnosis.starting.through_the_loop import from_rest, number_of_encoder
 from hil.diagnosis.tuning.free_run import FreeRuns, Trial
 from hil.diagnosis.tuning.retune import Tuning
-from virtual_bus.effects.effect import CALIBRATION, CLOCK, COUPLING, ELASTIC, ENCODER_ERROR, FRICTION, LAG, LIMIT, TRANSMISSION
+from virtual_bus.effects.effect import CALIBRATION, CLOCK, COUPLING, DELAY, ELASTIC, ENCODER_ERROR, FRICTION, LAG, LIMIT, TRANSMISSION
 from virtual_bus.effects.places import imu_channel_names, joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.effects.residual import Residual, joined
@@ -82,7 +82,7 @@ def can_err(effect: EffectAt) -> bool:
     name, kind = effect.effect, effects()[effect.effect].kind
     if name in EXACT and name not in NUMBERS:  # of `NUMBERS` the machine's own equations err, see `NUMBER_ERRS`
         return False
-    if _is_friction(name) or kind in (ELASTIC, COUPLING, LAG, LIMIT, CALIBRATION, CLOCK):
+    if _is_friction(name) or kind in (ELASTIC, COUPLING, DELAY, LAG, LIMIT, CALIBRATION, CLOCK):
         return True
     return kind is ENCODER_ERROR or name in (*TURNING_WITH_THE_MOTOR, *OVER_POSITION, *OVER_TIME, *OF_ACCELERATION)
 
@@ -114,8 +114,8 @@ def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, n
         return _inertias_between_axes(runs, name, trial, effect, motions)
     joint = joint_at(effect.at, plant)
     is_driven = joint in {drive.joint for drive in plant.drives}
-    if kind in (LAG, LIMIT):
-        return _of_a_drive(motions, effect.at, kind is LAG)
+    if kind in (DELAY, LAG, LIMIT):
+        return _of_a_drive(motions, effect.at, kind is not LIMIT)
     if kind in (ELASTIC, TRANSMISSION):
         return _at_a_spring(motions, effect, fitted.values[number])
     if not is_driven and spring_at(effect.at, plant) is None and effect.effect not in OVER_TIME:
@@ -166,7 +166,8 @@ def _of_a_deflection(part: Residual, deflection: np.ndarray) -> Residual:
 
 def _of_a_drive(motions: Sequence[Motion], axis: str, lags: bool) -> list[list[Function]]:
     """Per group, other functions of what a drive gave, or of what it gave a few samples ago: efforts on its joint, which its measured
-    current shows.
+    current shows. A drive that is late may also act otherwise within a sample, whose mean alone its current shows: on a mass that is the
+    second difference of what it gave.
     """
     machine, found = motions[0].machine, []
     number = machine.axis_index(axis)
@@ -180,7 +181,10 @@ def _of_a_drive(motions: Sequence[Motion], axis: str, lags: bool) -> list[list[F
         else:
             efforts = _hats(given, KNOTS, np.linspace(-top, top, KNOTS))
         channel = motion.channels.index(current) if current in motion.channels else None
-        found.append([Function(((joint, own),), () if channel is None else ((channel, own / gain),)) for own in efforts])
+        functions = [Function(((joint, own),), () if channel is None else ((channel, own / gain),)) for own in efforts]
+        if lags:
+            functions.append(Function(((joint, np.diff(given, n=2, prepend=given[0], append=given[-1])),)))
+        found.append(functions)
     return found
 
 

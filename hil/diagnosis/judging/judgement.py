@@ -58,8 +58,14 @@ class Contender:
         return self.gained - self.by_moving[0] + self.gate.gain - self.gate.certain_gain, self.gained_held_out - self.by_moving[1]
 
     @property
+    def uncharged_at_all(self) -> tuple[float, float]:
+        """The same with what chance gains of all of its steps."""
+        earlier = {id(gate): gate for gate in self.gates if gate is not self.gate}.values()
+        return self.uncharged[0] + sum(gate.gain - gate.certain_gain for gate in earlier), self.uncharged[1]
+
+    @property
     def beyond_errors(self) -> tuple[float, float]:
-        """The same without what errors of equations found before explain of its last step."""
+        """`uncharged` without what errors of equations found before explain of its last step."""
         explained = self.gate.explained
         return self.uncharged[0] - explained[0], self.uncharged[1] - explained[1]
 

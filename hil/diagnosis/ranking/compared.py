@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 
@@ -20,11 +21,12 @@ class Compared(NamedTuple):
     scatter: float = 1.0  # variance of the noise along their difference, in units of the noise model's
     known: tuple[float, float] = (0.0, 0.0)  # energies that effects removed which both have, and of which it is known how they err
 
-    def in_units(self, part: int, level: float, form_error: float) -> float:
-        """Misfit in training (0) or held out (1)."""
+    def in_units(self, part: int, level: float, form_error: float, own: float = math.inf) -> float:
+        """Misfit in training (0) or held out (1); `own` is the level of what this set's own equations may err by, if that is less."""
         shared = form_error * self.known[part]
         apart = self._beyond(part) if form_error else self.apart[part] + self.by_moving[part]
-        return self.reference[part] / level + apart / (max(level - shared, 1.0) + self.scatter - 1.0)
+        counted = min(level, own) if apart > 0.0 else level
+        return self.reference[part] / level + apart / (max(counted - shared, 1.0) + self.scatter - 1.0)
 
     def _beyond(self, part: int) -> float:
         """What it leaves more where both motions want both sets, beside errors of what both have: of that these explain the share that they

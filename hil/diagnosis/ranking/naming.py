@@ -20,12 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, Weights, temperature_of
+from hil.diagnosis.judging.errors_of_laws import NUMBERS_ERROR, WEIGHTS, Removing, Weights, temperature, temperature_of
 from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.exactness import Part, exactness, level_left
 from hil.diagnosis.residuals.excess import certain_excess
@@ -97,6 +98,16 @@ def rarity_at(parts: Iterable[str]) -> float:
     return UNLIKE_ONE if len(set(parts)) == 1 else UNLIKE_ONE_PART
 
 
+class OwnTempers(NamedTuple):
+    """T of training and of held-out recordings by what a set's own equations may err, where that is less than the T of all sets; and the
+    set that leaves least.
+    """
+
+    best: Weighed
+    train: float
+    held_out: float
+
+
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
@@ -137,14 +148,23 @@ class Weighed:
         simpler = tuple((form.loss, tuple(form.information.tolist())) for form in fitted.simpler)
         return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
-    def in_units(self, train: float, held_out: float, form_error: float = 0.0) -> Weighed:
-        """With misfits and information in units of these levels, in which is `form_error` of what effects removed."""
+    def in_units(self, train: float, held_out: float, form_error: float = 0.0, own: OwnTempers | None = None) -> Weighed:
+        """With misfits and information in units of these levels, in which is `form_error` of what effects removed.
+
+        What it leaves more than the best set counts in units of its own tempers.
+        """
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
         narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
         misfits = self.train / train, self.held_out / held_out
+        levels = (train, held_out) if own is None else (own.train, own.held_out)
+        if own is not None:
+            more = max(self.train - own.best.train, 0.0), max(self.held_out - own.best.held_out, 0.0)
+            misfits = misfits[0] + more[0] * (1.0 / levels[0] - 1.0 / train), misfits[1] + more[1] * (1.0 / levels[1] - 1.0 / held_out)
         if self.compared is not None:
-            misfits = self.compared.in_units(0, train, form_error), self.compared.in_units(1, held_out, form_error)
+            each = zip((train, held_out), levels, strict=True)
+            here, there = (self.compared.in_units(part, level, form_error, least) for part, (level, least) in enumerate(each))
+            misfits = here, there
         in_units = replace(self, train=misfits[0], held_out=misfits[1], compared=None)
         return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
 
@@ -279,8 +299,10 @@ def _shares(
 ) -> list[float]:
     """Of every set and, last, of nothing."""
     train, held_out = tempers_of(hypotheses, base, entries, weights)
-    *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
     best = min(hypotheses, key=lambda h: h.misfit)
+    own = [own_tempers(h, best, base, (train, held_out), weights) for h in hypotheses]
+    tempered = [h.in_units(train, held_out, weights.form_error, each) for h, each in zip(hypotheses, own, strict=True)]
+    nothing = base.in_units(train, held_out, weights.form_error)
     left = best.in_units(train, held_out, weights.form_error).misfit
     evidence = _evidence(tempered, nothing, tried)
     as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
@@ -305,6 +327,20 @@ def tempers_of(
     return found[0], found[1]
 
 
+def own_tempers(h: Weighed, best: Weighed, base: Weighed, tempers: tuple[float, float], weights: Weights = WEIGHTS) -> OwnTempers:
+    """What counts what a set leaves more than the best one.
+
+    The best set's equations may err by much; one that removed most by numbers alone has them to blame for nothing. Were it right, what it
+    leaves more would have no other reason than errors of its own few equations.
+    """
+    each = zip((base.train, base.held_out), (h.train, h.held_out), h.by_numbers, tempers, strict=True)
+    levels = (
+        min(temper, temperature(before - left - by_numbers, 0.0, weights) + NUMBERS_ERROR * by_numbers)
+        for before, left, by_numbers, temper in each
+    )
+    return OwnTempers(best, *levels)
+
+
 def for_the_unknown(best: Weighed, entries: tuple[float, float], tempers: tuple[float, float]) -> float:
     """What something without a name, which leaves nothing above noise, gains in log evidence over the best set.
 
@@ -322,8 +358,8 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     """
     best, base = min(sets, key=lambda h: h.misfit), sets[-1]
     each = zip((best.train, best.held_out), (base.train, base.held_out), entries, strict=True)
-    levels = [level_left(Part(*part)) for part in each]
-    return [h.in_units(*levels) for h in sets]
+    train, held_out = (level_left(Part(*part)) for part in each)
+    return [h.in_units(train, held_out) for h in sets]
 
 
 def not_told_apart(hypotheses: Sequence[Weighed], share: float = PLAUSIBLE_TOGETHER) -> list[Weighed]:

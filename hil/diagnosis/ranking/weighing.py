@@ -56,9 +56,13 @@ def evidence_of(
     scatter, projection = Scatter(runs), Projection.of(tuning)
 
     def compared(c: Contender) -> Compared | None:
-        if best is None or c is best or not (are_added_to_the_same(c, best) and len(c.fitted.effects) == len(best.fitted.effects)):
+        if best is None or c is best or len(c.fitted.effects) != len(best.fitted.effects):
             return None
         difference = projection.left(c.fitted.predicted - best.fitted.predicted)[: len(tuning.predicted)]
+        if not are_added_to_the_same(c, best):  # what each of their steps is charged for depends on which effect was added first
+            apart = _less(best.uncharged_at_all, c.uncharged_at_all)
+            reference = train - best.gained, held_out - best.gained_held_out
+            return Compared(reference, apart, apart, _less(best.by_moving, c.by_moving), scatter.along(difference))
         return Compared(
             (train - best.gained, held_out - best.gained_held_out),
             _less(best.uncharged, c.uncharged),

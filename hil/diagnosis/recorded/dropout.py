@@ -15,6 +15,7 @@ import scipy.stats
 
 from hil.diagnosis.recorded.held_samples import held_samples
 from hil.diagnosis.recorded.noise_repeats import repeated_in_noise
+from hil.diagnosis.recorded.stood_alone import stood_alone
 from hil.diagnosis.result import READ_OFF, EffectAt, Estimate, Finding
 from virtual_bus.settings import EffectSetting
 
@@ -122,12 +123,30 @@ def _without_motion(measured: np.ndarray, channel: str) -> tuple[Dropout, np.nda
         if repeated is not None:
             seen = f"{repeated.runs} times {repeated.least} readings or more in a row repeat the one before, where noise changes it"
             return Dropout(repeated.share, repeated.ci95, repeated.length, seen, float(repeated.rows.sum())), repeated.rows
+    alone = stood_alone(measured)
+    if alone is not None:
+        return _bursts_alone(alone, measured.shape)
     held = held_samples(measured)
     if held is None:
         return None
     rows = int(held.rows.sum())
     seen = f"{rows} readings stay where the channel was while the other repeats move on, likelier than chance by exp({held.evidence:.0f})"
     return Dropout(held.share, held.ci95, held.length, seen, held.evidence), held.rows
+
+
+def _bursts_alone(runs: np.ndarray, shape: tuple[int, ...]) -> tuple[Dropout, np.ndarray]:
+    """Of runs (K, 3) of `stood_alone`; as many bursts as there are scatter as Poisson's number."""
+    rows = np.zeros(shape, dtype=bool)
+    for repeat, first, lasts in runs.tolist():
+        rows[repeat, first : first + lasts] = True
+    number, lost = len(runs), int(rows.sum())
+    low, high = scipy.stats.chi2.ppf([0.025, 0.975], [2 * number, 2 * number + 2]) / (2 * number)
+    share, length = lost / rows.size, lost / number
+    seen = (
+        f"{lost} readings of {number} {'burst' if number == 1 else 'bursts'} repeat the last one exactly while the other repeats move on,"
+        " and in the next row are where these are"
+    )
+    return Dropout(share, (float(low * share), float(min(high * share, 1.0))), length, seen, float(lost)), rows
 
 
 def _changes_around(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

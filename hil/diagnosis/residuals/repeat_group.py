@@ -65,12 +65,12 @@ class RepeatGroup:
 
     @cached_property
     def complete(self) -> np.ndarray:
-        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time."""
-        residual = self.measured - self.simulated
-        for r, c in np.argwhere(np.isnan(residual).any(axis=1)):
-            missing = np.isnan(residual[r, :, c])
-            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c])
-        return residual + self.simulated
+        """(R, N, C) measured, a missing sample replaced by what the other repeats read there and what this one read more, interpolated in
+        time; where all miss it, by the simulation and the residual.
+        """
+        complete = _filled(self.measured, np.broadcast_to(self.simulated, self.measured.shape), self.time_s)
+        others = np.stack([_mean_known(np.delete(self.measured, r, axis=0)) for r in range(self.repeats)])
+        return np.where(np.isnan(others), complete, _filled(self.measured, np.where(np.isnan(others), complete, others), self.time_s))
 
     def without(self, kept: np.ndarray) -> RepeatGroup:
         """With those readings (R, N, C) alone that were not lost, NaN in place of these."""
@@ -81,3 +81,20 @@ class RepeatGroup:
     def fold(self, rows: np.ndarray) -> np.ndarray:
         """Simulated rows of the whole recording (M, C) as those of the repeats (N, C); of one window a part of them, not a copy."""
         return rows[self.windows[0]] if len(self.windows) == 1 else np.mean([rows[window] for window in self.windows], axis=0)
+
+
+def _filled(measured: np.ndarray, expected: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """(R, N, C) with what is missing as expected and as much more as the readings around it are."""
+    more = measured - expected
+    for r, c in np.argwhere(np.isnan(more).any(axis=1)):
+        missing = np.isnan(more[r, :, c])
+        more[r, missing, c] = np.interp(time_s[missing], time_s[~missing], more[r, ~missing, c])
+    return np.where(np.isnan(measured), more + expected, measured)
+
+
+def _mean_known(measured: np.ndarray) -> np.ndarray:
+    """(N, C) mean of those of some repeats (R, N, C) that read anything; NaN where none does."""
+    known = ~np.isnan(measured)
+    counts = known.sum(axis=0)
+    total = np.where(known, measured, 0.0).sum(axis=0)
+    return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
