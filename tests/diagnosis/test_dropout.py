@@ -7,6 +7,7 @@ import pytest
 import scipy.signal
 
 from hil.diagnosis.recorded.dropout import by_sensor, without_lost_samples
+from hil.diagnosis.recorded.stood_alone import stood_alone
 
 CHANNELS = ("link_position_arm", "imu_x", "gyro_x")
 ROWS = 4000
@@ -233,41 +234,93 @@ def test_what_has_no_lattice_or_no_second_repeat_says_nothing():
     assert not without_lost_samples(smooth, simulated, CHANNELS)[1]
 
 
-def quiet(stays=(), sticks=None, repeats=3):
-    """(R, N) readings of an encoder whose repeats differ by a count at most; `stays` (repeat, row, length) are lost, and one repeat sticks
-    from a row on for so long and catches up within ten rows.
+ROWS_QUIET = 2000
+
+
+def quiet(stays=(), sticks=(), repeats=3, noise=1e-6, offset=0.0, at_rest=None, rate_Hz=200.0):
+    """(R, N) readings of an encoder, and the motion; `stays` (repeat, row, length) are lost. In `sticks` (repeat, row, length) a joint
+    stays, and catches up within ten rows. In the rows `at_rest` nothing moves.
     """
     random = np.random.default_rng(7)
-    time_s = np.arange(2000) / 200.0
+    time_s = np.arange(ROWS_QUIET) / rate_Hz
     motion = 0.036 * np.sin(2.0 * np.pi * 0.9 * time_s) + 0.004 * np.sin(2.0 * np.pi * 2.3 * time_s)
-    passed = np.stack([motion + 1e-6 * random.standard_normal(len(motion)) for _ in range(repeats)])
-    if sticks is not None:
-        repeat, row, length = sticks
-        stuck = passed[repeat, row]
-        left = np.clip((np.arange(len(motion)) - row - length) / 10.0, 0.0, 1.0)
-        passed[repeat, row:] += ((1.0 - left) * (stuck - passed[repeat]))[row:]
+    steps = np.diff(motion, prepend=motion[0])
+    steps[at_rest if at_rest is not None else slice(0, 0)] = 0.0
+    motion = np.cumsum(steps)
+    passed = np.stack([motion + offset * r + noise * random.standard_normal(ROWS_QUIET) for r in range(repeats)])
+    if at_rest is not None:
+        passed[:, at_rest] = passed[:, at_rest][:, :1]
+    for repeat, row, length in sticks:
+        left = np.clip((np.arange(ROWS_QUIET) - row - length) / 10.0, 0.0, 1.0)
+        passed[repeat, row:] += ((1.0 - left) * (passed[repeat, row] - passed[repeat]))[row:]
     readings = 5e-6 * np.round(passed / 5e-6)
     for repeat, row, length in stays:
         readings[repeat, row : row + length] = readings[repeat, row - 1]
     return readings, motion
 
 
-@pytest.mark.parametrize("repeats", [2, 3])
-@pytest.mark.parametrize("length", [3, 17])
-def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, repeats):
-    """Seventeen readings of an encoder over its turning point, in one of three recordings (sealed 7760, spent)."""
-    readings, motion = quiet(stays=((1, 1270, length),), repeats=repeats)
+def lost_of(readings, motion):
     kept, lost = without_lost_samples(readings[:, :, None], motion[:, None], ("position_cart",))
-    rows = np.zeros(readings.shape, dtype=bool)
-    rows[1, 1270 : 1270 + length] = True
-    assert np.array_equal(np.isnan(kept[:, :, 0]), rows)
-    assert lost["position_cart"].length == length and str(length) in lost["position_cart"].seen
-    low, high = lost["position_cart"].ci95
-    assert low < length / readings.size < high < 0.02
+    return np.isnan(kept[:, :, 0]), lost.get("position_cart")
 
 
+@pytest.mark.parametrize(("repeats", "offset"), [(2, 0.0), (3, 0.0), (2, 1e-3), (4, 1e-3)])
+@pytest.mark.parametrize("length", [8, 17])
+def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, repeats, offset):
+    """Seventeen readings of an encoder over its turning point, in one of three recordings (sealed 7760, spent)."""
+    rows, found = lost_of(*(made := quiet(stays=((1, 1290, length),), repeats=repeats, offset=offset)))
+    expected = np.zeros(made[0].shape, dtype=bool)
+    expected[1, 1290 : 1290 + length] = True
+    assert np.array_equal(rows, expected)
+    assert found.length == length and str(length) in found.seen
+    low, high = found.ci95
+    assert low < length / rows.size < high < 0.02
+
+
+def test_readings_at_rest_before_a_burst_of_one_repeat_stay():
+    rows, found = lost_of(*quiet(stays=((1, 1270, 45),), at_rest=slice(1260, 1300)))
+    assert np.flatnonzero(rows[1]).tolist() == list(range(1300, 1315)) and found.length == 15
+
+
+@pytest.mark.parametrize("repeats", [2, 3])
 @pytest.mark.parametrize("row", [160, 1000, 1266])
-def test_a_joint_that_sticks_in_one_repeat_alone_and_catches_up_loses_nothing(row):
-    readings, motion = quiet(sticks=(1, row, 12))
+def test_a_joint_that_sticks_in_one_repeat_alone_and_catches_up_loses_nothing(row, repeats):
+    readings, motion = quiet(sticks=((1, row, 12),), repeats=repeats)
     assert (np.diff(readings[1, row : row + 12]) == 0.0).all()
-    assert without_lost_samples(readings[:, :, None], motion[:, None], ("position_cart",))[1] == {}
+    assert lost_of(readings, motion)[1] is None
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"stays": ((0, 1290, 17), (1, 1290, 17), (2, 1290, 17))},
+        {"stays": ((1, 1290, 17),), "noise": 1e-3},
+        {"stays": ((1, 1290, 3),)},
+        {"stays": ((1, 129, 4),), "rate_Hz": 20.0},
+    ],
+    ids=["all repeats stay", "repeats differ by as much", "three readings", "a motion of twenty samples a turn"],
+)
+def test_what_may_be_something_else_is_no_burst_of_one_repeat(made):
+    assert stood_alone(quiet(**made)[0]) is None
+
+
+@pytest.mark.parametrize("hit", [False, True])
+def test_where_a_joint_is_hit_it_may_have_been_as_fast_as_it_comes_back(hit):
+    readings, motion = quiet(stays=((1, 1290, 4),))
+    readings[:, 600:] += 3e-3 * hit
+    assert (lost_of(readings, motion)[1] is None) is hit
+
+
+def test_a_channel_that_is_read_seldom_for_a_while_in_all_repeats_has_no_burst():
+    readings, _ = quiet()
+    rows = np.arange(1000, ROWS_QUIET)
+    for repeat in range(3):
+        readings[repeat, rows] = readings[repeat, rows - (rows + repeat) % 6]
+    assert stood_alone(readings) is None
+
+
+def test_a_repeat_that_ends_elsewhere_than_before_it_stayed_has_lost_nothing():
+    """A slip: the others' way is not its own."""
+    readings, motion = quiet(stays=((1, 1290, 17),))
+    readings[1, 1307:] += 4e-3
+    assert lost_of(readings, motion)[1] is None

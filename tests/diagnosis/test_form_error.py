@@ -11,7 +11,7 @@ import pytest
 from carriage import MACHINE, repeats
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.error_functions import can_err, since_reversal
+from hil.diagnosis.judging.error_functions import can_err, error_functions, since_reversal
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError, form_error
 from hil.diagnosis.locating.disturbance import loop_response
 from hil.diagnosis.recorded.align import aligned
@@ -210,12 +210,24 @@ def test_a_spring_behind_a_joint_deflects_as_a_shaken_oscillator_does(shaken_Hz)
     [
         (("drive_bandwidth", [800.0, 0.7]), ("delay", [0.0002])),
         (("drive_bandwidth", [800.0, 0.7]), ("drive_bandwidth", [1500.0, 1.2])),
+        (("delay", [0.0002]), ("drive_bandwidth", [800.0, 0.7])),
         (("structural_mode", [8.0, 9.0, 0.02]), ("structural_mode", [8.0, 9.6, 0.05])),
     ],
-    ids=["a delay of a drive's lag", "another lag", "a mode that swings faster"],
+    ids=["a delay of a drive's lag", "another lag", "a lag of a delay", "a mode that swings faster"],
 )
 def test_another_law_of_the_same_kind_is_an_error_of_the_one_that_was_found(carriage, found, other):
     assert within(carriage, found, other)[2] > 0.9
+
+
+def test_how_a_late_target_acts_within_a_sample_is_an_error_that_its_current_does_not_show(carriage):
+    """Mixed with the target before or shifted, it has the same mean; a mass moves otherwise, by a share of what acts on it twice summed."""
+    runs, tuning = carriage
+    late = fitted(runs, tuning, ("delay", [0.0002]))
+    (functions,) = error_functions(runs, TRAIN, tuning, late, 0)
+    ((joint, effort),), ((_, shown),) = functions[-1].efforts, functions[0].efforts  # what it gave a sample ago less what it gives
+    assert not functions[-1].readings
+    assert joint == functions[0].efforts[0][0]
+    assert effort[1:-1] == pytest.approx(shown[1:-1] - shown[2:])
 
 
 def test_another_limit_of_a_drive_is_an_error_of_the_one_that_was_found(rider):

@@ -21,6 +21,7 @@ from hil.diagnosis.ranking.naming import (
     UNLIKE_ONE_PART,
     Evidence,
     Weighed,
+    beside_the_best,
     imitated,
     not_told_apart,
     ranking,
@@ -76,6 +77,39 @@ def test_what_a_set_of_numbers_leaves_more_has_no_error_of_another_set_s_equatio
 
     assert beside_the_best(0.0) > 0.02
     assert beside_the_best(2000.0) < 0.002
+
+
+def share_of_a_rival(left, more, by_numbers=(0.0, 0.0)):
+    """Of a set that leaves so much more, in training and held out, than the best one, which leaves `left` above noise in training."""
+    best = Weighed(None, ENTRIES + left, ENTRIES, (2500.0,))
+    rival = Weighed(None, best.train + more[0], best.held_out + more[1], (2500.0,), by_numbers=by_numbers, of_the_file=False)
+    base = Weighed(None, best.train + 2500.0, ENTRIES + 2500.0)
+    ranked, _ = weighed([best, rival], base, (ENTRIES, ENTRIES), TRIED)
+    return next(one.share for one in ranked if (one.train, one.held_out) == (rival.train, rival.held_out))
+
+
+def test_where_much_is_left_rivals_that_leave_a_little_more_stay_plausible():
+    assert share_of_a_rival(6000.0, (100.0, 0.0)) > 0.1 * share_of_a_rival(6000.0, (0.001, 0.0))
+
+
+def test_numbers_that_make_the_held_out_motion_worse_are_no_credit():
+    for lost in (1e5, 2e5, 1e300):
+        assert 0.0 <= share_of_a_rival(0.0, (0.0, lost), by_numbers=(2e5, -lost)) < 1e-3
+
+
+@pytest.mark.parametrize("net", [-100.0, 0.0, 1e-6])
+def test_a_set_that_leaves_as_much_in_both_motions_together_is_judged_like_the_best(net):
+    """It leaves 400 more in training and as much less held out; only what it leaves more in all counts by its own T."""
+    best, rival = Weighed(None, 100.0, 100.0), Weighed(None, 500.0, -300.0 + net)
+    judged = beside_the_best(rival, rival, best, (20.0, 20.0), (2.0, 2.0))
+    assert judged.misfit == pytest.approx(rival.misfit, abs=1e-4)
+
+
+def test_a_difference_along_which_repeats_scatter_counts_as_little_by_a_set_s_own_temper():
+    compared = Compared((100.0, 0.0), (60.0, 0.0), (60.0, 0.0), scatter=5.0)
+    rival = replace(Weighed(None, 160.0, 0.0), compared=compared)
+    judged = beside_the_best(rival, rival.in_units(20.0, 20.0, 0.01), Weighed(None, 5.0, 0.0), (20.0, 20.0), (2.0, 2.0))
+    assert judged.misfit == pytest.approx(100.0 / 20.0 + 60.0 / (2.0 - 1.0 + 5.0))
 
 
 @pytest.mark.parametrize(("known", "stands_alone"), [(0.0, False), (26000.0, True)])

@@ -51,7 +51,7 @@ NUMBERS = ("viscous_friction", "torque_constant", "payload", "joint_compliance",
 A sign is one too, where it is whole."""
 
 EXACT = (*NUMBERS, "gear_ratio", "imu_misalignment")
-"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, how late a drive is, where an IMU's axes point.
+"""Effects of which numbers alone are unknown: those of the machine file, a gear's ratio, where an IMU's axes point.
 What they do may be of any size and leaves no room for another law. A clock's offset is read by a cubic, an IMU's scale and bias are the
 same for all axes of its gyro: both equations err by more."""
 

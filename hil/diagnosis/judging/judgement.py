@@ -77,7 +77,7 @@ class Contender:
 
 
 def are_added_to_the_same(one: Contender, other: Contender) -> bool:
-    """Whether two sets were added to the same one: what chance gains by that is taken off both alike."""
+    """Whether two sets were added to the same one, whose equations err alike in both."""
     before = [[id(gate) for gate in each.gates if gate is not each.gate] for each in (one, other)]
     return before[0] == before[1]
 

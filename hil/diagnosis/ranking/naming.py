@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -98,16 +97,6 @@ def rarity_at(parts: Iterable[str]) -> float:
     return UNLIKE_ONE if len(set(parts)) == 1 else UNLIKE_ONE_PART
 
 
-class OwnTempers(NamedTuple):
-    """T of training and of held-out recordings by what a set's own equations may err, where that is less than the T of all sets; and the
-    set that leaves least.
-    """
-
-    best: Weighed
-    train: float
-    held_out: float
-
-
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
@@ -125,7 +114,7 @@ class Weighed:
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
-    compared: Compared | None = None  # with the set of its step that gains most; None of that set and of those of other steps
+    compared: Compared | None = None  # with the set that gains most, of as many effects; None of others and of itself
 
     @property
     def misfit(self) -> float:
@@ -148,23 +137,14 @@ class Weighed:
         simpler = tuple((form.loss, tuple(form.information.tolist())) for form in fitted.simpler)
         return replace(self, fitted=fitted, information=tuple(fitted.information.tolist()), simpler=simpler)
 
-    def in_units(self, train: float, held_out: float, form_error: float = 0.0, own: OwnTempers | None = None) -> Weighed:
-        """With misfits and information in units of these levels, in which is `form_error` of what effects removed.
-
-        What it leaves more than the best set counts in units of its own tempers.
-        """
+    def in_units(self, train: float, held_out: float, form_error: float = 0.0) -> Weighed:
+        """With misfits and information in units of these levels, in which is `form_error` of what effects removed."""
         information = tuple(i / train for i in self.information)
         simpler = tuple((loss / train, tuple(i / train for i in seen)) for loss, seen in self.simpler)
         narrowed = None if self.narrowed is None else self.narrowed.in_units(train, held_out)
         misfits = self.train / train, self.held_out / held_out
-        levels = (train, held_out) if own is None else (own.train, own.held_out)
-        if own is not None:
-            more = max(self.train - own.best.train, 0.0), max(self.held_out - own.best.held_out, 0.0)
-            misfits = misfits[0] + more[0] * (1.0 / levels[0] - 1.0 / train), misfits[1] + more[1] * (1.0 / levels[1] - 1.0 / held_out)
         if self.compared is not None:
-            each = zip((train, held_out), levels, strict=True)
-            here, there = (self.compared.in_units(part, level, form_error, least) for part, (level, least) in enumerate(each))
-            misfits = here, there
+            misfits = self.compared.in_units(0, train, form_error), self.compared.in_units(1, held_out, form_error)
         in_units = replace(self, train=misfits[0], held_out=misfits[1], compared=None)
         return replace(in_units, information=information, simpler=simpler, narrowed=narrowed)
 
@@ -300,9 +280,11 @@ def _shares(
     """Of every set and, last, of nothing."""
     train, held_out = tempers_of(hypotheses, base, entries, weights)
     best = min(hypotheses, key=lambda h: h.misfit)
-    own = [own_tempers(h, best, base, (train, held_out), weights) for h in hypotheses]
-    tempered = [h.in_units(train, held_out, weights.form_error, each) for h, each in zip(hypotheses, own, strict=True)]
-    nothing = base.in_units(train, held_out, weights.form_error)
+    *tempered, nothing = (h.in_units(train, held_out, weights.form_error) for h in (*hypotheses, base))
+    closest = tempered[hypotheses.index(best)]
+    own = [own_tempers(h, best, base, entries, (train, held_out), weights) for h in hypotheses]
+    each = zip(hypotheses, tempered, own, strict=True)
+    tempered = [beside_the_best(h, as_all, closest, (train, held_out), levels, weights) for h, as_all, levels in each]
     left = best.in_units(train, held_out, weights.form_error).misfit
     evidence = _evidence(tempered, nothing, tried)
     as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
@@ -327,18 +309,48 @@ def tempers_of(
     return found[0], found[1]
 
 
-def own_tempers(h: Weighed, best: Weighed, base: Weighed, tempers: tuple[float, float], weights: Weights = WEIGHTS) -> OwnTempers:
-    """What counts what a set leaves more than the best one.
+def own_tempers(
+    h: Weighed, best: Weighed, base: Weighed, entries: tuple[float, float], tempers: tuple[float, float], weights: Weights = WEIGHTS
+) -> tuple[float, float]:
+    """T of training and of held-out recordings with what a set's own equations may err by, where that is less than the T of all.
 
     The best set's equations may err by much; one that removed most by numbers alone has them to blame for nothing. Were it right, what it
     leaves more would have no other reason than errors of its own few equations.
     """
-    each = zip((base.train, base.held_out), (h.train, h.held_out), h.by_numbers, tempers, strict=True)
-    levels = (
-        min(temper, temperature(before - left - by_numbers, 0.0, weights) + NUMBERS_ERROR * by_numbers)
-        for before, left, by_numbers, temper in each
-    )
-    return OwnTempers(best, *levels)
+
+    def own(part: int) -> float:
+        left, of_best, before = ((each.train, each.held_out)[part] for each in (h, best, base))
+        by_numbers = max(h.by_numbers[part], 0.0)
+        noise = entries[part] + certain_excess(entries[part])
+        return min(tempers[part], temperature(before - left - by_numbers, of_best - noise, weights) + NUMBERS_ERROR * by_numbers)
+
+    return own(0), own(1)
+
+
+def beside_the_best(
+    h: Weighed, in_units: Weighed, best: Weighed, tempers: tuple[float, float], own: tuple[float, float], weights: Weights = WEIGHTS
+) -> Weighed:
+    """A set in units of T; what it leaves more than the best one, both motions together, counts in units of its own T.
+
+    Parameters
+    ----------
+    h, in_units : Weighed
+        The set, and in units of `tempers`.
+    best : Weighed
+        The closest set, in units of `tempers`.
+    tempers, own : pairs of float
+    weights : Weights
+    """
+    apart = in_units.train - best.train, in_units.held_out - best.held_out
+    more = [max(each, 0.0) for each in apart]
+    if sum(apart) <= 0.0 or not all(np.isfinite(more)):
+        return in_units
+
+    def unit(part: int, level: float) -> float:
+        return level if h.compared is None else h.compared.unit(part, level, weights.form_error)
+
+    stricter = sum(left * unit(part, tempers[part]) / unit(part, own[part]) for part, left in enumerate(more)) / sum(more)
+    return replace(in_units, train=in_units.train + sum(apart) * (stricter - 1.0))
 
 
 def for_the_unknown(best: Weighed, entries: tuple[float, float], tempers: tuple[float, float]) -> float:

@@ -83,7 +83,7 @@ def without_lost_samples(
     -------
     measured : (R, N, C) array
         NaN where a sample is lost: a reading repeats the one before while the channel moves, or where noise would have changed it, or is
-        held. A reading that repeats at rest is right, and stays.
+        held, or stays in one repeat alone. A reading that repeats at rest is right, and stays.
     lost : mapping of str to Dropout
         By channel.
     """

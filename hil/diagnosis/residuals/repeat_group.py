@@ -11,6 +11,9 @@ from hil.diagnosis.residuals.carried import CarriedImu
 from hil.machine import Machine
 from hil.simulation import Inputs
 
+BENT = 3.0
+"""Times what repeats differ by from row to row, rms, that the others' residual must leave a line over a gap to be followed there."""
+
 
 @dataclass(frozen=True, eq=False)
 class RepeatGroup:
@@ -60,17 +63,23 @@ class RepeatGroup:
 
     @property
     def mean(self) -> np.ndarray:
-        """(N, C) mean of the repeats; where a sample is missing in all of them, the line between its neighbours."""
+        """(N, C) mean of the repeats, complete."""
         return self.complete.mean(axis=0)
 
     @cached_property
     def complete(self) -> np.ndarray:
-        """(R, N, C) measured, a missing sample replaced by what the other repeats read there and what this one read more, interpolated in
-        time; where all miss it, by the simulation and the residual.
+        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time; of a gap over which the
+        residual of the other repeats does not go straight, by what they read there and this one reads more around it.
         """
-        complete = _filled(self.measured, np.broadcast_to(self.simulated, self.measured.shape), self.time_s)
-        others = np.stack([_mean_known(np.delete(self.measured, r, axis=0)) for r in range(self.repeats)])
-        return np.where(np.isnan(others), complete, _filled(self.measured, np.where(np.isnan(others), complete, others), self.time_s))
+        residual = self.measured - self.simulated
+        for r, c in np.argwhere(np.isnan(residual).any(axis=1)):
+            missing = np.isnan(residual[r, :, c])
+            if missing.all():
+                residual[r, :, c] = 0.0
+                continue
+            bent = _bent_in_others(residual[:, :, c], r)
+            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c]) + bent[missing]
+        return residual + self.simulated
 
     def without(self, kept: np.ndarray) -> RepeatGroup:
         """With those readings (R, N, C) alone that were not lost, NaN in place of these."""
@@ -83,18 +92,34 @@ class RepeatGroup:
         return rows[self.windows[0]] if len(self.windows) == 1 else np.mean([rows[window] for window in self.windows], axis=0)
 
 
-def _filled(measured: np.ndarray, expected: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """(R, N, C) with what is missing as expected and as much more as the readings around it are."""
-    more = measured - expected
-    for r, c in np.argwhere(np.isnan(more).any(axis=1)):
-        missing = np.isnan(more[r, :, c])
-        more[r, missing, c] = np.interp(time_s[missing], time_s[~missing], more[r, ~missing, c])
-    return np.where(np.isnan(measured), more + expected, measured)
+def _bent_in_others(residual: np.ndarray, repeat: int) -> np.ndarray:
+    """(N,) by how much the mean of the other repeats' residual (R, N) leaves the line over each of one repeat's gaps, where that is more
+    than what they differ by: of those others that read the gap and both of its ends.
+
+    Where it is less, the line is the better guess: it copies none of their noise.
+    """
+    missing = np.isnan(residual[repeat])
+    bent, least = np.zeros(len(missing)), BENT * _differ_by(residual)
+    edges = np.flatnonzero(np.diff(np.pad(missing.astype(int), 1)))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if begin == 0 or end == len(missing):
+            continue
+        there = np.delete(residual, repeat, axis=0)[:, begin - 1 : end + 1]
+        there = there[~np.isnan(there).any(axis=1)]
+        if not len(there):
+            continue
+        line = np.linspace(0.0, 1.0, end - begin + 2)
+        off = there.mean(axis=0) - there[:, 0].mean() - (there[:, -1].mean() - there[:, 0].mean()) * line
+        if np.sqrt(np.mean(off[1:-1] ** 2)) > least:
+            bent[begin:end] = off[1:-1]
+    return bent
 
 
-def _mean_known(measured: np.ndarray) -> np.ndarray:
-    """(N, C) mean of those of some repeats (R, N, C) that read anything; NaN where none does."""
-    known = ~np.isnan(measured)
-    counts = known.sum(axis=0)
-    total = np.where(known, measured, 0.0).sum(axis=0)
-    return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
+def _differ_by(residual: np.ndarray) -> float:
+    """What one repeat (R, N) has from row to row that the others have not, rms."""
+    known = residual[~np.isnan(residual).all(axis=1)]
+    if len(known) < 2:
+        return 0.0
+    changes = np.abs(np.diff(known[1:] - known[0], axis=1))
+    changes = changes[np.isfinite(changes)]
+    return float(np.median(changes)) / 0.6745 / 2.0 if len(changes) else np.inf
