@@ -101,15 +101,22 @@ def test_numbers_that_make_the_held_out_motion_worse_are_no_credit():
 def test_a_set_that_leaves_as_much_in_both_motions_together_is_judged_like_the_best(net):
     """It leaves 400 more in training and as much less held out; only what it leaves more in all counts by its own T."""
     best, rival = Weighed(None, 100.0, 100.0), Weighed(None, 500.0, -300.0 + net)
-    judged = beside_the_best(rival, rival, best, (20.0, 20.0), (2.0, 2.0))
+    judged = beside_the_best(rival, rival, best, best, (20.0, 20.0), (2.0, 2.0))
     assert judged.misfit == pytest.approx(rival.misfit, abs=1e-4)
 
 
 def test_a_difference_along_which_repeats_scatter_counts_as_little_by_a_set_s_own_temper():
-    compared = Compared((100.0, 0.0), (60.0, 0.0), (60.0, 0.0), scatter=5.0)
-    rival = replace(Weighed(None, 160.0, 0.0), compared=compared)
-    judged = beside_the_best(rival, rival.in_units(20.0, 20.0, 0.01), Weighed(None, 5.0, 0.0), (20.0, 20.0), (2.0, 2.0))
-    assert judged.misfit == pytest.approx(100.0 / 20.0 + 60.0 / (2.0 - 1.0 + 5.0))
+    compared = Compared((100.0, 0.0), (600.0, 0.0), (600.0, 0.0), scatter=5.0)
+    rival, best = replace(Weighed(None, 700.0, 0.0), compared=compared), Weighed(None, 100.0, 0.0)
+    judged = beside_the_best(rival, rival.in_units(20.0, 20.0, 0.01), best, best.in_units(20.0, 20.0), (20.0, 20.0), (2.0, 2.0))
+    assert judged.misfit == pytest.approx(100.0 / 20.0 + 600.0 / (2.0 - 1.0 + 5.0), rel=0.01)
+
+
+def test_what_further_parameters_gain_by_chance_is_counted_as_they_are_paid_for():
+    """Viscous friction beside asymmetric friction, which holds it: three parameters more, and 6.5 less (7903, spent)."""
+    rival, best = Weighed(None, 106.5, 0.0, (1e4,)), Weighed(None, 100.0, 0.0, (1e4,) * 4)
+    judged = beside_the_best(rival, rival.in_units(20.0, 20.0), best, best.in_units(20.0, 20.0), (20.0, 20.0), (1.0, 1.0))
+    assert judged.misfit == rival.in_units(20.0, 20.0).misfit
 
 
 @pytest.mark.parametrize(("known", "stands_alone"), [(0.0, False), (26000.0, True)])

@@ -22,6 +22,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.stats
 
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
@@ -60,6 +61,9 @@ alone is decided before."""
 STANDS_ALONE = 0.78
 """Confidence of all that has a name, in place of what `outside` leaves it, where a name stands alone: of 244 sealed answers that three
 tools called `explained` by fits (4a7f462, 1662be8, 63203d3), 189 named all that is hidden and nothing else; their shares sum to 241."""
+
+BY_CHANCE = 0.01
+"""Probability with which further parameters gain by chance what a set of few may leave more than one of many."""
 
 CAP_UNCONFIRMED = 0.5
 """Largest confidence of a set that did not pass the gate."""
@@ -284,7 +288,7 @@ def _shares(
     closest = tempered[hypotheses.index(best)]
     own = [own_tempers(h, best, base, entries, (train, held_out), weights) for h in hypotheses]
     each = zip(hypotheses, tempered, own, strict=True)
-    tempered = [beside_the_best(h, as_all, closest, (train, held_out), levels, weights) for h, as_all, levels in each]
+    tempered = [beside_the_best(h, as_all, best, closest, (train, held_out), levels, weights) for h, as_all, levels in each]
     left = best.in_units(train, held_out, weights.form_error).misfit
     evidence = _evidence(tempered, nothing, tried)
     as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
@@ -328,29 +332,39 @@ def own_tempers(
 
 
 def beside_the_best(
-    h: Weighed, in_units: Weighed, best: Weighed, tempers: tuple[float, float], own: tuple[float, float], weights: Weights = WEIGHTS
+    h: Weighed,
+    in_units: Weighed,
+    best: Weighed,
+    best_in_units: Weighed,
+    tempers: tuple[float, float],
+    own: tuple[float, float],
+    weights: Weights = WEIGHTS,
 ) -> Weighed:
-    """A set in units of T; what it leaves more than the best one, both motions together, counts in units of its own T.
+    """A set in units of T; what it leaves more than the best one, both motions together, counts in units of its own T, but for what the
+    best one's further parameters gain by chance: they are paid for in units of T.
 
     Parameters
     ----------
     h, in_units : Weighed
         The set, and in units of `tempers`.
-    best : Weighed
-        The closest set, in units of `tempers`.
+    best, best_in_units : Weighed
+        The closest set.
     tempers, own : pairs of float
     weights : Weights
     """
-    apart = in_units.train - best.train, in_units.held_out - best.held_out
+    apart = in_units.train - best_in_units.train, in_units.held_out - best_in_units.held_out
     more = [max(each, 0.0) for each in apart]
-    if sum(apart) <= 0.0 or not all(np.isfinite(more)):
+    further = max(len(best.information) - len(h.information), 1)
+    beyond_chance = h.misfit - best.misfit - float(scipy.stats.chi2.isf(BY_CHANCE, further))
+    if sum(apart) <= 0.0 or beyond_chance <= 0.0 or not all(np.isfinite(more)):
         return in_units
 
     def unit(part: int, level: float) -> float:
         return level if h.compared is None else h.compared.unit(part, level, weights.form_error)
 
     stricter = sum(left * unit(part, tempers[part]) / unit(part, own[part]) for part, left in enumerate(more)) / sum(more)
-    return replace(in_units, train=in_units.train + sum(apart) * (stricter - 1.0))
+    counted = beyond_chance / (h.misfit - best.misfit)
+    return replace(in_units, train=in_units.train + counted * sum(apart) * (stricter - 1.0))
 
 
 def for_the_unknown(best: Weighed, entries: tuple[float, float], tempers: tuple[float, float]) -> float:
