@@ -277,8 +277,18 @@ def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, rep
     assert low < length / rows.size < high < 0.02
 
 
-def test_readings_at_rest_before_a_burst_of_one_repeat_stay():
-    rows, found = lost_of(*quiet(stays=((1, 1270, 45),), at_rest=slice(1260, 1300)))
+def test_bursts_of_one_repeat_have_their_own_lengths():
+    lengths = ((1, 1290, 5), (0, 510, 3), (2, 770, 3))
+    rows, found = lost_of(*quiet(stays=lengths))
+    assert rows.sum() == 11 and all(rows[repeat, row : row + length].all() for repeat, row, length in lengths)
+    assert found.length == pytest.approx(11 / 3) and "3 bursts" in found.seen
+
+
+@pytest.mark.parametrize("dithers", [False, True])
+def test_readings_at_rest_before_a_burst_of_one_repeat_stay(dithers):
+    readings, motion = quiet(stays=((1, 1270, 45),), at_rest=slice(1260, 1300))
+    readings[0, 1275:1300] += 5e-6 * dithers
+    rows, found = lost_of(readings, motion)
     assert np.flatnonzero(rows[1]).tolist() == list(range(1300, 1315)) and found.length == 15
 
 

@@ -109,7 +109,9 @@ def test_a_difference_along_which_repeats_scatter_counts_as_little_by_a_set_s_ow
     compared = Compared((100.0, 0.0), (600.0, 0.0), (600.0, 0.0), scatter=5.0)
     rival, best = replace(Weighed(None, 700.0, 0.0), compared=compared), Weighed(None, 100.0, 0.0)
     judged = beside_the_best(rival, rival.in_units(20.0, 20.0, 0.01), best, best.in_units(20.0, 20.0), (20.0, 20.0), (2.0, 2.0))
-    assert judged.misfit == pytest.approx(100.0 / 20.0 + 600.0 / (2.0 - 1.0 + 5.0), rel=0.01)
+    by_chance = 5.0 * 6.635 / 600.0  # of one parameter, once in a hundred times
+    as_all, by_its_own = 600.0 / (20.0 - 1.0 + 5.0), 600.0 / (2.0 - 1.0 + 5.0)
+    assert judged.misfit == pytest.approx(100.0 / 20.0 + by_chance * as_all + (1.0 - by_chance) * by_its_own, rel=1e-4)
 
 
 def test_what_further_parameters_gain_by_chance_is_counted_as_they_are_paid_for():
@@ -117,6 +119,18 @@ def test_what_further_parameters_gain_by_chance_is_counted_as_they_are_paid_for(
     rival, best = Weighed(None, 106.5, 0.0, (1e4,)), Weighed(None, 100.0, 0.0, (1e4,) * 4)
     judged = beside_the_best(rival, rival.in_units(20.0, 20.0), best, best.in_units(20.0, 20.0), (20.0, 20.0), (1.0, 1.0))
     assert judged.misfit == rival.in_units(20.0, 20.0).misfit
+
+
+@pytest.mark.parametrize(
+    ("charged", "apart", "scatter", "is_stricter"), [(90.0, 8.0, 1.0, False), (6.5, 100.0, 1.0, True), (120.0, 120.0, 11.0, False)]
+)
+def test_where_sets_are_compared_chance_is_that_of_their_difference(charged, apart, scatter, is_stricter):
+    """Not what each was charged for by itself; eleven times the variance gains eleven times as much."""
+    compared = Compared((100.0, 0.0), (apart, 0.0), (apart, 0.0), scatter=scatter)
+    rival, best = replace(Weighed(None, 100.0 + charged, 0.0, (1e4,)), compared=compared), Weighed(None, 100.0, 0.0, (1e4,) * 4)
+    as_all = rival.in_units(300.0, 300.0, 0.01)
+    judged = beside_the_best(rival, as_all, best, best.in_units(300.0, 300.0), (300.0, 300.0), (1.0, 1.0))
+    assert (judged.misfit > as_all.misfit + 1e-9) is is_stricter
 
 
 @pytest.mark.parametrize(("known", "stands_alone"), [(0.0, False), (26000.0, True)])

@@ -4,7 +4,8 @@ log evidence = -1/2 |residual|^2 / T on training and on held-out recordings - 1/
 parameter that the recordings narrow to one part in m of itself costs log m, one that they do not see nothing (MacKay 2003, ch. 28). A real
 effect never has exactly the catalogue's equation: T > 1 (`errors_of_laws.py`) grows with what even the best set leaves and with a fixed
 share of what it removes, so that two names are told apart only where they differ by more than an equation's form usually errs. Training and
-held-out recordings have each its own T: an equation errs in one motion by a share of what it does in that motion. The unknown is charged
+held-out recordings have each its own T: an equation errs in one motion by a share of what it does in that motion. What a set leaves more
+than the best one counts in units of what its own equations may err by, where that is less (`own_tempers`). The unknown is charged
 with `unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above
 noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they
 do (`rarity`), as such a set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here
@@ -355,16 +356,17 @@ def beside_the_best(
     apart = in_units.train - best_in_units.train, in_units.held_out - best_in_units.held_out
     more = [max(each, 0.0) for each in apart]
     further = max(len(best.information) - len(h.information), 1)
-    beyond_chance = h.misfit - best.misfit - float(scipy.stats.chi2.isf(BY_CHANCE, further))
-    if sum(apart) <= 0.0 or beyond_chance <= 0.0 or not all(np.isfinite(more)):
+    left, chance = h.misfit - best.misfit, float(scipy.stats.chi2.isf(BY_CHANCE, further))
+    if h.compared is not None:
+        left, chance = sum(h.compared.apart) + sum(h.compared.by_moving), chance * h.compared.scatter
+    if sum(apart) <= 0.0 or left <= chance or not all(np.isfinite(more)):
         return in_units
 
     def unit(part: int, level: float) -> float:
         return level if h.compared is None else h.compared.unit(part, level, weights.form_error)
 
     stricter = sum(left * unit(part, tempers[part]) / unit(part, own[part]) for part, left in enumerate(more)) / sum(more)
-    counted = beyond_chance / (h.misfit - best.misfit)
-    return replace(in_units, train=in_units.train + counted * sum(apart) * (stricter - 1.0))
+    return replace(in_units, train=in_units.train + (1.0 - chance / left) * sum(apart) * (stricter - 1.0))
 
 
 def for_the_unknown(best: Weighed, entries: tuple[float, float], tempers: tuple[float, float]) -> float:

@@ -11,7 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 LEAST_RUN = 4
-"""Readings in a row that repeat the one before."""
+"""Readings in a row that repeat the one before, of one run at least; then shorter ones are lost too."""
+
+SHORTEST = 2
+"""Of such a shorter run."""
 
 FASTER = 2.0
 """Times the largest second difference of any repeat outside of such runs that it falls by: no joint at rest starts so fast."""
@@ -43,21 +46,19 @@ def stood_alone(measured: np.ndarray) -> np.ndarray | None:
     if repeats < 2 or not np.isfinite(measured).all():
         return None
     same = np.abs(np.diff(measured, axis=1)) <= ROUNDING * np.max(np.abs(measured), initial=0.0)
-    runs = [run for run in _runs_alone(same) if run[2] >= LEAST_RUN and run[1] + run[2] < rows]
+    runs = [run for run in _runs_alone(same) if run[2] >= SHORTEST and run[1] + run[2] < rows]
     if not runs:
         return None
     apart = np.stack([measured[r] - np.median(np.delete(measured, r, axis=0), axis=0) for r in range(repeats)])
     outside = np.ones_like(same)
     for _, first, lasts in runs:
         outside[:, first - 1 : first + lasts] = False  # in the other repeats as well: of two, either is where the other one is not
-    if not outside.any():
-        return None
-    if np.abs(np.diff(measured, axis=1))[outside].max() > SAMPLED * np.ptp(measured):
+    if not outside.any() or np.abs(np.diff(measured, axis=1))[outside].max() > SAMPLED * np.ptp(measured):
         return None
     bends = np.abs(np.diff(measured, n=2, axis=1))[outside[:, 1:] & outside[:, :-1]]
     least = FASTER * float(bends.max(initial=0.0))
     alone = [run for run in runs if _is_back_at_once(apart[run[0]], run, least)]
-    return np.array(alone) if alone else None
+    return np.array(alone) if any(run[2] >= LEAST_RUN for run in alone) else None
 
 
 def _is_back_at_once(apart: np.ndarray, run: tuple[int, int, int], least: float) -> bool:
@@ -69,15 +70,16 @@ def _is_back_at_once(apart: np.ndarray, run: tuple[int, int, int], least: float)
 
 
 def _runs_alone(same: np.ndarray) -> list[tuple[int, int, int]]:
-    """Repeat, first row that repeats the one before though another repeat moves, and number of rows to the end of the run, of those over
-    which each of the others moves for more than half of the time.
+    """Repeat, first row and number of rows to the end of every run that repeats a reading, from the first row in which all others move that
+    do so for more than half of what follows of it.
     """
     found = []
     edges = np.diff(np.pad(same.astype(int), ((0, 0), (1, 1))), axis=1)
     begins, ends = np.argwhere(edges > 0), np.argwhere(edges < 0)[:, 1]
     for (repeat, begin), end in zip(begins.tolist(), ends.tolist(), strict=True):
         move = ~np.delete(same, repeat, axis=0)[:, begin:end]
-        at_rest = int(np.argmax(move.any(axis=0))) if move.any() else end - begin
-        if end - begin > at_rest and (move[:, at_rest:].mean(axis=1) > 0.5).all():
-            found.append((int(repeat), begin + at_rest + 1, end - begin - at_rest))
+        follow = np.cumsum(move[:, ::-1], axis=1)[:, ::-1] / np.arange(end - begin, 0, -1)
+        starts = np.flatnonzero((move & (follow > 0.5)).all(axis=0))
+        if len(starts):
+            found.append((int(repeat), begin + int(starts[0]) + 1, end - begin - int(starts[0])))
     return found

@@ -12,7 +12,10 @@ from hil.machine import Machine
 from hil.simulation import Inputs
 
 BENT = 3.0
-"""Times what repeats differ by from row to row, rms, that the others' residual must leave a line over a gap to be followed there."""
+"""Times the rms of what noise does over a gap's length that the others' residual must leave a line there to be followed."""
+
+WINDOWS = 2000
+"""Of that length that say so, about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +71,18 @@ class RepeatGroup:
 
     @cached_property
     def complete(self) -> np.ndarray:
-        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time; of a gap over which the
-        residual of the other repeats does not go straight, by what they read there and this one reads more around it.
+        """(R, N, C) measured, a missing sample replaced by the simulation plus the residual interpolated in time; where the other repeats'
+        residual leaves its own line over a gap by more than noise does, by as much more.
         """
-        residual = self.measured - self.simulated
-        for r, c in np.argwhere(np.isnan(residual).any(axis=1)):
-            missing = np.isnan(residual[r, :, c])
+        read = self.measured - self.simulated
+        residual = read.copy()
+        for r, c in np.argwhere(np.isnan(read).any(axis=1)):
+            missing = np.isnan(read[r, :, c])
             if missing.all():
                 residual[r, :, c] = 0.0
                 continue
-            bent = _bent_in_others(residual[:, :, c], r)
-            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], residual[r, ~missing, c]) + bent[missing]
+            bent = _bent_in_others(read[:, :, c], r, self.time_s)
+            residual[r, missing, c] = np.interp(self.time_s[missing], self.time_s[~missing], read[r, ~missing, c]) + bent[missing]
         return residual + self.simulated
 
     def without(self, kept: np.ndarray) -> RepeatGroup:
@@ -92,34 +96,48 @@ class RepeatGroup:
         return rows[self.windows[0]] if len(self.windows) == 1 else np.mean([rows[window] for window in self.windows], axis=0)
 
 
-def _bent_in_others(residual: np.ndarray, repeat: int) -> np.ndarray:
+def _bent_in_others(residual: np.ndarray, repeat: int, time_s: np.ndarray) -> np.ndarray:
     """(N,) by how much the mean of the other repeats' residual (R, N) leaves the line over each of one repeat's gaps, where that is more
-    than what they differ by: of those others that read the gap and both of its ends.
+    than noise does: of those others that read the gap and both of its ends.
 
     Where it is less, the line is the better guess: it copies none of their noise.
     """
     missing = np.isnan(residual[repeat])
-    bent, least = np.zeros(len(missing)), BENT * _differ_by(residual)
+    bent, others = np.zeros(len(missing)), np.delete(residual, repeat, axis=0)
+    by_noise: dict[int, float] = {}
     edges = np.flatnonzero(np.diff(np.pad(missing.astype(int), 1)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if begin == 0 or end == len(missing):
             continue
-        there = np.delete(residual, repeat, axis=0)[:, begin - 1 : end + 1]
+        there = others[:, begin - 1 : end + 1]
         there = there[~np.isnan(there).any(axis=1)]
         if not len(there):
             continue
-        line = np.linspace(0.0, 1.0, end - begin + 2)
-        off = there.mean(axis=0) - there[:, 0].mean() - (there[:, -1].mean() - there[:, 0].mean()) * line
-        if np.sqrt(np.mean(off[1:-1] ** 2)) > least:
-            bent[begin:end] = off[1:-1]
+        off = _off_the_line(there.mean(axis=0), time_s[begin - 1 : end + 1])
+        rows = end - begin + 2
+        if rows not in by_noise:
+            by_noise[rows] = _by_noise(residual, rows)
+        if np.sqrt(np.mean(off**2)) > BENT * by_noise[rows]:
+            bent[begin:end] = off
     return bent
 
 
-def _differ_by(residual: np.ndarray) -> float:
-    """What one repeat (R, N) has from row to row that the others have not, rms."""
+def _off_the_line(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """(..., M - 2) of values (..., M), how far those between the ends are from the line between them."""
+    share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
+    line = values[..., :1] + (values[..., -1:] - values[..., :1]) * share
+    return np.asarray((values - line)[..., 1:-1])
+
+
+def _by_noise(residual: np.ndarray, rows: int) -> float:
+    """How far over so many rows one repeat (R, N) is from the line between its ends by what others have not, rms; infinite where that is
+    not known.
+    """
     known = residual[~np.isnan(residual).all(axis=1)]
-    if len(known) < 2:
-        return 0.0
-    changes = np.abs(np.diff(known[1:] - known[0], axis=1))
-    changes = changes[np.isfinite(changes)]
-    return float(np.median(changes)) / 0.6745 / 2.0 if len(changes) else np.inf
+    if len(known) < 2 or rows > residual.shape[1]:
+        return np.inf
+    windows = np.lib.stride_tricks.sliding_window_view(known[1:] - known[0], rows, axis=1)
+    windows = windows[:, :: max(1, windows.shape[1] // WINDOWS)]
+    off = _off_the_line(windows, np.arange(rows, dtype=float))
+    off = off[np.isfinite(off).all(axis=2)]
+    return float(np.sqrt(np.mean(off**2) / 2.0)) if len(off) else np.inf
