@@ -237,7 +237,7 @@ def test_what_has_no_lattice_or_no_second_repeat_says_nothing():
 ROWS_QUIET = 2000
 
 
-def quiet(stays=(), sticks=(), repeats=3, noise=1e-6, offset=0.0, at_rest=None, rate_Hz=200.0):
+def quiet(stays=(), sticks=(), repeats=3, noise=1e-6, offset=0.0, at_rest=None, rate_Hz=200.0, count=5e-6):
     """(R, N) readings of an encoder, and the motion; `stays` (repeat, row, length) are lost. In `sticks` (repeat, row, length) a joint
     stays, and catches up within ten rows. In the rows `at_rest` nothing moves.
     """
@@ -253,7 +253,7 @@ def quiet(stays=(), sticks=(), repeats=3, noise=1e-6, offset=0.0, at_rest=None, 
     for repeat, row, length in sticks:
         left = np.clip((np.arange(ROWS_QUIET) - row - length) / 10.0, 0.0, 1.0)
         passed[repeat, row:] += ((1.0 - left) * (passed[repeat, row] - passed[repeat]))[row:]
-    readings = 5e-6 * np.round(passed / 5e-6)
+    readings = count * np.round(passed / count)
     for repeat, row, length in stays:
         readings[repeat, row : row + length] = readings[repeat, row - 1]
     return readings, motion
@@ -275,6 +275,15 @@ def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, rep
     assert found.length == length and str(length) in found.seen
     low, high = found.ci95
     assert low < length / rows.size < high < 0.02
+
+
+@pytest.mark.parametrize("repeats", [3, 8])
+def test_a_burst_of_one_repeat_shows_by_coarse_counts_as_well(repeats):
+    """Counts a sixth of the largest step: of seven others one or another always stays for a row."""
+    found = sum(
+        lost_of(*quiet(stays=((1, row, 17),), repeats=repeats, count=2e-4, noise=4e-5))[1] is not None for row in range(100, 1900, 100)
+    )
+    assert found > 11
 
 
 def test_bursts_of_one_repeat_have_their_own_lengths():

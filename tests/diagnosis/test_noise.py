@@ -99,6 +99,38 @@ def test_gaps_are_filled_without_the_noise_of_the_others(repeats, lost):
     assert np.std(spread[0]) > 0.85 * np.std(spread[1] - spread[1].mean(axis=1, keepdims=True))
 
 
+def test_a_first_repeat_that_loses_many_readings_hides_no_bend():
+    _, whole, _ = with_gaps(0.0, 0.0, 1, 3)
+    random = np.random.default_rng(5)
+    measured = whole.measured.copy()
+    measured[0, 1:-1][random.random((1998, 1)) < 0.05] = np.nan
+    measured[1, 100:160] = np.nan
+    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
+        filled = replace(whole, measured=measured[order]).complete[order.index(1)]
+        assert filled == pytest.approx(whole.measured[1], abs=1e-6)
+
+
+def test_noise_is_what_it_is_around_a_gap():
+    """Fifty times as strong in motion as at rest, where most readings are; or one reading of another repeat that is off."""
+    _, whole, _ = with_gaps(0.0, 0.0, 1, 2)
+    random = np.random.default_rng(6)
+    still = np.zeros_like(whole.measured)
+    strong = np.where((np.arange(2000) >= 970) & (np.arange(2000) < 1030), 1.0, 0.02)[:, None]
+    followed = 0
+    for _ in range(20):
+        measured = still + strong * random.standard_normal(still.shape)
+        lost = measured.copy()
+        lost[0, 998:1003] = np.nan
+        group = replace(whole, simulated=still[0], measured=lost)
+        straight = replace(group, measured=lost[:1]).complete[0]
+        followed += not np.allclose(group.complete[0], straight)
+    assert followed <= 2
+    measured = whole.measured.copy()
+    measured[0, 100:120] = np.nan
+    measured[1, 400] += 1.0
+    assert replace(whole, measured=measured).complete[0] == pytest.approx(whole.measured[0], abs=1e-6)
+
+
 def test_a_repeat_without_a_channel_reads_what_is_simulated():
     group, *_ = with_gaps(0.1, 0.1, 1, 2)
     measured = group.measured.copy()

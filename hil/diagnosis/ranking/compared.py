@@ -23,14 +23,14 @@ class Compared(NamedTuple):
 
     def in_units(self, part: int, level: float, form_error: float) -> float:
         """Misfit in training (0) or held out (1)."""
-        apart = self._beyond(part) if form_error else self.apart[part] + self.by_moving[part]
+        apart = self.beside_errors(part) if form_error else self.apart[part] + self.by_moving[part]
         return self.reference[part] / level + apart / self.unit(part, level, form_error)
 
     def unit(self, part: int, level: float, form_error: float) -> float:
         """What the difference counts in."""
         return max(level - form_error * self.known[part], 1.0) + self.scatter - 1.0
 
-    def _beyond(self, part: int) -> float:
+    def beside_errors(self, part: int) -> float:
         """What it leaves more where both motions want both sets, beside errors of what both have: of that these explain the share that they
         explain with training's parameters.
         """

@@ -358,7 +358,8 @@ def beside_the_best(
     further = max(len(best.information) - len(h.information), 1)
     left, chance = h.misfit - best.misfit, float(scipy.stats.chi2.isf(BY_CHANCE, further))
     if h.compared is not None:
-        left, chance = sum(h.compared.apart) + sum(h.compared.by_moving), chance * h.compared.scatter
+        left = sum(h.compared.reference) - best.misfit + sum(h.compared.beside_errors(part) for part in (0, 1))
+        chance *= h.compared.scatter
     if sum(apart) <= 0.0 or left <= chance or not all(np.isfinite(more)):
         return in_units
 

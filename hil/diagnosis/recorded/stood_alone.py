@@ -70,8 +70,8 @@ def _is_back_at_once(apart: np.ndarray, run: tuple[int, int, int], least: float)
 
 
 def _runs_alone(same: np.ndarray) -> list[tuple[int, int, int]]:
-    """Repeat, first row and number of rows to the end of every run that repeats a reading, from the first row in which all others move that
-    do so for more than half of what follows of it.
+    """Repeat, first row and number of rows to the end of every run that repeats a reading, from the first row in which most others move,
+    each of which does so for more than half of what follows of it.
     """
     found = []
     edges = np.diff(np.pad(same.astype(int), ((0, 0), (1, 1))), axis=1)
@@ -79,7 +79,7 @@ def _runs_alone(same: np.ndarray) -> list[tuple[int, int, int]]:
     for (repeat, begin), end in zip(begins.tolist(), ends.tolist(), strict=True):
         move = ~np.delete(same, repeat, axis=0)[:, begin:end]
         follow = np.cumsum(move[:, ::-1], axis=1)[:, ::-1] / np.arange(end - begin, 0, -1)
-        starts = np.flatnonzero((move & (follow > 0.5)).all(axis=0))
+        starts = np.flatnonzero((move.mean(axis=0) > 0.5) & (follow > 0.5).all(axis=0))
         if len(starts):
             found.append((int(repeat), begin + int(starts[0]) + 1, end - begin - int(starts[0])))
     return found

@@ -11,11 +11,20 @@ from hil.diagnosis.residuals.carried import CarriedImu
 from hil.machine import Machine
 from hil.simulation import Inputs
 
+LONG_GAP = 4
+"""Rows from which on others are asked: over fewer no residual leaves the line."""
+
 BENT = 3.0
 """Times the rms of what noise does over a gap's length that the others' residual must leave a line there to be followed."""
 
-WINDOWS = 2000
-"""Of that length that say so, about."""
+NEAR = 5
+"""Gap lengths to either side of it, where noise says how strong it is there."""
+
+STRONG = 0.75
+"""Share of the stretches there whose noise is less: some may be at rest, and some hold a reading that is off."""
+
+STRETCHES = 200
+"""That are looked at, and rows of each, about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,20 +113,16 @@ def _bent_in_others(residual: np.ndarray, repeat: int, time_s: np.ndarray) -> np
     """
     missing = np.isnan(residual[repeat])
     bent, others = np.zeros(len(missing)), np.delete(residual, repeat, axis=0)
-    by_noise: dict[int, float] = {}
     edges = np.flatnonzero(np.diff(np.pad(missing.astype(int), 1)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if begin == 0 or end == len(missing):
+        if begin == 0 or end == len(missing) or end - begin < LONG_GAP:
             continue
         there = others[:, begin - 1 : end + 1]
         there = there[~np.isnan(there).any(axis=1)]
         if not len(there):
             continue
         off = _off_the_line(there.mean(axis=0), time_s[begin - 1 : end + 1])
-        rows = end - begin + 2
-        if rows not in by_noise:
-            by_noise[rows] = _by_noise(residual, rows)
-        if np.sqrt(np.mean(off**2)) > BENT * by_noise[rows]:
+        if np.sqrt(np.mean(off**2)) > BENT * _noise_over(residual, begin - 1, end + 1):
             bent[begin:end] = off
     return bent
 
@@ -129,15 +134,27 @@ def _off_the_line(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     return np.asarray((values - line)[..., 1:-1])
 
 
-def _by_noise(residual: np.ndarray, rows: int) -> float:
-    """How far over so many rows one repeat (R, N) is from the line between its ends by what others have not, rms; infinite where that is
-    not known.
+def _noise_over(residual: np.ndarray, begin: int, end: int) -> float:
+    """How far over as many rows as these one repeat (R, N) is from the line between its ends by what others have not, rms: around them, at
+    least what it is in the middle everywhere; infinite where that is not known.
+
+    A machine that rests most of the time may differ in motion alone; a single reading that is off does not say how strong noise is.
     """
-    known = residual[~np.isnan(residual).all(axis=1)]
-    if len(known) < 2 or rows > residual.shape[1]:
+    known, rows = residual[~np.isnan(residual).all(axis=1)], end - begin
+    if len(known) < 2:
         return np.inf
-    windows = np.lib.stride_tricks.sliding_window_view(known[1:] - known[0], rows, axis=1)
-    windows = windows[:, :: max(1, windows.shape[1] // WINDOWS)]
-    off = _off_the_line(windows, np.arange(rows, dtype=float))
-    off = off[np.isfinite(off).all(axis=2)]
-    return float(np.sqrt(np.mean(off**2) / 2.0)) if len(off) else np.inf
+    apart = known - np.roll(known, 1, axis=0)
+    near = slice(max(begin - NEAR * rows, 0), end + NEAR * rows)
+    around, everywhere = _squares(apart[:, near], rows), _squares(apart, rows)
+    if not len(around):
+        return np.inf
+    return float(np.sqrt(max(np.quantile(around, STRONG), np.median(everywhere)) / 2.0))
+
+
+def _squares(apart: np.ndarray, rows: int) -> np.ndarray:
+    """Mean squares of what differences (R, N) have beside the line between the ends of stretches of so many rows that are read whole."""
+    windows = np.lib.stride_tricks.sliding_window_view(apart, rows, axis=1)
+    windows = windows[:, :: max(1, windows.shape[1] // STRETCHES)]
+    at = np.unique(np.linspace(0, rows - 1, min(rows, STRETCHES)).astype(int))
+    off = _off_the_line(windows[..., at], at.astype(float))
+    return np.asarray(np.mean(off[np.isfinite(off).all(axis=2)] ** 2, axis=1))
