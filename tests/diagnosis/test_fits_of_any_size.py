@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.signal
 
 from hil.diagnosis.fitting.coordinates import Coordinates
-from hil.diagnosis.fitting.refit import Fitted, are_costly, polish, refit, sensitivities_to_effects
+from hil.diagnosis.fitting.refit import Fitted, are_costly, bounded, polish, refit, sensitivities_to_effects
 from hil.diagnosis.fitting.screening import screen
 from hil.diagnosis.fitting.visited import Visited
 from hil.diagnosis.judging.form import lost_form
@@ -363,3 +364,20 @@ def test_a_cogging_is_found_at_the_order_of_what_stands_for_it():
     assert fit.values[0][:2] == pytest.approx((72.0, 0.1), rel=0.1)
     assert fit.cost < 0.1 * fits[0].cost
     assert once_more == found  # what is there at that order is not fitted again
+
+
+def test_a_step_is_found_where_singular_values_do_not_converge(monkeypatch):
+    random = np.random.default_rng(9)
+    root = random.standard_normal((12, 8))
+    hessian, gradient, reach = root.T @ root, random.standard_normal(8), np.full(8, 0.1)
+    expected = bounded(hessian, gradient, -reach, reach)
+    assert np.any(np.abs(expected) > 0.0999) and np.any(np.abs(expected) < 0.099)
+    lsq_linear = scipy.optimize.lsq_linear
+
+    def failing(*problem, method, **options):
+        if method == "bvls":
+            raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
+        return lsq_linear(*problem, method=method, **options)
+
+    monkeypatch.setattr(scipy.optimize, "lsq_linear", failing)
+    assert bounded(hessian, gradient, -reach, reach) == pytest.approx(expected, abs=1e-4)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
-import scipy.optimize
 
 from hil.diagnosis.fitting.coordinates import WEAKER, Coordinates, Point, weaker
 from hil.diagnosis.fitting.information import Form, information_of, simpler_forms
@@ -20,6 +19,7 @@ from hil.diagnosis.fitting.visited import Visited
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.candidates import setting_of
 from hil.diagnosis.tuning.free_run import FreeRuns, Trial
+from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.retune import PRIOR, Tuning, bounded_step, sensitivities_from, sensitivity_trials
 from virtual_bus.settings import EffectSetting
 
@@ -365,7 +365,7 @@ def bounded(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np
     """The step to the least of a quadratic cost within bounds."""
     root = np.linalg.cholesky(hessian + np.diag(RIDGE * np.diag(hessian) + RIDGE)).T
     target = np.linalg.solve(root.T, gradient)
-    return scipy.optimize.lsq_linear(root, target, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls").x
+    return least_within(root, target, np.minimum(low, -1e-12), np.maximum(high, 1e-12))
 
 
 def _cost(measured: np.ndarray, predicted: np.ndarray, offset: np.ndarray) -> float:

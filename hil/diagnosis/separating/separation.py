@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numpy as np
-import scipy.optimize
 
 from hil.diagnosis.fitting.coordinates import ORDER_UNIT
 from hil.diagnosis.fitting.refit import Fitted
@@ -29,6 +28,7 @@ from hil.diagnosis.residuals.carried import CarriedImu, carried_imu
 from hil.diagnosis.residuals.noise import NoiseModel
 from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.starting.candidates import setting_of
+from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.retune import LARGEST_CHANGE, PRIOR, Tuning
 from hil.errors import BadAnswer
 from hil.experiments import Plan
@@ -390,7 +390,7 @@ def _within(
     prior = np.eye(len(offset), len(change))
     whole = np.column_stack([np.vstack([columns, prior]), np.append(difference, -offset)])
     triangle = np.asarray(np.linalg.qr(whole, mode="r"))
-    found: np.ndarray = scipy.optimize.lsq_linear(triangle[:, :-1], triangle[:, -1], bounds, method="bvls").x
+    found = least_within(triangle[:, :-1], triangle[:, -1], bounds[0], bounds[1])
     return np.clip(found, *bounds)
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import scipy.optimize
 
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.rigid_bodies import Shortage, rigid, shortages, some_are_short
 from hil.errors import BadAnswer
 from virtual_bus.plant.parameters import PlantParameter
@@ -289,7 +289,7 @@ def bounded_step(tuning: Tuning, hessian: np.ndarray, gradient: np.ndarray, offs
     low, high = np.minimum(np.maximum(-bound - offset, -radius), -1e-9), np.maximum(np.minimum(bound - offset, radius), 1e-9)
     place = {int(index): k for k, index in enumerate(tuning.indices)}
     for _ in range(HELD_AT_MOST):
-        step = scipy.optimize.lsq_linear(rows, wanted, bounds=(low, high), method="bvls").x
+        step = least_within(rows, wanted, low, high)
         found = tuning.shortages(offset + step)
         if not found:
             break
