@@ -117,7 +117,7 @@ def repeated_in_noise(measured: np.ndarray, largest_chance: float) -> Repeated |
         lost = float(several.runs[:, 2].sum())
     else:
         lost = float(np.sum(counts[lively] == 0.0)) - float(by_others[lively].sum()) / SAFETY
-    still = _runs((counts == 0.0) & (chance <= LARGEST_CHANCE))
+    still = runs_of((counts == 0.0) & (chance <= LARGEST_CHANCE))
     if _is_at_one_value(measured, still if len(still) else several.runs):
         return None
     return _losses(several, max(lost, float(several.runs[:, 2].sum())), max(int(lively.sum()), several.telling), measured.shape)
@@ -137,7 +137,7 @@ def _several(counts: np.ndarray, chance: np.ndarray, largest_chance: float) -> _
     """Runs of one length or more of which there are more than chance makes; None where there are none."""
     telling = chance <= LARGEST_CHANCE
     still, chance = (counts == 0.0) & telling, chance[telling]
-    runs = _runs(still)
+    runs = runs_of(still)
     by_chance = np.array([np.sum(chance**k) for k in LENGTHS]) + _quiet(counts, telling)
     seen = np.array([np.sum(runs[:, 2] >= k) for k in LENGTHS])
     unlikely = (LONGEST - 1) * float(np.min(scipy.stats.poisson.sf(seen[1:] - 1, by_chance[1:])))
@@ -191,7 +191,7 @@ def _as_often(still: np.ndarray, chance: np.ndarray) -> np.ndarray:
     octave = np.floor(np.log2(np.maximum(chance, 1e-12))).astype(int)
     octave -= octave.min()
     alone = still.copy()
-    for repeat, first, length in _runs(still).tolist():
+    for repeat, first, length in runs_of(still).tolist():
         alone[repeat, first : first + length] &= length < LEAST_RUN
     seen, rows = np.bincount(octave[alone], minlength=octave.max() + 1), np.bincount(octave.ravel())
     most = 0.5 * scipy.stats.chi2.ppf(1.0 - RARELY_MORE, 2 * seen + 2) / np.maximum(rows, 1)
@@ -204,7 +204,7 @@ def _clear(counts: np.ndarray, chance: np.ndarray, measured: np.ndarray, largest
     Counted are all stretches of rows that are no likelier still, each as often as chance leaves it so.
     """
     still, telling = counts == 0.0, chance <= LARGEST_OF_A_BURST
-    runs = _runs(still)
+    runs = runs_of(still)
     runs = runs[runs[:, 2] >= LEAST_RUN]
     if not len(runs) or not telling.any():
         return None
@@ -247,7 +247,7 @@ def _is_at_one_value(measured: np.ndarray, runs: np.ndarray) -> bool:
     return max(at_ends, most) > max(2, AT_ONE_VALUE * len(values))
 
 
-def _runs(same: np.ndarray) -> np.ndarray:
+def runs_of(same: np.ndarray) -> np.ndarray:
     """(K, 3) repeat, first step and number of steps of every run."""
     edges = np.diff(np.pad(same.astype(int), ((0, 0), (1, 1))), axis=1)
     first, end = np.argwhere(edges > 0), np.argwhere(edges < 0)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.diagnosis.recorded.noise_repeats import runs_of
+
 LEAST_RUN = 4
 """Readings in a row that repeat the one before, of one run at least; then shorter ones are lost too."""
 
@@ -74,12 +76,10 @@ def _runs_alone(same: np.ndarray) -> list[tuple[int, int, int]]:
     each of which does so for more than half of what follows of it.
     """
     found = []
-    edges = np.diff(np.pad(same.astype(int), ((0, 0), (1, 1))), axis=1)
-    begins, ends = np.argwhere(edges > 0), np.argwhere(edges < 0)[:, 1]
-    for (repeat, begin), end in zip(begins.tolist(), ends.tolist(), strict=True):
-        move = ~np.delete(same, repeat, axis=0)[:, begin:end]
-        follow = np.cumsum(move[:, ::-1], axis=1)[:, ::-1] / np.arange(end - begin, 0, -1)
+    for repeat, begin, lasts in runs_of(same).tolist():
+        move = ~np.delete(same, repeat, axis=0)[:, begin : begin + lasts]
+        follow = np.cumsum(move[:, ::-1], axis=1)[:, ::-1] / np.arange(lasts, 0, -1)
         starts = np.flatnonzero((move.mean(axis=0) > 0.5) & (follow > 0.5).all(axis=0))
         if len(starts):
-            found.append((int(repeat), begin + int(starts[0]) + 1, end - begin - int(starts[0])))
+            found.append((repeat, begin + int(starts[0]) + 1, lasts - int(starts[0])))
     return found
