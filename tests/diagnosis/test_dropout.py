@@ -286,6 +286,21 @@ def test_a_burst_of_one_repeat_shows_by_coarse_counts_as_well(repeats):
     assert found > 11
 
 
+def test_a_burst_of_one_repeat_needs_not_all_others_to_move_in_every_row():
+    """In each of its rows another one of seven stays."""
+    readings, motion = quiet(stays=((1, 1290, 8),), repeats=8)
+    for row, other in enumerate((0, 2, 3, 4, 5, 6, 7, 0), start=1290):
+        readings[other, row] = readings[other, row - 1]
+    rows, _ = lost_of(readings, motion)
+    assert np.flatnonzero(rows[1]).tolist() == list(range(1290, 1298)) and not np.delete(rows, 1, axis=0).any()
+
+
+def test_where_the_others_stand_for_most_of_a_run_none_has_lost_anything():
+    """They move in its first two rows of eight."""
+    readings, _ = quiet(stays=((0, 1292, 6), (1, 1290, 8), (2, 1292, 6)))
+    assert stood_alone(readings) is None
+
+
 def test_bursts_of_one_repeat_have_their_own_lengths():
     lengths = ((1, 1290, 5), (0, 510, 3), (2, 770, 3))
     rows, found = lost_of(*quiet(stays=lengths))

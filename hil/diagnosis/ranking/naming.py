@@ -366,7 +366,7 @@ def beside_the_best(
     def unit(part: int, level: float) -> float:
         return level if h.compared is None else h.compared.unit(part, level, weights.form_error)
 
-    stricter = sum(left * unit(part, tempers[part]) / unit(part, own[part]) for part, left in enumerate(more)) / sum(more)
+    stricter = sum(each * unit(part, tempers[part]) / unit(part, own[part]) for part, each in enumerate(more)) / sum(more)
     return replace(in_units, train=in_units.train + (1.0 - chance / left) * sum(apart) * (stricter - 1.0))
 
 

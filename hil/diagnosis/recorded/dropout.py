@@ -144,7 +144,7 @@ def _bursts_alone(runs: np.ndarray, shape: tuple[int, ...]) -> tuple[Dropout, np
     share, length = lost / rows.size, lost / number
     seen = (
         f"{lost} readings of {number} {'burst' if number == 1 else 'bursts'} repeat the last one exactly while the other repeats move on,"
-        " and in the next row are where these are"
+        " and in the next row are beside these as they were before"
     )
     return Dropout(share, (float(low * share), float(min(high * share, 1.0))), length, seen, float(lost)), rows
 

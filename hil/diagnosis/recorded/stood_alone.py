@@ -1,9 +1,8 @@
-"""Runs in which one repeat alone stays where it was, and after which it is where the others are: lost samples, be it one burst of them.
+"""Runs in which one repeat alone stays, and after which it is beside the others as it was before: lost samples, be it one burst of them.
 
 A joint that sticks in one repeat and not in the others has to catch up with them, as fast as it can: what that repeat reads less than
 they do comes and goes row by row. Where samples were lost it grows by what the others move, and is gone within one row, by more than
-the channel's motion, or its noise, ever bends. Of a motion that is sampled too coarsely to show how fast it bends nothing
-is said.
+the channel's motion, or its noise, ever bends. Of a motion that is sampled too coarsely to show how fast it bends nothing is said.
 """
 
 from __future__ import annotations
