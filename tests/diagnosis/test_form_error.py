@@ -161,8 +161,33 @@ def test_what_moves_with_the_machine_or_at_another_frequency_is_no_error_of_a_fl
 def test_what_is_no_function_of_a_joint_s_motion_is_left_to_the_general_rule(carriage):
     runs, tuning = carriage
     assert can_err(EffectAt("cogging", "carriage"))
-    assert not can_err(EffectAt("constant_load", "carriage"))
+    assert not can_err(EffectAt("payload", "carriage"))
     assert form_error(runs, TRAIN, tuning, fitted(runs, tuning, ("torque_constant", [1.05]))) is NO_ERROR
+
+
+LOAD = ("constant_load", [5.0])
+
+
+def test_a_load_that_changes_along_the_way_is_an_error_of_a_constant_one(carriage):
+    assert within(carriage, LOAD, SPRING)[2] > 0.9
+    assert within(carriage, LOAD, ("gravity_imbalance", [5.0, 0.3]))[2] > 0.9
+
+
+def test_a_friction_is_no_error_of_a_load(carriage):
+    errors, answer, share = within(carriage, LOAD, FRICTION)
+    assert len(errors.responses) and share < 0.5
+    assert errors.gain(answer, answer) > 0.5 * float(answer @ answer)
+
+
+def test_a_load_may_err_slowly_in_time(carriage):
+    """As a hose does that is warm after a while."""
+    runs, tuning = carriage
+    (functions,) = error_functions(runs, TRAIN, tuning, fitted(runs, tuning, LOAD), 0)
+    (group,) = runs.sets[TRAIN].groups
+    efforts = np.stack([effort for function in functions for _, effort in function.efforts])
+    wanted = np.exp(-group.time_s / 8.0)
+    left = wanted - np.linalg.lstsq(efforts.T, wanted, rcond=1e-8)[0] @ efforts
+    assert np.abs(left).max() < 0.01
 
 
 def test_a_sign_is_known_to_err_by_nothing(carriage):

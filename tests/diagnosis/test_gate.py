@@ -210,6 +210,13 @@ def test_held_out_recordings_that_show_little_of_an_effect_need_only_show_as_muc
     assert not Gate(**{**vars(one), "trained": 0.3, "followed": max(followed, 0.06)}).passed  # it is there by both chances together
 
 
+@pytest.mark.parametrize(("held_out_gain", "passes"), [(-9.0, True), (-19.0, True), (-21.0, False), (-250.0, False)])
+def test_what_leaves_more_of_held_out_recordings_than_chance_gains_does_not_agree_with_them(held_out_gain, passes):
+    """Errors of the first effect may make what was predicted small beside what they do; the rise is in units of noise."""
+    agreeing = Gate(**{**vars(gate(1e-5, 1.0)), "predicted": 2.0, "seen": 0.2, "needed": 20.0})
+    assert Gate(**{**vars(agreeing), "held_out_gain": held_out_gain}).passed is passes
+
+
 def test_what_another_motion_cannot_confirm_must_be_certain_in_training():
     """One in 10 000, as if both had shown it."""
     agreeing = Gate(**{**vars(gate(9e-5, 0.3)), "predicted": 2.0, "seen": 1.2})

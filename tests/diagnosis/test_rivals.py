@@ -146,6 +146,23 @@ def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_ap
     assert not any(LOAD in one.fitted.effects and FRICTION in one.fitted.effects for one in found.contenders)
 
 
+def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(monkeypatch):
+    """A damper whose strength scatters from repeat to repeat, beside a friction that shows as much and does not."""
+    along = judgement.Scatter.along
+    scatters = lambda self, response: 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)  # noqa: E731
+    monkeypatch.setattr(judgement.Scatter, "along", scatters)
+    monkeypatch.setattr(selection, "competes", lambda one, chosen: not one.passed)  # as held-out recordings may have it
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        return [] if chosen is not None else [Candidate(effect, ()) for effect in (FRICTION, DAMPER)]
+
+    found = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of)
+    assert [set(one.fitted.effects) for one in found.contenders] == [{FRICTION}]
+    monkeypatch.setattr(selection, "is_unrelated", lambda *_: False)
+    both = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of).contenders
+    assert {DAMPER} in [set(one.fitted.effects) for one in both]
+
+
 def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeypatch):
     monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)

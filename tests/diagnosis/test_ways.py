@@ -12,8 +12,19 @@ from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.weighing import closer_than
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching.selection import still_in
-from hil.diagnosis.searching.ways import Way, another_first, closer_parts, competes, continued, each_once, joined, with_others
+from hil.diagnosis.searching.ways import (
+    Way,
+    another_first,
+    closer_parts,
+    competes,
+    continued,
+    each_once,
+    is_unrelated,
+    joined,
+    with_others,
+)
 from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.retune import Tuning
 
 ENTRIES = 100
 BOTH = (ENTRIES, ENTRIES)
@@ -172,6 +183,35 @@ def test_a_way_that_went_on_has_the_sets_of_both_where_it_found_more():
 )
 def test_a_set_competes_that_gains_half_as_much_in_training_or_in_both_motions(training, held_out, lost_form, rival):
     assert competes(judged(training, held_out, lost_form=lost_form), judged(100.0, 40.0)) is rival
+
+
+@pytest.mark.parametrize(
+    ("along", "passed", "is_another_matter"), [(0.0, False, True), (0.2, False, True), (0.5, False, False), (0.0, True, False)]
+)
+def test_what_did_not_pass_and_does_nothing_of_what_one_that_passed_does_is_no_rival_of_it(along, passed, is_another_matter):
+    """A ripple of another axis gained as much as a shaken floor, by chance; the floor shakes whether or not there is a ripple."""
+    floor = contender(60.0, RUBBING, response=ALONG[0])
+    ripple = contender(60.0, COGGING, response=along * ALONG[0] + np.sqrt(1.0 - along**2) * ALONG[1], passed=passed)
+    assert is_unrelated(ripple, floor, nothing_found()) is is_another_matter
+
+
+def test_what_retuning_imitates_makes_no_two_sets_alike():
+    floor, ripple = (contender(60.0, name, response=ALONG[k] + 10.0 * ALONG[5], passed=k == 0) for k, name in enumerate((RUBBING, COGGING)))
+    assert is_unrelated(ripple, floor, nothing_found(jacobian=1e3 * ALONG[5:6].T))
+    assert not is_unrelated(ripple, floor, nothing_found())
+
+
+def test_a_set_that_took_the_stands_place_is_a_rival_whatever_it_does():
+    stand = nothing_found(DELAY)
+    beside, instead = contender(60.0, DELAY, RUBBING), contender(60.0, COGGING, response=ALONG[1], passed=False)
+    assert not is_unrelated(instead, beside, stand)
+    assert is_unrelated(contender(60.0, DELAY, COGGING, response=ALONG[1], passed=False), beside, stand)
+
+
+def nothing_found(*effects: EffectAt, jacobian=0.0 * ALONG[:, :1]):
+    """A stand whose free run is zero."""
+    tuning = Tuning((), np.zeros(1, int), np.ones(1), np.zeros(1), np.zeros(1), np.zeros(ENTRIES), jacobian, np.eye(1))
+    return SimpleNamespace(tuning=tuning, effects=effects)
 
 
 def test_where_nothing_was_chosen_all_that_gain_are_what_came_closest():

@@ -49,3 +49,32 @@ def test_what_no_number_makes_up_for_is_tried_weaker(monkeypatch):
     asked, _, base = tried(FAR_TOO_MUCH_N, monkeypatch)
     assert [strength for strength, _, _ in asked[:2]] == [FAR_TOO_MUCH_N, pytest.approx(0.3 * FAR_TOO_MUCH_N)]
     assert asked[0][2] > base
+
+
+class Begun(Exception):
+    """A fit asks for what it does not begin with."""
+
+
+@pytest.mark.parametrize(("weaker", "begins"), [(50.0, MORE_N), (-50.0, 0.3 * MORE_N)], ids=["nearer", "better than no effect"])
+def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_no_effect(weaker, begins, monkeypatch):
+    """A valley that bends: however the damping follows, the whole costs 100 more than no effect; a weaker one is always near to none."""
+    found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0, coulomb_N=HIDDEN_N)))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning, begin, asked = retune(runs), runs.begin, []
+        measured = runs.measured()
+        left = measured - tuning.predicted
+        base = float(left @ left) + float(tuning.offset @ tuning.offset)
+
+        def bent(trials, name=TRAIN):
+            asked.append(trials[0].effects[0].parameters["Fc"])
+            if asked[-1] not in [share * MORE_N for share in (1.0, 0.3, 0.1, 0.03)]:
+                raise Begun
+            if len(asked) == 1:  # what the numbers make up for
+                return begin(trials, name)
+            cost = base + (100.0 if asked[-1] == MORE_N else weaker)
+            return lambda: [measured - np.sqrt(cost / (left @ left)) * left]
+
+        monkeypatch.setattr(runs, "begin", bent)
+        with pytest.raises(Begun):
+            refit(runs, tuning, measured, [((FRICTION,), (np.array([MORE_N]),))])
+    assert asked[-1] == pytest.approx(begins, rel=0.02)  # moved for the first sensitivity

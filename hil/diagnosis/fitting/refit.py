@@ -306,6 +306,10 @@ def _begun(
     """Where a fit begins, with its cost and prediction: at its start; if that is worse than no effect, with the tuned numbers where the
     filter had them beside it, which found this start with the numbers following; else with the last effect weaker. None where nothing can
     be simulated.
+
+    A weaker effect is always nearer to none. Where the filter says that numbers make up for the whole one and they come as near as the
+    valley's bend lets them, a weaker one counts if it is better than no effect: a friction that warms at a thirtieth of its strength does
+    not warm, and a fit that began there ended there.
     """
     found: tuple[float, Point, np.ndarray] | None = None
     weaker_ones = iter([Point(at.offset, weaker(last, at.values, share)) for share in WEAKER])
@@ -316,7 +320,7 @@ def _begun(
         following = None
         if answer is not None:
             cost = _cost(measured, answer, start.offset)
-            if found is None or cost < found[0]:
+            if found is None or (cost < found[0] and (cost < base or start.values is at.values or not followed)):
                 found = cost, start, answer
             if found[0] > base and start.values is at.values and followed < FOLLOWED_AT_MOST:
                 gradient = tuned.across(measured - answer) - start.offset

@@ -25,7 +25,7 @@ from virtual_bus.effects.residual import Residual, joined
 ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_dependent_friction", "viscous_friction")
 """Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
-OVER_POSITION = ("cable_spring", "end_stop", "gravity_imbalance")
+OVER_POSITION = ("cable_spring", "constant_load", "end_stop", "gravity_imbalance")
 
 OF_ACCELERATION = ("structural_mode",)
 """What hangs on a joint and is shaken by it."""
@@ -320,7 +320,8 @@ def _functions(effect: EffectAt, values: np.ndarray, parts: Sequence[Residual]) 
         phase = 2.0 * np.pi * values[1] * motion.time_s
         waves = [wave(order * phase) for order in HARMONICS for wave in (np.cos, np.sin)]
         return [*waves, *(wave * hat for wave in waves[:2] for hat in _hats(motion.time_s, SLOW_KNOTS))]
-    return _hats(motion.other_position if effects()[name].kind is ELASTIC else motion.position, KNOTS)
+    over_position = _hats(motion.other_position if effects()[name].kind is ELASTIC else motion.position, KNOTS)
+    return [*over_position, *_hats(motion.time_s, SLOW_KNOTS)] if name == "constant_load" else over_position
 
 
 def _of_a_mode(values: np.ndarray, parts: Sequence[Residual]) -> Efforts:

@@ -16,11 +16,16 @@ from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_s
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import PLAUSIBLE, Weighed
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.tuning.projection import Projection
 
 RIVAL_SHARE = 0.5
 """Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate. What is held out
 counts for a rival as it counts in naming: in sealed 1267 a ripple gained 26 of a cogging's 55 in training, in units of its scatter, and
 more than that held out."""
+
+
+UNRELATED = 0.1
+"""Squared cosine of two responses, what re-tuning imitates taken out, below which one explains nothing of what the other does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +159,17 @@ def competes(one: Contender, chosen: Contender | None) -> bool:
         return one.gate.shows and is_rival_of(one, [chosen])
     gains = [(gate.certain_gain, gate.certain_gain + max(gate.held_out_gain or 0.0, 0.0)) for gate in (one.gate, chosen.gate)]
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
+
+
+def is_unrelated(one: Contender, passed: Contender, stand: Stand) -> bool:
+    """Whether a set that did not pass does nothing of what one does that passed, both added to this stand: that is there for certain
+    whatever this one gains, and this one is asked for beside it.
+    """
+    if one.passed or not set(stand.effects) <= set(one.fitted.effects) or not set(stand.effects) <= set(passed.fitted.effects):
+        return False
+    projection = Projection.of(stand.tuning)
+    responses = [projection.left(each.fitted.predicted - stand.tuning.predicted) for each in (one, passed)]
+    return squared_cosine(*responses) < UNRELATED
 
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:

@@ -30,6 +30,11 @@ from virtual_bus.effects.residual import Residual, joined
 ASKED = 6
 """Orders that stand out most, of which each, and the one half as large, is asked with both harmonics."""
 
+SLOW_ASKED = 3
+"""The same of those of less than ORDERS_AROUND cycles per travel: what a wave does changes much from one of them to the next, so that none
+stands out of those around it by as much as quick ones do by chance. A gear's error of two cycles per travel and 42 in energy was not among
+the six (sealed 8311, spent)."""
+
 STARTS = 2
 """Orders of the largest energy that fits may start from."""
 
@@ -128,7 +133,8 @@ def _starts(loop: ThroughTheLoop, tuning: Tuning, wave: _Wave, behind: Sequence[
     power = np.abs(wave.products(behind, orders)) ** 2
     around = scipy.ndimage.median_filter(power, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="nearest")
     standing_out = [float(orders[k]) for k in np.argsort(-power / np.maximum(around, 1e-300))]
-    asked = _apart(standing_out, APART_STEPS * step, ASKED)
+    slow = [order for order in standing_out if order < lowest + ORDERS_AROUND * ORDERS_PER_TRAVEL * step]
+    asked = _apart([*_apart(slow, APART_STEPS * step, SLOW_ASKED), *standing_out], APART_STEPS * step, SLOW_ASKED + ASKED)
     asked = _apart([*asked, *(0.5 * order for order in asked if 0.5 * order >= lowest)], step, len(standing_out))
     scored = {order: _filtered(loop, tuning, wave, order, left) for order in asked}
     best = _apart(sorted(asked, key=lambda order: -scored[order][0]), APART_STEPS * step, STARTS)
