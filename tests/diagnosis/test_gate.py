@@ -215,6 +215,8 @@ def test_what_leaves_more_of_held_out_recordings_than_chance_gains_does_not_agre
     """Errors of the first effect may make what was predicted small beside what they do; the rise is in units of noise."""
     agreeing = Gate(**{**vars(gate(1e-5, 1.0)), "predicted": 2.0, "seen": 0.2, "needed": 20.0})
     assert Gate(**{**vars(agreeing), "held_out_gain": held_out_gain}).passed is passes
+    assert Gate(**{**vars(agreeing), "held_out_gain": -250.0, "held_out_beyond": held_out_gain}).passed is passes
+    assert Gate(**{**vars(agreeing), "held_out_gain": 2.0 * held_out_gain, "scatter": 2.0}).passed is passes
 
 
 def test_what_another_motion_cannot_confirm_must_be_certain_in_training():

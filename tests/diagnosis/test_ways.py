@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -192,20 +193,37 @@ def test_what_did_not_pass_and_does_nothing_of_what_one_that_passed_does_is_no_r
     """A ripple of another axis gained as much as a shaken floor, by chance; the floor shakes whether or not there is a ripple."""
     floor = contender(60.0, RUBBING, response=ALONG[0])
     ripple = contender(60.0, COGGING, response=along * ALONG[0] + np.sqrt(1.0 - along**2) * ALONG[1], passed=passed)
-    assert is_unrelated(ripple, floor, nothing_found()) is is_another_matter
+    assert is_unrelated(ripple, [floor], nothing_found()) is is_another_matter
 
 
 def test_what_retuning_imitates_makes_no_two_sets_alike():
     floor, ripple = (contender(60.0, name, response=ALONG[k] + 10.0 * ALONG[5], passed=k == 0) for k, name in enumerate((RUBBING, COGGING)))
-    assert is_unrelated(ripple, floor, nothing_found(jacobian=1e3 * ALONG[5:6].T))
-    assert not is_unrelated(ripple, floor, nothing_found())
+    assert is_unrelated(ripple, [floor], nothing_found(jacobian=1e3 * ALONG[5:6].T))
+    assert not is_unrelated(ripple, [floor], nothing_found())
+
+
+def test_a_pair_that_can_do_what_passed_is_its_rival_however_much_its_other_effect_does():
+    """The first imitates what passed, the second, which is something else, is ten times as large."""
+    floor = contender(60.0, RUBBING, response=ALONG[0])
+    pair = contender(60.0, COGGING, DELAY, response=ALONG[0] + 10.0 * ALONG[1], passed=False)
+    assert is_unrelated(pair, [floor], nothing_found())
+    pair.fitted = replace(pair.fitted, jacobian=ALONG[:2].T)
+    assert not is_unrelated(pair, [floor], nothing_found())
+
+
+def test_what_gains_more_or_does_what_another_one_does_that_passed_is_a_rival():
+    floor, other = (contender(60.0, name, response=ALONG[k]) for k, name in enumerate((RUBBING, DELAY)))
+    ripple = contender(60.0, COGGING, response=ALONG[1], passed=False)
+    assert is_unrelated(ripple, [floor], nothing_found())
+    assert not is_unrelated(ripple, [floor, other], nothing_found())
+    assert not is_unrelated(contender(61.0, COGGING, response=ALONG[1], passed=False), [floor], nothing_found())
 
 
 def test_a_set_that_took_the_stands_place_is_a_rival_whatever_it_does():
     stand = nothing_found(DELAY)
     beside, instead = contender(60.0, DELAY, RUBBING), contender(60.0, COGGING, response=ALONG[1], passed=False)
-    assert not is_unrelated(instead, beside, stand)
-    assert is_unrelated(contender(60.0, DELAY, COGGING, response=ALONG[1], passed=False), beside, stand)
+    assert not is_unrelated(instead, [beside], stand)
+    assert is_unrelated(contender(60.0, DELAY, COGGING, response=ALONG[1], passed=False), [beside], stand)
 
 
 def nothing_found(*effects: EffectAt, jacobian=0.0 * ALONG[:, :1]):

@@ -55,9 +55,13 @@ class Begun(Exception):
     """A fit asks for what it does not begin with."""
 
 
-@pytest.mark.parametrize(("weaker", "begins"), [(50.0, MORE_N), (-50.0, 0.3 * MORE_N)], ids=["nearer", "better than no effect"])
-def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_no_effect(weaker, begins, monkeypatch):
-    """A valley that bends: however the damping follows, the whole costs 100 more than no effect; a weaker one is always near to none."""
+@pytest.mark.parametrize(
+    ("followed", "weaker", "begins"),
+    [(30.0, 15.0, MORE_N), (30.0, -15.0, 0.3 * MORE_N), (70.0, 15.0, 0.3 * MORE_N)],
+    ids=["nearer", "better than no effect", "what numbers do not make up for"],
+)
+def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_no_effect(followed, weaker, begins, monkeypatch):
+    """A valley that bends: the whole costs 87 more than no effect, and less with less damping; a weaker one is always near to none."""
     found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0, coulomb_N=HIDDEN_N)))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         tuning, begin, asked = retune(runs), runs.begin, []
@@ -71,7 +75,7 @@ def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_
                 raise Begun
             if len(asked) == 1:  # what the numbers make up for
                 return begin(trials, name)
-            cost = base + (100.0 if asked[-1] == MORE_N else weaker)
+            cost = base + (followed if asked[-1] == MORE_N else weaker)
             return lambda: [measured - np.sqrt(cost / (left @ left)) * left]
 
         monkeypatch.setattr(runs, "begin", bent)

@@ -61,6 +61,9 @@ FOLLOWED_AT_MOST = 4
 """Steps of the tuned numbers beside a start. Numbers that are nearly degenerate go along a bent valley: the first step leads out of it by
 far more than was to be won, and those after it back to its floor."""
 
+MADE_UP_FOR = 0.5
+"""Share of what a start costs more than no effect that is left where its tuned numbers have made up for most of it."""
+
 LOST_AFTER = 3
 """Steps after which a fit may be found to be behind for good."""
 
@@ -307,11 +310,11 @@ def _begun(
     filter had them beside it, which found this start with the numbers following; else with the last effect weaker. None where nothing can
     be simulated.
 
-    A weaker effect is always nearer to none. Where the filter says that numbers make up for the whole one and they come as near as the
-    valley's bend lets them, a weaker one counts if it is better than no effect: a friction that warms at a thirtieth of its strength does
-    not warm, and a fit that began there ended there.
+    A weaker effect is always nearer to none. Where the numbers made up for most of what the whole one costs, a weaker one counts if it is
+    better than no effect: a friction that warms at a thirtieth of its strength does not warm, and a fit that began there ended there.
     """
     found: tuple[float, Point, np.ndarray] | None = None
+    whole = np.inf  # what it costs at its start
     weaker_ones = iter([Point(at.offset, weaker(last, at.values, share)) for share in WEAKER])
     start: Point | None = at
     followed = 0
@@ -320,7 +323,9 @@ def _begun(
         following = None
         if answer is not None:
             cost = _cost(measured, answer, start.offset)
-            if found is None or (cost < found[0] and (cost < base or start.values is at.values or not followed)):
+            whole = cost if start is at else whole
+            is_followed = found is not None and found[0] - base < MADE_UP_FOR * (whole - base)
+            if found is None or (cost < found[0] and (cost < base or start.values is at.values or not is_followed)):
                 found = cost, start, answer
             if found[0] > base and start.values is at.values and followed < FOLLOWED_AT_MOST:
                 gradient = tuned.across(measured - answer) - start.offset

@@ -26,6 +26,7 @@ ALSO_FRICTIONS = ("bouc_wen_hysteresis", "presliding_hysteresis", "temperature_d
 """Against the motion, but not of the catalogue's kind friction: they build up after a reversal, warm, or are the machine file's."""
 
 OVER_POSITION = ("cable_spring", "constant_load", "end_stop", "gravity_imbalance")
+"""A constant load may change slowly in time, too."""
 
 OF_ACCELERATION = ("structural_mode",)
 """What hangs on a joint and is shaken by it."""

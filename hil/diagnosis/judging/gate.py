@@ -162,14 +162,14 @@ class Gate:
         confirm anything, nor do they become worse by more than chance lets the best of all gain.
 
         What is predicted counts in units of what errors of the first effects may do, too. A friction that warmed beside one over position
-        left 255 more of the held-out recordings, and its 2.3 predicted deviations agreed with none (sealed 8209, spent); of five right sets
-        that passed so, none leaves more by 10.
+        left 255 more of the held-out recordings, 96 beyond such errors, and its 2.3 predicted deviations agreed with none (sealed 8209,
+        spent); of five right sets that passed so, none leaves more by 10.
         """
         of_its_own = not self.is_first and self.beyond is not None and self.beyond > OWN_GAIN * self.gain
         level = UNCONFIRMED_BESIDE_OTHERS if of_its_own else UNCONFIRMED_LEVEL
         if self.predicted is None or self.seen is None or self.held_out_gain is None or self.trained > level:
             return False
-        if self.held_out_gain < -self.needed:
+        if (self.held_out_gain if self.held_out_beyond is None else self.held_out_beyond) < -self.scatter * self.needed:
             return False
         return self.predicted < SHORT and self.predicted - self.seen <= AS_PREDICTED
 

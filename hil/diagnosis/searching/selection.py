@@ -328,7 +328,7 @@ class Search:
             unsure = tuple(one for one in larger if one.gate.shows and not one.gate.lost_form)
             return replace(end, contenders=tuple(with_others(way.contenders, also_passed, chosen)), unsure=unsure)
         rivals = [one for one in needed if one.passed or competes(one, passed[0] if passed else None)]
-        rivals = [one for one in rivals if not passed or not is_unrelated(one, passed[0], stand)]
+        rivals = [one for one in rivals if not passed or not is_unrelated(one, passed, stand)]
         if passed:  # naming weighs pairs whose second effect may be the first one's error
             also = judgement.contenders(stand, doubtful, tried, placebos, limits, len(fits))
             likely = [one for one in also if one.passed and is_no_chance_beside_its_parts(one)]

@@ -25,7 +25,10 @@ more than that held out."""
 
 
 UNRELATED = 0.1
-"""Squared cosine of two responses, what re-tuning imitates taken out, below which one explains nothing of what the other does."""
+"""Share of a set's response, what re-tuning imitates taken out, below which another one explains nothing of it."""
+
+SAME = 1e-6
+"""Share of the largest singular value below which directions are none of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,15 +164,27 @@ def competes(one: Contender, chosen: Contender | None) -> bool:
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
 
 
-def is_unrelated(one: Contender, passed: Contender, stand: Stand) -> bool:
-    """Whether a set that did not pass does nothing of what one does that passed, both added to this stand: that is there for certain
-    whatever this one gains, and this one is asked for beside it.
+def is_unrelated(one: Contender, passed: Sequence[Contender], stand: Stand) -> bool:
+    """Whether a set that did not pass, and gains no more, does nothing of what the sets do that passed, all added to this stand: those are
+    there whatever this one gains, and this one is asked for beside them.
+
+    What it does is anything that its effects can at other values of their parameters, and what re-tuning can beside them.
     """
-    if one.passed or not set(stand.effects) <= set(one.fitted.effects) or not set(stand.effects) <= set(passed.fitted.effects):
+    own = set(stand.effects)
+    if one.passed or not all(own <= set(each.fitted.effects) and one.gained <= each.gained for each in (one, *passed)):
         return False
     projection = Projection.of(stand.tuning)
-    responses = [projection.left(each.fitted.predicted - stand.tuning.predicted) for each in (one, passed)]
-    return squared_cosine(*responses) < UNRELATED
+
+    def left(change: np.ndarray) -> np.ndarray:
+        change = projection.left(change)
+        sizes = np.linalg.norm(change, axis=-1, keepdims=True)
+        return change / np.where(sizes > 0.0, sizes, 1.0)
+
+    does = left(np.vstack([one.fitted.predicted - stand.tuning.predicted, one.fitted.jacobian.T])).T
+    basis, sizes, _ = np.linalg.svd(does, full_matrices=False)
+    basis = basis[:, sizes > SAME * sizes[0]]
+    shares = [float(np.sum((left(each.fitted.predicted - stand.tuning.predicted) @ basis) ** 2)) for each in passed]
+    return max(shares) < UNRELATED
 
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:

@@ -31,9 +31,9 @@ ASKED = 6
 """Orders that stand out most, of which each, and the one half as large, is asked with both harmonics."""
 
 SLOW_ASKED = 3
-"""The same of those of less than ORDERS_AROUND cycles per travel: what a wave does changes much from one of them to the next, so that none
-stands out of those around it by as much as quick ones do by chance. A gear's error of two cycles per travel and 42 in energy was not among
-the six (sealed 8311, spent)."""
+"""The same of the slowest, up to ORDERS_AROUND cycles per travel above the lowest, besides: what a wave does changes much from one of them
+to the next, and none stands out of those around it by as much as some of a thousand quick ones do by chance. A gear's error of two cycles
+per travel and 42 in energy was not among the six (sealed 8311, spent). It is one start more where it has more energy than they."""
 
 STARTS = 2
 """Orders of the largest energy that fits may start from."""
@@ -131,13 +131,24 @@ def _starts(loop: ThroughTheLoop, tuning: Tuning, wave: _Wave, behind: Sequence[
     step = 2.0 * np.pi / wave.typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     power = np.abs(wave.products(behind, orders)) ** 2
-    around = scipy.ndimage.median_filter(power, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="nearest")
+    around = scipy.ndimage.median_filter(power, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="reflect")
     standing_out = [float(orders[k]) for k in np.argsort(-power / np.maximum(around, 1e-300))]
-    slow = [order for order in standing_out if order < lowest + ORDERS_AROUND * ORDERS_PER_TRAVEL * step]
-    asked = _apart([*_apart(slow, APART_STEPS * step, SLOW_ASKED), *standing_out], APART_STEPS * step, SLOW_ASKED + ASKED)
-    asked = _apart([*asked, *(0.5 * order for order in asked if 0.5 * order >= lowest)], step, len(standing_out))
-    scored = {order: _filtered(loop, tuning, wave, order, left) for order in asked}
-    best = _apart(sorted(asked, key=lambda order: -scored[order][0]), APART_STEPS * step, STARTS)
+
+    def with_halves(standing_out: Sequence[float], most: int) -> list[float]:
+        first = _apart(standing_out, APART_STEPS * step, most)
+        return _apart([*first, *(0.5 * order for order in first if 0.5 * order >= lowest)], 0.5 * step, 2 * most)
+
+    asked = with_halves(standing_out, ASKED)
+    slow = with_halves([order for order in standing_out if order < lowest + ORDERS_AROUND * ORDERS_PER_TRAVEL * step], SLOW_ASKED)
+    scored = {order: _filtered(loop, tuning, wave, order, left) for order in dict.fromkeys([*asked, *slow])}
+
+    def energy(order: float) -> float:
+        return scored[order][0]
+
+    best = _apart(sorted(asked, key=energy, reverse=True), APART_STEPS * step, STARTS)
+    slowest = max(slow, key=energy)
+    if energy(slowest) > energy(best[0]):
+        best = _apart([slowest, *best], APART_STEPS * step, STARTS + 1)
     return [scored[order][1] for order in best]
 
 
