@@ -15,9 +15,10 @@ from hil.diagnosis.judging.form import BENDS_BY, lost_form
 from hil.diagnosis.judging.judgement import Contender, Stand
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching import selection
+from hil.diagnosis.searching import step
 from hil.diagnosis.searching.pairs import beside_rivals, pairs, without_what_stood
-from hil.diagnosis.searching.selection import Selection
+from hil.diagnosis.searching.selection import Selection, parts_not_fitted
+from hil.diagnosis.searching.step import Steps
 from hil.diagnosis.searching.surplus import has_no_surplus, parts_that_passed
 from hil.diagnosis.searching.ways import Way
 from hil.diagnosis.starting.candidates import Candidate
@@ -285,12 +286,12 @@ def test_every_effect_of_what_is_named_is_left_out_once(monkeypatch):
         return Contender(pair, gained, 0.0, 0.0, (SimpleNamespace(gain=gained),) * 2)
 
     asked = []
-    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: asked.extend(starts) or [None for _ in starts])
-    monkeypatch.setattr(selection, "polish", lambda runs, tuning, measured, fits: fits)
+    monkeypatch.setattr(step, "refit", lambda runs, tuning, measured, starts: asked.extend(starts) or [None for _ in starts])
+    monkeypatch.setattr(step, "polish", lambda runs, tuning, measured, fits: fits)
     ended, most, other = both(friction, wave, 900.0), both(friction, mode, 1000.0), both(wave, mode, 800.0)
     runs = SimpleNamespace(measured=lambda: None)
-    search = selection.Search(runs, None, None, 0.0, None, None)
+    steps = Steps(runs, None, None, 0.0, None, None)
     way = Way(SimpleNamespace(fitted=ended.fitted), contenders=(other, ended, most), smaller=(friction,))
-    assert search.parts_not_fitted(way) == []
+    assert parts_not_fitted(steps, way) == []
     assert [names for names, _ in asked] == [wave.effects, mode.effects]
-    assert search.parts_not_fitted(Way(SimpleNamespace(fitted=None))) == []
+    assert parts_not_fitted(steps, Way(SimpleNamespace(fitted=None))) == []

@@ -14,7 +14,7 @@ from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging import judgement
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching import exchanged, finishing, selection, ways
+from hil.diagnosis.searching import exchanged, finishing, selection, step, ways
 from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
 from hil.diagnosis.searching.pairs import Pair
 from hil.diagnosis.starting.candidates import Candidate
@@ -104,15 +104,15 @@ def selected(
 
         return sorted((one(candidate.effect) for candidate in found), key=lambda s: -s.score)
 
-    monkeypatch.setattr(selection, "screen", screened)
-    monkeypatch.setattr(selection, "refit", lambda runs, tuning, measured, starts: [refitted(*start) for start in starts])
-    monkeypatch.setattr(selection, "polish", polished)
+    monkeypatch.setattr(step, "screen", screened)
+    monkeypatch.setattr(step, "refit", lambda runs, tuning, measured, starts: [refitted(*start) for start in starts])
+    monkeypatch.setattr(step, "polish", polished)
     monkeypatch.setattr(finishing, "polish", polished)
-    monkeypatch.setattr(selection, "with_what_acts", what_acts)
-    monkeypatch.setattr(selection, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
-    monkeypatch.setattr(selection, "pairs", lambda *_: paired)
+    monkeypatch.setattr(step, "with_what_acts", what_acts)
+    monkeypatch.setattr(step, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
+    monkeypatch.setattr(step, "pairs", lambda *_: paired)
     monkeypatch.setattr(exchanged, "neighbours_instead", neighbours)
-    monkeypatch.setattr(selection, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
+    monkeypatch.setattr(step, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
     monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
 
@@ -151,20 +151,20 @@ def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(
     along = judgement.Scatter.along
     scatters = lambda self, response: 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)  # noqa: E731
     monkeypatch.setattr(judgement.Scatter, "along", scatters)
-    monkeypatch.setattr(selection, "competes", lambda one, chosen: not one.passed)  # as held-out recordings may have it
+    monkeypatch.setattr(step, "competes", lambda one, chosen: not one.passed)  # as held-out recordings may have it
 
     def candidates_of(chosen: Fitted | None) -> list[Candidate]:
         return [] if chosen is not None else [Candidate(effect, ()) for effect in (FRICTION, DAMPER)]
 
     found = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of)
     assert [set(one.fitted.effects) for one in found.contenders] == [{FRICTION}]
-    monkeypatch.setattr(selection, "is_unrelated", lambda *_: False)
+    monkeypatch.setattr(step, "related", lambda rivals, passed, stand: list(rivals))
     both = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of).contenders
     assert {DAMPER} in [set(one.fitted.effects) for one in both]
 
 
 def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeypatch):
-    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+    monkeypatch.setattr(step, "beside_rivals", lambda *_: [])
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
 
 
@@ -177,15 +177,15 @@ def test_what_is_not_there_beside_a_closer_part_of_its_set_is_not_found(monkeypa
         return [replace(one, fitted=part, gates=one.gates[:1])] if set(one.fitted.effects) == both else []
 
     assert set(selected(monkeypatch, SWINGS).chosen.effects) == both
-    monkeypatch.setattr(selection, "closer_parts", as_close)
+    monkeypatch.setattr(step, "closer_parts", as_close)
     found = selected(monkeypatch, SWINGS)
     assert set(found.chosen.effects) != both
     assert both not in [set(one.fitted.effects) for one in found.contenders]
 
 
 def test_a_search_goes_on_from_another_first_effect_that_does_something_else(monkeypatch):
-    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
-    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(step, "beside_rivals", lambda *_: [])
+    monkeypatch.setattr(step, "exchanged", lambda *_: [])
     assert {MODE, LOAD} not in search(monkeypatch, SWINGS)  # what imitates the friction is the same thing
     monkeypatch.setattr(ways, "UNLIKE", 1.0)
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
@@ -226,7 +226,7 @@ def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(
             assert may_stand(replace(two, cost=best.cost - 500.0)) and not may_stand(replace(two, cost=leaves - 1.0))
         return [fit for fit in fits if MODE not in fit.effects]
 
-    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(step, "exchanged", lambda *_: [])
     found = selected(monkeypatch, SWINGS, what_acts=what_acts)
     assert stands == [(), (FRICTION,)]
     assert not any(MODE in one.fitted.effects for one in found.contenders)
@@ -235,13 +235,13 @@ def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(
 def test_what_training_shows_competes_once(monkeypatch):
     """A pair may be a rival from the first step on, and be fitted again beside the chosen set."""
     (unsure,) = selected(monkeypatch, SWINGS, backwards=1e6).unsure
-    whole = selection.Search.step
+    whole = step.Steps.after
 
-    def step(self, way):
+    def after(self, way):
         found = whole(self, way)
         return replace(found, contenders=(*found.contenders, unsure)) if not way.stand.effects else found
 
-    monkeypatch.setattr(selection.Search, "step", step)
+    monkeypatch.setattr(step.Steps, "after", after)
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
     found = selected(monkeypatch, SWINGS, backwards=1e6)
     assert unsure in found.contenders and found.unsure == ()
@@ -260,7 +260,7 @@ def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(m
         asked.append(fits[0].effects)
         return [*fits, replace(fits[0], effects=(NOT_THERE,))] if len(fits[0].effects) == 1 else fits
 
-    monkeypatch.setattr(selection, "with_numbers_of_the_file", with_numbers)
+    monkeypatch.setattr(step, "with_numbers_of_the_file", with_numbers)
     found = selected(monkeypatch, SWINGS, candidates_of=beside_something)
     assert asked == [(FRICTION,), (FRICTION, LOAD)]
     assert {NOT_THERE} in [set(one.fitted.effects) for one in found.contenders]
@@ -269,7 +269,7 @@ def test_a_number_of_the_file_that_is_mistaken_for_the_closest_effect_competes(m
 @pytest.mark.parametrize("rounded", [0.0, 1e-9, -1e-9])
 def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch, rounded):
     """The damper stood for the load before that was a candidate beside it; without the damper the load leaves as little."""
-    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(step, "exchanged", lambda *_: [])
     monkeypatch.setitem(ALONG, DAMPER, np.sqrt(0.5) * (PULLS + DAMPS))
 
     def candidates_of(chosen: Fitted | None) -> list[Candidate]:
@@ -283,7 +283,7 @@ def test_what_an_effect_beside_it_makes_surplus_is_left_out(monkeypatch, rounded
 
 def test_a_set_that_gave_way_is_looked_beside_as_any_other(monkeypatch):
     """The damper that stood for the load is a step of its own: beside friction and load another effect is still looked for."""
-    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
+    monkeypatch.setattr(step, "exchanged", lambda *_: [])
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
     monkeypatch.setitem(ALONG, DAMPER, np.sqrt(0.5) * (PULLS + DAMPS))
     drawn = np.random.default_rng(4).standard_normal(ENTRIES)
@@ -302,9 +302,9 @@ def test_a_set_that_gave_way_is_looked_beside_as_any_other(monkeypatch):
 @pytest.mark.parametrize("paired", [True, False])
 def test_what_a_fit_comes_to_beside_another_effect_alone_is_found_where_both_were_a_pair(monkeypatch, paired):
     """Alone the friction's fit gets stuck, and the load is found first; the damper beside the friction does nothing."""
-    monkeypatch.setattr(selection, "PAIR_MARGIN", np.inf)
+    monkeypatch.setattr(step, "PAIR_MARGIN", np.inf)
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
-    monkeypatch.setattr(selection, "with_numbers_of_the_file", lambda runs, tuning, measured, fits, *_: fits)
+    monkeypatch.setattr(step, "with_numbers_of_the_file", lambda runs, tuning, measured, fits, *_: fits)
     both = Pair(((FRICTION, DAMPER), (np.ones(1), np.ones(1))), 900.0, 100.0, 2)
     alone = [Candidate(effect, ()) for effect in (FRICTION, DAMPER, LOAD)]
     asked = {"candidates_of": lambda chosen: alone, "stuck": FRICTION, "paired": [both] if paired else []}
@@ -316,8 +316,8 @@ def test_what_a_fit_comes_to_beside_another_effect_alone_is_found_where_both_wer
 @pytest.mark.parametrize("beside", [True, False])
 def test_what_is_mistaken_for_a_name_competes_with_it(monkeypatch, beside):
     """A mode in place of the friction beside the load is what no search came to."""
-    monkeypatch.setattr(selection, "exchanged", lambda *_: [])
-    monkeypatch.setattr(selection, "beside_rivals", lambda *_: [])
+    monkeypatch.setattr(step, "exchanged", lambda *_: [])
+    monkeypatch.setattr(step, "beside_rivals", lambda *_: [])
 
     def neighbours(found, number, bank, there, settings):
         rest = tuple(effect for effect in found.effects if effect != FRICTION)
@@ -358,8 +358,8 @@ def test_neighbours_of_what_was_added_start_beside_the_others_and_those_of_the_o
 def test_rarer_than_all_that_were_finished_are_the_rarest_three():
     fits = [SimpleNamespace(number=k) for k in range(8)]
     by_chance = [1e-3, 1e-6, 2.0, 1e-5, 1e-7, 1e-9, 1e-8, 1e-10]
-    assert [fit.number for fit in selection.rarer_by_chance(fits, 3, by_chance)] == [7, 5, 6]
-    assert [fit.number for fit in selection.rarer_by_chance(fits[:4], 1, by_chance[:4])] == [1, 3]
+    assert [fit.number for fit in finishing.rarer_by_chance(fits, 3, by_chance)] == [7, 5, 6]
+    assert [fit.number for fit in finishing.rarer_by_chance(fits[:4], 1, by_chance[:4])] == [1, 3]
 
 
 @pytest.mark.parametrize(("shapes", "is_finished"), [(1e9, True), (1.0, False)])

@@ -12,7 +12,6 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.weighing import closer_than
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching.selection import still_in
 from hil.diagnosis.searching.ways import (
     Way,
     another_first,
@@ -20,8 +19,9 @@ from hil.diagnosis.searching.ways import (
     competes,
     continued,
     each_once,
-    is_unrelated,
     joined,
+    related,
+    still_in,
     with_others,
 )
 from hil.diagnosis.starting.candidates import Candidate
@@ -224,6 +224,13 @@ def test_a_set_that_took_the_stands_place_is_a_rival_whatever_it_does():
     beside, instead = contender(60.0, DELAY, RUBBING), contender(60.0, COGGING, response=ALONG[1], passed=False)
     assert not is_unrelated(instead, [beside], stand)
     assert is_unrelated(contender(60.0, DELAY, COGGING, response=ALONG[1], passed=False), [beside], stand)
+
+
+def is_unrelated(one, passed, stand) -> bool:
+    """Whether a set is left out of those that compete."""
+    kept = related([*passed, one], passed, stand)
+    assert kept[: len(passed)] == list(passed)
+    return one not in kept
 
 
 def nothing_found(*effects: EffectAt, jacobian=0.0 * ALONG[:, :1]):

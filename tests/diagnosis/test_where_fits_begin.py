@@ -55,13 +55,10 @@ class Begun(Exception):
     """A fit asks for what it does not begin with."""
 
 
-@pytest.mark.parametrize(
-    ("followed", "weaker", "begins"),
-    [(30.0, 15.0, MORE_N), (30.0, -15.0, 0.3 * MORE_N), (70.0, 15.0, 0.3 * MORE_N)],
-    ids=["nearer", "better than no effect", "what numbers do not make up for"],
-)
-def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_no_effect(followed, weaker, begins, monkeypatch):
-    """A valley that bends: the whole costs 87 more than no effect, and less with less damping; a weaker one is always near to none."""
+def begun_with(monkeypatch, cost_of) -> float:
+    """Share of its strength a fit begins with, where trials of such shares cost so much more than no effect: `cost_of`
+    may be of the first one's own; none where it cannot be simulated.
+    """
     found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0, coulomb_N=HIDDEN_N)))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
         tuning, begin, asked = retune(runs), runs.begin, []
@@ -71,14 +68,39 @@ def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_
 
         def bent(trials, name=TRAIN):
             asked.append(trials[0].effects[0].parameters["Fc"])
-            if asked[-1] not in [share * MORE_N for share in (1.0, 0.3, 0.1, 0.03)]:
+            shares = [share for share in (1.0, 0.3, 0.1, 0.03) if asked[-1] == share * MORE_N]
+            if not shares:
                 raise Begun
-            if len(asked) == 1:  # what the numbers make up for
+            cost = cost_of(shares[0], len(asked) == 1)
+            if cost is OWN:
                 return begin(trials, name)
-            cost = base + (followed if asked[-1] == MORE_N else weaker)
-            return lambda: [measured - np.sqrt(cost / (left @ left)) * left]
+            return lambda: [None if cost is None else measured - np.sqrt((base + cost) / (left @ left)) * left]
 
         monkeypatch.setattr(runs, "begin", bent)
         with pytest.raises(Begun):
             refit(runs, tuning, measured, [((FRICTION,), (np.array([MORE_N]),))])
-    assert asked[-1] == pytest.approx(begins, rel=0.02)  # moved for the first sensitivity
+    return asked[-1] / MORE_N  # moved for the first sensitivity
+
+
+OWN = object()
+"""What it does cost: of the whole start 87 more than no effect, which the filter says that less damping makes up for."""
+
+
+@pytest.mark.parametrize(
+    ("followed", "weaker", "begins"),
+    [(30.0, 15.0, 1.0), (30.0, -15.0, 0.3), (70.0, 15.0, 0.3)],
+    ids=["nearer", "better than no effect", "what numbers do not make up for"],
+)
+def test_where_numbers_make_up_for_the_whole_a_weaker_start_must_be_better_than_no_effect(followed, weaker, begins, monkeypatch):
+    """A valley that bends: the whole costs less with less damping; a weaker one is always near to none."""
+
+    def cost(share: float, is_first: bool):
+        return OWN if is_first else followed if share == 1.0 else weaker
+
+    assert begun_with(monkeypatch, cost) == pytest.approx(begins, rel=0.02)
+
+
+@pytest.mark.parametrize("whole", [1e6, None], ids=["far too much", "cannot be simulated"])
+def test_of_starts_that_numbers_do_not_make_up_for_the_nearest_counts(whole, monkeypatch):
+    costs = {1.0: whole, 0.3: 9e4, 0.1: 1e4, 0.03: 1.0}
+    assert begun_with(monkeypatch, lambda share, is_first: costs[share]) == pytest.approx(0.03, rel=0.02)

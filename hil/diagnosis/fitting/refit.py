@@ -324,7 +324,7 @@ def _begun(
         if answer is not None:
             cost = _cost(measured, answer, start.offset)
             whole = cost if start is at else whole
-            is_followed = found is not None and found[0] - base < MADE_UP_FOR * (whole - base)
+            is_followed = found is not None and found[1].values is at.values and found[0] - base < MADE_UP_FOR * (whole - base)
             if found is None or (cost < found[0] and (cost < base or start.values is at.values or not is_followed)):
                 found = cost, start, answer
             if found[0] > base and start.values is at.values and followed < FOLLOWED_AT_MOST:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
-from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature_of
 from hil.diagnosis.judging.gate import Gate
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
 from hil.diagnosis.judging.tried import Tried
@@ -164,27 +164,34 @@ def competes(one: Contender, chosen: Contender | None) -> bool:
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
 
 
-def is_unrelated(one: Contender, passed: Sequence[Contender], stand: Stand) -> bool:
-    """Whether a set that did not pass, and gains no more, does nothing of what the sets do that passed, all added to this stand: those are
-    there whatever this one gains, and this one is asked for beside them.
+def related(rivals: Sequence[Contender], passed: Sequence[Contender], stand: Stand) -> list[Contender]:
+    """Sets without those that did not pass, gain no more than those that passed and do nothing of what they do, all added to this stand:
+    what passed is there whatever these gain, and they are asked for beside the best of it.
 
-    What it does is anything that its effects can at other values of their parameters, and what re-tuning can beside them.
+    What a set does is anything that its effects can at other values of their parameters, and what re-tuning can beside them.
     """
-    own = set(stand.effects)
-    if one.passed or not all(own <= set(each.fitted.effects) and one.gained <= each.gained for each in (one, *passed)):
-        return False
-    projection = Projection.of(stand.tuning)
+    projection, own = Projection.of(stand.tuning), set(stand.effects)
 
     def left(change: np.ndarray) -> np.ndarray:
         change = projection.left(change)
         sizes = np.linalg.norm(change, axis=-1, keepdims=True)
         return change / np.where(sizes > 0.0, sizes, 1.0)
 
-    does = left(np.vstack([one.fitted.predicted - stand.tuning.predicted, one.fitted.jacobian.T])).T
-    basis, sizes, _ = np.linalg.svd(does, full_matrices=False)
-    basis = basis[:, sizes > SAME * sizes[0]]
-    shares = [float(np.sum((left(each.fitted.predicted - stand.tuning.predicted) @ basis) ** 2)) for each in passed]
-    return max(shares) < UNRELATED
+    def are_added(sets: Sequence[Contender]) -> bool:
+        return all(own <= set(each.fitted.effects) for each in sets)
+
+    asked = [one for one in rivals if not one.passed and are_added([one]) and all(one.gained <= each.gained for each in passed)]
+    if not asked or not are_added(passed):
+        return list(rivals)
+    wanted = left(np.stack([each.fitted.predicted - stand.tuning.predicted for each in passed]))
+
+    def is_unrelated(one: Contender) -> bool:
+        does = left(np.vstack([one.fitted.predicted - stand.tuning.predicted, one.fitted.jacobian.T]))
+        _, sizes, basis = np.linalg.svd(does, full_matrices=False)
+        return float(np.sum((wanted @ basis[sizes > SAME * sizes[0]].T) ** 2, axis=1).max()) < UNRELATED
+
+    unrelated = [id(one) for one in asked if is_unrelated(one)]
+    return [one for one in rivals if id(one) not in unrelated]
 
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
@@ -205,3 +212,30 @@ def _removing(one: Contender, base: float) -> Removing:
 def price_in_training(fitted: Fitted, temper: float, searched: float) -> float:
     """Of a set's parameters and of what was searched for it, in log evidence, before held-out recordings are asked."""
     return Weighed(None, 0.0, 0.0, searched=searched).priced_as(fitted).price(temper)
+
+
+def still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[Contender]:
+    """Sets of a step before that compete with the larger sets of this one: they gain as much, and are no part of one that passed too."""
+    if not larger:
+        return []
+    return [
+        one
+        for one in earlier
+        if is_rival_of(one, larger)
+        and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger if other.passed or not one.passed)
+    ]
+
+
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
+    """Fitted sets by their evidence on the training recordings, see naming.py."""
+    if not fits:
+        return []
+    known = sum(gate.gain for gate in stand.steps(numbers=True))
+
+    def by_numbers(fit: Fitted) -> float:
+        if set(fit.effects) <= numbers_of(fit):
+            return base - fit.cost
+        return known if set(stand.effects) <= set(fit.effects) else 0.0
+
+    temper = temperature_of([Removing(fit.cost, by_numbers(fit), are_of_the_file(fit)) for fit in fits], base, noise_energy)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

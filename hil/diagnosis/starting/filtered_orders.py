@@ -38,8 +38,12 @@ per travel and 42 in energy was not among the six (sealed 8311, spent). It is on
 STARTS = 2
 """Orders of the largest energy that fits may start from."""
 
-APART_STEPS = 3.0
-"""Steps by which orders that stand out differ: a wave is two cycles per travel wide."""
+APART_STEPS = 3.25
+"""Steps by which orders that stand out differ: a wave is two cycles per travel wide. No multiple of half a step, which orders and their
+halves are apart by, so that rounding decides nothing."""
+
+HALF_APART_STEPS = 0.75
+"""The same of their halves."""
 
 RIDGE = 1e-6
 """Share of its energy by which a harmonic's response must differ from the others' to be told from them."""
@@ -131,12 +135,13 @@ def _starts(loop: ThroughTheLoop, tuning: Tuning, wave: _Wave, behind: Sequence[
     step = 2.0 * np.pi / wave.typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     power = np.abs(wave.products(behind, orders)) ** 2
+    # what is beyond the lowest is as what is next to it, not as the lowest alone, which may be a wave's
     around = scipy.ndimage.median_filter(power, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="reflect")
     standing_out = [float(orders[k]) for k in np.argsort(-power / np.maximum(around, 1e-300))]
 
     def with_halves(standing_out: Sequence[float], most: int) -> list[float]:
         first = _apart(standing_out, APART_STEPS * step, most)
-        return _apart([*first, *(0.5 * order for order in first if 0.5 * order >= lowest)], 0.5 * step, 2 * most)
+        return _apart([*first, *(0.5 * order for order in first if 0.5 * order >= lowest)], HALF_APART_STEPS * step, 2 * most)
 
     asked = with_halves(standing_out, ASKED)
     slow = with_halves([order for order in standing_out if order < lowest + ORDERS_AROUND * ORDERS_PER_TRAVEL * step], SLOW_ASKED)

@@ -1,0 +1,362 @@
+"""One step of a search: an effect more beside what was found, or a pair at the first one or in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from hil.diagnosis.fitting.refit import Fitted, polish, refit
+from hil.diagnosis.fitting.screening import Screened, screen, shortlist
+from hil.diagnosis.judging.errors_of_laws import temperature
+from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
+from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
+from hil.diagnosis.judging.tried import Tried
+from hil.diagnosis.ranking.naming import price_of_a_parameter
+from hil.diagnosis.ranking.weighing import least_by_chance, without_form
+from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching.exchanged import bank_of, exchanged, neighbours_of_all
+from hil.diagnosis.searching.finishing import closest_of_each, finished, rarer_by_chance, worth_finishing
+from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
+from hil.diagnosis.searching.harmonics import with_other_harmonics
+from hil.diagnosis.searching.numbers_of_the_file import with_numbers_of_the_file
+from hil.diagnosis.searching.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_one, without_what_stood
+from hil.diagnosis.searching.same_order import with_others_of_its_order
+from hil.diagnosis.searching.surplus import has_no_surplus, leaves_as_little, needs_all, parts_that_passed
+from hil.diagnosis.searching.ways import (
+    Way,
+    closer_parts,
+    competes,
+    in_order,
+    not_told_apart_in_training,
+    price_in_training,
+    related,
+    still_in,
+    with_others,
+)
+from hil.diagnosis.searching.what_acts import with_what_acts
+from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.tuning.free_run import FreeRuns
+from hil.diagnosis.tuning.retune import Tuning
+
+MOST_EFFECTS = 3
+MOST_STEPS = 5
+"""Steps of one way: a set that gave way to one without one of its effects is looked beside as any other, twice at most."""
+
+REFITTED = 8
+"""Candidates refitted after the first screening."""
+
+REFITTED_BESIDE = 5
+"""Candidates refitted beside effects that were found already."""
+
+PAIRED = 3
+"""Pairs that are fitted beside single effects: a flexible law imitates two simple ones that act together, and alone neither of them comes
+near it."""
+
+PAIR_MARGIN = 8.0
+"""Logarithm of the evidence by which a pair's filter may stay behind the best single effect and still be worth a fit."""
+
+WIDER = 3
+"""Times as many candidates are fitted first where training shows something for certain and none of the best explains it: a far or nearly
+degenerate machine's screening is wrong by more than candidates differ by. On sealed 1242 (spent) gravity was first with 255 and gained 9,
+an inertia over pose thirteenth with 56 and gained 292."""
+
+WORTH_A_FIT = 0.02
+"""Of the best score: candidates below are not refitted."""
+
+SURPLUS = "the set gains no more than chance over a part of it without another of its effects"
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """What is the same at every step; see `selection.select`."""
+
+    runs: FreeRuns
+    tuning: Tuning
+    judgement: Judgement
+    noise_energy: float
+    candidates_of: Callable[[Fitted | None], Sequence[Candidate]]
+    report: Report
+
+    def to_the_end(self, way: Way) -> Way:
+        """Until none passes the gate."""
+        while not way.is_at_its_end and len(way.stand.effects) < MOST_EFFECTS and len(way.gates) < MOST_STEPS:
+            way = self.after(way)
+        return way
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        return self.runs.measured()
+
+    def fits_from(self, starts: Sequence[Start], tuning: Tuning | None = None) -> list[Fitted]:
+        """Those that can be simulated, in the order of their starts."""
+        return [fit for fit in refit(self.runs, self.tuning if tuning is None else tuning, self.measured, starts) if fit is not None]
+
+    def polished(self, fits: Sequence[Fitted]) -> list[Fitted]:
+        return polish(self.runs, self.tuning, self.measured, fits)
+
+    def after(self, way: Way) -> Way:
+        """One effect more, or a pair at the first step or in place of what was found."""
+        begun = self._screened(way)
+        if not begun.screened:
+            return replace(way, is_at_its_end=True)
+        fits, leaner = self._fitted(begun)
+        if not fits:
+            return replace(way, is_at_its_end=True)
+        first, singles = way.screened, way.singles
+        if begun.is_first:
+            first = tuple(begun.screened)
+            fits = self._with_pairs(begun, closest_of_each(way.singles, fits) if way.is_wider else fits)
+            singles = tuple(fit for fit in fits if len(fit.effects) == 1)
+        fits, doubtful = self._that_need_all(begun, fits, leaner, singles)
+        if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
+            return replace(way, is_at_its_end=True, screened=first, singles=singles, limits=begun.limits, tried=begun.tried)
+        stand = self.judgement.without_own_lines(fits) if begun.is_first else way.stand
+        fits = self._acting(begun, stand, fits, singles)
+        closest = min(fits, key=lambda fit: fit.cost)
+        asked = self._asked(begun, stand, fits)
+        needed = asked.without_surplus(asked.judged, (*way.smaller, *leaner))
+        also_passed = [one for one in needed if one.passed]
+        passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
+        shows = any(one.gate.training_shows_something for one in asked.judged)
+        if begun.is_first and not passed and begun.behind and not way.is_wider and shows:
+            wider = self.after(replace(way, screened=first, singles=singles, is_wider=True))
+            if wider.gates:  # some of those behind could be simulated
+                return wider
+        refused = next((one for one in asked.judged if one not in also_passed), asked.judged[0])
+        end = Way(
+            stand,
+            (*way.gates, passed[0].gate if passed else _refused(refused, needed)),
+            way.contenders,
+            first,
+            closest,
+            least_by_chance(asked.judged, stand),
+            singles,
+            (*way.smaller, *fits),
+            begun.limits,
+            begun.tried,
+            True,
+            (*way.formless, *without_form(needed)),
+            placebo=asked.placebos[1],
+        )
+        if passed:
+            return self._gone_on(asked, end, passed, needed, doubtful)
+        if stand.fitted is not None:
+            larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
+            unsure = tuple(one for one in larger if one.gate.shows and not one.gate.lost_form)
+            return replace(end, contenders=tuple(with_others(way.contenders, also_passed, stand.fitted)), unsure=unsure)
+        rivals = [one for one in needed if one.passed or competes(one, None)]
+        return replace(end, contenders=(*rivals, *still_in(way.contenders, rivals)))
+
+    def _screened(self, way: Way) -> _Begun:
+        """All candidates beside what was found, and those of them that are worth a fit."""
+        stand, chosen, size = way.stand, way.stand.fitted, len(way.stand.effects)
+        self.report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
+        found = [candidate for candidate in self.candidates_of(chosen) if candidate.effect not in stand.effects]
+        limits = {**{candidate.effect: candidate.limits for candidate in found}, **way.limits}
+        residual = self.measured - stand.tuning.predicted
+        screened = (
+            [*way.screened] if way.is_wider else screen(self.runs, stand.tuning, found, residual, () if chosen is None else chosen.settings)
+        )
+        screened.sort(key=lambda s: -s.score / self.judgement.scatter.along(s.response[: len(residual)].astype(float)))
+        most = REFITTED if size == 0 else REFITTED_BESIDE
+        best = shortlist(screened, most, WORTH_A_FIT) if screened else []
+        behind = [one for one in screened[: WIDER * most] if one not in best]
+        return _Begun(way, residual, found, screened, behind if way.is_wider else best, behind, limits, Tried(found, way.tried))
+
+    def _fitted(self, begun: _Begun) -> tuple[list[Fitted], list[Fitted]]:
+        """Fits of what is worth one, and of them those that leave as little without an effect that they were added to."""
+        runs, tuning, measured, stand, tried = self.runs, self.tuning, self.measured, begun.way.stand, begun.tried
+        chosen, entries = stand.fitted, len(begun.residual)
+        self.report("fitting", 0.35 + 0.2 * len(stand.effects))
+        starts = [*(beside(chosen, s) for s in begun.worth), *instead(chosen, begun.worth[0])]
+        fits = sorted(self.fits_from(starts, stand.tuning), key=lambda fit: fit.cost)
+        if not fits:
+            return [], []
+        unfinished = worth_finishing(fits, stand.cost, entries)
+        fits = finished(runs, tuning, measured, fits, unfinished)
+        rarer = rarer_by_chance(fits, unfinished, [self.judgement.by_chance(stand, fit, tried) for fit in fits])
+        fits = [*(fit for fit in fits if fit not in rarer), *self.polished(rarer)]
+        fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
+        best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
+        freedom = max(best.freedom - (0 if chosen is None else chosen.freedom), 1)
+        if stand.cost - best.cost <= needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, entries):
+            return fits, []
+        fits = with_other_harmonics(runs, tuning, measured, fits)
+        fits = with_others_of_its_order(runs, tuning, stand, measured, fits, begun.found)
+        fits = with_numbers_of_the_file(runs, tuning, measured, fits, begun.screened, stand)
+        best = min((fit for fit in fits if set(stand.effects) < set(fit.effects)), key=lambda fit: fit.cost, default=best)
+        alone = self.polished(self.fits_from(without_what_stood(chosen, best)))
+        leaner = [fit for fit in alone if leaves_as_little(fit, best, tried, entries)]
+        fits = closest_of_each(fits, [fit for fit in alone if fit in leaner or self._is_likelier(fit, chosen, tried)])
+        return fits, [fit for fit in fits if set(fit.effects) in [set(part.effects) for part in leaner]]  # the closest of each
+
+    def _is_likelier(self, fit: Fitted, chosen: Fitted | None, tried: Tried) -> bool:
+        """By training than what was found, each against nothing."""
+        nothing = self.judgement.nothing
+        return chosen is not None and in_order([chosen, fit], nothing.cost, self.noise_energy, tried, nothing)[0] is fit
+
+    def _with_pairs(self, begun: _Begun, fits: Sequence[Fitted]) -> list[Fitted]:
+        """First fits, with pairs that their filter puts near the best of them, and the parts of the closest pair."""
+        nothing = self.judgement.nothing
+        ordered = in_order(fits, nothing.cost, self.noise_energy, begun.tried, nothing)
+        starts = _pairs_worth_a_fit(self.tuning, begun.residual, ordered, begun.screened, nothing.cost, begun.tried)
+        twos = sorted(self.fits_from(starts), key=lambda fit: fit.cost)
+        closest_pair = self.polished(twos[:1])
+        alone = self.polished(self.fits_from([start for pair in closest_pair for start in without_one(pair)]))
+        return closest_of_each([*fits, *closest_pair, *twos[1:]], alone)
+
+    def _that_need_all(
+        self, begun: _Begun, fits: Sequence[Fitted], leaner: Sequence[Fitted], singles: Sequence[Fitted]
+    ) -> tuple[list[Fitted], list[Fitted]]:
+        """Those that need all of their effects, and first ones of which one may be another's error."""
+        stand, base, entries = begun.way.stand, self.judgement.nothing.cost, len(begun.residual)
+        exact = [fit for fit in fits if fit in leaner or needs_all(fit, stand, singles, None, begun.tried, entries)]
+        needed = [fit for fit in exact if fit in leaner or needs_all(fit, stand, singles, base, begun.tried, entries)]
+        return needed, [] if stand.effects else [fit for fit in exact if fit not in needed]
+
+    def _acting(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted], singles: Sequence[Fitted]) -> list[Fitted]:
+        """Fits with what acts in them, in the order of their evidence."""
+        nothing, entries = self.judgement.nothing, len(begun.residual)
+
+        def may_stand(fit: Fitted) -> bool:
+            """As what was found: a set without one of the stand's effects is judged against nothing."""
+            return fit.cost < stand.cost and needs_all(fit, stand, singles, nothing.cost, begun.tried, entries)
+
+        acting = with_what_acts(self.runs, self.tuning, self.measured, fits, stand.effects, may_stand)
+        return in_order(acting, nothing.cost, self.noise_energy, begun.tried, stand)
+
+    def _asked(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted]) -> _Asked:
+        """The gate, with its answers about these sets."""
+        placebo = placebo_gain(self.runs, stand.tuning, begun.screened, begun.residual)
+        placebos = placebo, placebo if begun.is_first else begun.way.placebo
+        judged = self.judgement.contenders(stand, fits, begun.tried, placebos, begun.limits)
+        return _Asked(self.judgement, begun, stand, placebos, judged)
+
+    def _gone_on(
+        self, asked: _Asked, end: Way, passed: Sequence[Contender], needed: Sequence[Contender], doubtful: Sequence[Fitted]
+    ) -> Way:
+        """A way that goes on beside the best that passed, with all that competes with it: naming weighs pairs whose second effect may be
+        the first one's error, and what was found beside rivals and with effects exchanged.
+        """
+        begun, stand, way = asked.begun, asked.stand, asked.begun.way
+        rivals = [one for one in needed if one.passed or competes(one, passed[0])]
+        if len(passed[0].fitted.effects) < MOST_EFFECTS and len(end.gates) < MOST_STEPS:  # there is another step
+            rivals = related(rivals, passed, stand)
+        count = len(asked.judged)
+        also = asked.contenders(doubtful, count)
+        likely = [one for one in also if one.passed and asked.is_no_chance_beside_its_parts(one)]
+        rivals += likely
+        known = not_told_apart_in_training(way.contenders, rivals, self.judgement.nothing.cost, self.noise_energy)
+        there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
+        starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
+        several = next((one.fitted for one in (*passed, *likely) if len(one.fitted.effects) > 1), passed[0].fitted)
+        there += [*(set(one.fitted.effects) for one in asked.judged), *(set(names) for names, _ in starts)]
+        starts += exchanged(self.tuning, several, end.singles, end.screened, there)
+        there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
+        banks = bank_of((), begun.screened), bank_of(end.singles, end.screened)
+        for likely_set in {id(fit): fit for fit in (several, passed[0].fitted)}.values():
+            near = neighbours_of_all(likely_set, stand.effects, banks, there, self.runs.machine.plant)
+            there += [set(names) for names, _ in near]
+            starts += near
+        refitted = self.polished(self.fits_from(starts))
+        smaller = (*end.smaller, *refitted)
+        more = asked.without_surplus(asked.contenders(refitted, count), smaller)
+        rivals += [one for one in more if one.passed]
+        return replace(
+            end,
+            stand=asked.after(passed[0]),
+            contenders=(*rivals, *still_in(way.contenders, rivals)),
+            formless=(*end.formless, *without_form(more)),
+            smaller=smaller,
+            further=np.inf,
+            is_at_its_end=False,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """What a step begins with."""
+
+    way: Way
+    residual: np.ndarray
+    found: Sequence[Candidate]
+    screened: Sequence[Screened]  # the best first
+    worth: Sequence[Screened]  # a fit
+    behind: Sequence[Screened]  # these, where nothing of them passes
+    limits: Mapping[EffectAt, tuple[float, float]]
+    tried: Tried
+
+    @property
+    def is_first(self) -> bool:
+        return not self.way.stand.effects
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """The gate of one step, with its answers about the sets that were fitted."""
+
+    judgement: Judgement
+    begun: _Begun
+    stand: Stand
+    placebos: tuple[float, float]
+    judged: Sequence[Contender]
+    _stands: dict[int, Stand] = field(default_factory=dict)
+
+    def contenders(self, fits: Sequence[Fitted], earlier: int = 0, stand: Stand | None = None) -> list[Contender]:
+        """Of sets that are asked about after so many others, beside the step's stand or another one."""
+        stand = self.stand if stand is None else stand
+        return self.judgement.contenders(stand, fits, self.begun.tried, self.placebos, self.begun.limits, earlier)
+
+    def after(self, found: Contender) -> Stand:
+        if id(found) not in self._stands:
+            self._stands[id(found)] = self.judgement.after(found)
+        return self._stands[id(found)]
+
+    def is_there_beside(self, one: Contender, part: Contender) -> bool:
+        return self.contenders([one.fitted], stand=self.after(part))[0].passed
+
+    def is_no_chance_beside_its_parts(self, one: Contender) -> bool:
+        parts = parts_that_passed(one, self.judged) if self.begun.is_first else []
+        return all(self.judgement.by_chance(self.after(part), one.fitted, self.begun.tried) < 1.0 for part in parts)
+
+    def without_surplus(self, sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
+        """Sets that need all of their effects: beside smaller ones, beside parts of them that leave less than the stand, and each."""
+        way, entries = self.begun.way, len(self.begun.residual)
+        needed = [one for one in sets if has_no_surplus(one.fitted, self.stand, smaller, self.begun.tried, entries)]
+        needed = [one for one in needed if not one.passed or all(self.is_there_beside(one, part) for part in closer_parts(one, way))]
+        return [one for one in needed if not one.passed or self.is_no_chance_beside_its_parts(one)]
+
+
+def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
+    """The gate of the step that ends a search."""
+    return best.gate if best in needed or best.gate.lost_form else replace(best.gate, lost_form=SURPLUS)
+
+
+def _pairs_worth_a_fit(
+    tuning: Tuning, residual: np.ndarray, singles: Sequence[Fitted], screened: Sequence[Screened], base: float, tried: Tried
+) -> list[Start]:
+    """Starts of the pairs whose filter says that they may be likelier than the best single effect, and more than chance."""
+    found = pairs(tuning, residual, singles, screened)
+    if not found:
+        return []
+    best, entries = singles[0], len(residual)
+    temper = temperature(base - min(best.cost, base - found[0].gain), min(best.cost, base - found[0].gain) - entries)
+    price = price_of_a_parameter(base - best.cost, temper)
+    least = 0.5 * (base - best.cost) / temper - price_in_training(best, temper, tried.searched_for(best)) - PAIR_MARGIN
+
+    def evidence(pair: Pair) -> float:
+        return 0.5 * pair.gain / temper - pair.freedom * price - tried.searched(pair.start[0])
+
+    worth = [
+        pair
+        for pair in found
+        if evidence(pair) > least
+        and best.effects[0] not in pair.start[0]  # what is to be added to it is looked for beside it
+        and pair.added > needed_gain(tried.count, 1, base - pair.gain, entries)
+    ]
+    return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
