@@ -109,7 +109,7 @@ class Gate:
     placebo_gain: float
     share: float  # of what there is to explain before the first effect
     is_first: bool
-    lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see selection.py
+    lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see step.py
     beyond: float | None = None  # of the gain, what no error of equations found before explains, see form_error.py
     held_out_beyond: float | None = None  # the same of the held-out gain
     predicted: float | None = None  # length of the held-out change beyond such errors, in standard deviations of the noise along it
@@ -162,7 +162,7 @@ class Gate:
         confirm anything, nor do they become worse by more than chance lets the best of all gain.
 
         What is predicted counts in units of what errors of the first effects may do, too. A friction that warmed beside one over position
-        left 255 more of the held-out recordings, 96 beyond such errors, and its 2.3 predicted deviations agreed with none (sealed 8209,
+        left 256 more of the held-out recordings, 96 beyond such errors, and its 2.3 predicted deviations agreed with none (sealed 8209,
         spent); of five right sets that passed so, none leaves more by 10.
         """
         of_its_own = not self.is_first and self.beyond is not None and self.beyond > OWN_GAIN * self.gain
