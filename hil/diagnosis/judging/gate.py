@@ -163,7 +163,7 @@ class Gate:
 
         What is predicted counts in units of what errors of the first effects may do, too. A friction that warmed beside one over position
         left 256 more of the held-out recordings, 96 beyond such errors, and its 2.3 predicted deviations agreed with none (sealed 8209,
-        spent); of five right sets that passed so, none leaves more by 10.
+        spent); of four sets that passed so, none leaves more by 10.
         """
         of_its_own = not self.is_first and self.beyond is not None and self.beyond > OWN_GAIN * self.gain
         level = UNCONFIRMED_BESIDE_OTHERS if of_its_own else UNCONFIRMED_LEVEL
