@@ -146,7 +146,8 @@ def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_ap
     assert not any(LOAD in one.fitted.effects and FRICTION in one.fitted.effects for one in found.contenders)
 
 
-def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(monkeypatch):
+@pytest.mark.parametrize("last", ["MOST_EFFECTS", "MOST_STEPS"])
+def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(last, monkeypatch):
     """A damper whose strength scatters from repeat to repeat, beside a friction that shows as much and does not."""
     along = judgement.Scatter.along
     scatters = lambda self, response: 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)  # noqa: E731
@@ -158,7 +159,7 @@ def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(
 
     found = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of)
     assert [set(one.fitted.effects) for one in found.contenders] == [{FRICTION}]
-    monkeypatch.setattr(step, "related", lambda rivals, passed, stand: list(rivals))
+    monkeypatch.setattr(step, last, 1)  # no further step, in which it would be asked for
     both = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of).contenders
     assert {DAMPER} in [set(one.fitted.effects) for one in both]
 
@@ -235,13 +236,13 @@ def test_sets_compete_without_what_does_nothing_where_the_smaller_set_may_stand(
 def test_what_training_shows_competes_once(monkeypatch):
     """A pair may be a rival from the first step on, and be fitted again beside the chosen set."""
     (unsure,) = selected(monkeypatch, SWINGS, backwards=1e6).unsure
-    whole = step.Steps.after
+    whole = step.Steps.step
 
-    def after(self, way):
+    def stepped(self, way):
         found = whole(self, way)
         return replace(found, contenders=(*found.contenders, unsure)) if not way.stand.effects else found
 
-    monkeypatch.setattr(step.Steps, "after", after)
+    monkeypatch.setattr(step.Steps, "step", stepped)
     monkeypatch.setattr(selection, "closer_than", lambda *_: None)
     found = selected(monkeypatch, SWINGS, backwards=1e6)
     assert unsure in found.contenders and found.unsure == ()

@@ -20,9 +20,9 @@ from hil.diagnosis.searching.ways import (
     continued,
     each_once,
     joined,
-    related,
     still_in,
     with_others,
+    without_unrelated,
 )
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.retune import Tuning
@@ -228,7 +228,7 @@ def test_a_set_that_took_the_stands_place_is_a_rival_whatever_it_does():
 
 def is_unrelated(one, passed, stand) -> bool:
     """Whether a set is left out of those that compete."""
-    kept = related([*passed, one], passed, stand)
+    kept = without_unrelated([*passed, one], passed, stand)
     assert kept[: len(passed)] == list(passed)
     return one not in kept
 

@@ -55,9 +55,13 @@ class Begun(Exception):
     """A fit asks for what it does not begin with."""
 
 
+OWN = object()
+"""What it does cost: of the whole start 87 more than no effect, which the filter says that less damping makes up for."""
+
+
 def begun_with(monkeypatch, cost_of) -> float:
-    """Share of its strength a fit begins with, where trials of such shares cost so much more than no effect: `cost_of`
-    may be of the first one's own; none where it cannot be simulated.
+    """Share of its strength a fit begins with, where trials of such shares cost so much more than no effect: `OWN` for what they do, None
+    where none can be simulated.
     """
     found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0, coulomb_N=HIDDEN_N)))
     with FreeRuns({TRAIN: found}, found.noise) as runs:
@@ -80,10 +84,6 @@ def begun_with(monkeypatch, cost_of) -> float:
         with pytest.raises(Begun):
             refit(runs, tuning, measured, [((FRICTION,), (np.array([MORE_N]),))])
     return asked[-1] / MORE_N  # moved for the first sensitivity
-
-
-OWN = object()
-"""What it does cost: of the whole start 87 more than no effect, which the filter says that less damping makes up for."""
 
 
 @pytest.mark.parametrize(

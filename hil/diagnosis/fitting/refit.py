@@ -323,7 +323,7 @@ def _begun(
         following = None
         if answer is not None:
             cost = _cost(measured, answer, start.offset)
-            whole = cost if start is at else whole
+            whole = cost if start is at else whole  # only of whole starts numbers can have made up for something
             is_followed = found is not None and found[1].values is at.values and found[0] - base < MADE_UP_FOR * (whole - base)
             if found is None or (cost < found[0] and (cost < base or start.values is at.values or not is_followed)):
                 found = cost, start, answer

@@ -117,7 +117,7 @@ def select(
     """
     judgement = Judgement(runs, tuning, held_out, noise_energy, partial(form_error, runs), lambda name: onset(runs, name, tuning))
     steps = Steps(runs, tuning, judgement, noise_energy, candidates_of, report)
-    first = steps.after(Way(judgement.nothing))
+    first = steps.step(Way(judgement.nothing))
     way = steps.to_the_end(first)
     rival = another_first(first.contenders, way.stand.effects, first.stand, judgement.nothing, noise_energy)
     if another_way and rival is not None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
-from hil.diagnosis.judging.errors_of_laws import temperature
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of
 from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
 from hil.diagnosis.judging.tried import Tried
@@ -29,12 +29,11 @@ from hil.diagnosis.searching.ways import (
     Way,
     closer_parts,
     competes,
-    in_order,
     not_told_apart_in_training,
     price_in_training,
-    related,
     still_in,
     with_others,
+    without_unrelated,
 )
 from hil.diagnosis.searching.what_acts import with_what_acts
 from hil.diagnosis.starting.candidates import Candidate
@@ -42,6 +41,8 @@ from hil.diagnosis.tuning.free_run import FreeRuns
 from hil.diagnosis.tuning.retune import Tuning
 
 MOST_EFFECTS = 3
+"""Of a set: of more, others that were not tried may fit as well."""
+
 MOST_STEPS = 5
 """Steps of one way: a set that gave way to one without one of its effects is looked beside as any other, twice at most."""
 
@@ -73,7 +74,7 @@ Report = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """What is the same at every step; see `selection.select`."""
+    """Steps of a search, with what is the same at each; see `selection.select`."""
 
     runs: FreeRuns
     tuning: Tuning
@@ -84,8 +85,8 @@ class Steps:
 
     def to_the_end(self, way: Way) -> Way:
         """Until none passes the gate."""
-        while not way.is_at_its_end and len(way.stand.effects) < MOST_EFFECTS and len(way.gates) < MOST_STEPS:
-            way = self.after(way)
+        while not way.is_at_its_end and _may_go_on(way.stand.effects, way.gates):
+            way = self.step(way)
         return way
 
     @cached_property
@@ -99,9 +100,9 @@ class Steps:
     def polished(self, fits: Sequence[Fitted]) -> list[Fitted]:
         return polish(self.runs, self.tuning, self.measured, fits)
 
-    def after(self, way: Way) -> Way:
+    def step(self, way: Way) -> Way:
         """One effect more, or a pair at the first step or in place of what was found."""
-        begun = self._screened(way)
+        begun = self._begin(way)
         if not begun.screened:
             return replace(way, is_at_its_end=True)
         fits, leaner = self._fitted(begun)
@@ -115,36 +116,37 @@ class Steps:
         fits, doubtful = self._that_need_all(begun, fits, leaner, singles)
         if not fits:  # none of those beside the stand could be simulated, and none in its place gains enough
             return replace(way, is_at_its_end=True, screened=first, singles=singles, limits=begun.limits, tried=begun.tried)
+        # from here on lines that only the held-out recordings have count by their own power
         stand = self.judgement.without_own_lines(fits) if begun.is_first else way.stand
         fits = self._acting(begun, stand, fits, singles)
         closest = min(fits, key=lambda fit: fit.cost)
-        asked = self._asked(begun, stand, fits)
-        needed = asked.without_surplus(asked.judged, (*way.smaller, *leaner))
+        gate = self._ask(begun, stand, fits)
+        needed = gate.without_surplus(gate.judged, (*way.smaller, *leaner))
         also_passed = [one for one in needed if one.passed]
         passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
-        shows = any(one.gate.training_shows_something for one in asked.judged)
+        shows = any(one.gate.training_shows_something for one in gate.judged)
         if begun.is_first and not passed and begun.behind and not way.is_wider and shows:
-            wider = self.after(replace(way, screened=first, singles=singles, is_wider=True))
+            wider = self.step(replace(way, screened=first, singles=singles, is_wider=True))
             if wider.gates:  # some of those behind could be simulated
                 return wider
-        refused = next((one for one in asked.judged if one not in also_passed), asked.judged[0])
+        refused = next((one for one in gate.judged if one not in also_passed), gate.judged[0])
         end = Way(
             stand,
             (*way.gates, passed[0].gate if passed else _refused(refused, needed)),
             way.contenders,
             first,
             closest,
-            least_by_chance(asked.judged, stand),
+            least_by_chance(gate.judged, stand),
             singles,
             (*way.smaller, *fits),
             begun.limits,
             begun.tried,
             True,
             (*way.formless, *without_form(needed)),
-            placebo=asked.placebos[1],
+            placebo=gate.placebos[1],
         )
         if passed:
-            return self._gone_on(asked, end, passed, needed, doubtful)
+            return self._gone_on(gate, end, passed, needed, doubtful)
         if stand.fitted is not None:
             larger = [one for one in needed if set(stand.effects) < set(one.fitted.effects)]
             unsure = tuple(one for one in larger if one.gate.shows and not one.gate.lost_form)
@@ -152,7 +154,7 @@ class Steps:
         rivals = [one for one in needed if one.passed or competes(one, None)]
         return replace(end, contenders=(*rivals, *still_in(way.contenders, rivals)))
 
-    def _screened(self, way: Way) -> _Begun:
+    def _begin(self, way: Way) -> _Begun:
         """All candidates beside what was found, and those of them that are worth a fit."""
         stand, chosen, size = way.stand, way.stand.fitted, len(way.stand.effects)
         self.report("screening" if size == 0 else f"screening beside {size}", 0.25 + 0.2 * size)
@@ -184,7 +186,7 @@ class Steps:
         fits = with_numbers_from_nominal(runs, tuning, measured, fits, stand.cost)
         best = min(fits, key=lambda fit: fit.cost)  # those that were finished are no longer in order
         freedom = max(best.freedom - (0 if chosen is None else chosen.freedom), 1)
-        if stand.cost - best.cost <= needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, entries):
+        if not stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, entries):
             return fits, []
         fits = with_other_harmonics(runs, tuning, measured, fits)
         fits = with_others_of_its_order(runs, tuning, stand, measured, fits, begun.found)
@@ -220,7 +222,7 @@ class Steps:
         return needed, [] if stand.effects else [fit for fit in exact if fit not in needed]
 
     def _acting(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted], singles: Sequence[Fitted]) -> list[Fitted]:
-        """Fits with what acts in them, in the order of their evidence."""
+        """Fits without effects that do nothing in them, in the order of their evidence."""
         nothing, entries = self.judgement.nothing, len(begun.residual)
 
         def may_stand(fit: Fitted) -> bool:
@@ -230,52 +232,56 @@ class Steps:
         acting = with_what_acts(self.runs, self.tuning, self.measured, fits, stand.effects, may_stand)
         return in_order(acting, nothing.cost, self.noise_energy, begun.tried, stand)
 
-    def _asked(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted]) -> _Asked:
+    def _ask(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted]) -> _AtTheGate:
         """The gate, with its answers about these sets."""
         placebo = placebo_gain(self.runs, stand.tuning, begun.screened, begun.residual)
         placebos = placebo, placebo if begun.is_first else begun.way.placebo
         judged = self.judgement.contenders(stand, fits, begun.tried, placebos, begun.limits)
-        return _Asked(self.judgement, begun, stand, placebos, judged)
+        return _AtTheGate(self.judgement, begun, stand, placebos, judged)
 
     def _gone_on(
-        self, asked: _Asked, end: Way, passed: Sequence[Contender], needed: Sequence[Contender], doubtful: Sequence[Fitted]
+        self, gate: _AtTheGate, end: Way, passed: Sequence[Contender], needed: Sequence[Contender], doubtful: Sequence[Fitted]
     ) -> Way:
-        """A way that goes on beside the best that passed, with all that competes with it: naming weighs pairs whose second effect may be
-        the first one's error, and what was found beside rivals and with effects exchanged.
-        """
-        begun, stand, way = asked.begun, asked.stand, asked.begun.way
+        """A way that goes on beside the best that passed, with all that competes with it."""
+        way, stand, count = gate.begun.way, gate.stand, len(gate.judged)
         rivals = [one for one in needed if one.passed or competes(one, passed[0])]
-        if len(passed[0].fitted.effects) < MOST_EFFECTS and len(end.gates) < MOST_STEPS:  # there is another step
-            rivals = related(rivals, passed, stand)
-        count = len(asked.judged)
-        also = asked.contenders(doubtful, count)
-        likely = [one for one in also if one.passed and asked.is_no_chance_beside_its_parts(one)]
+        if _may_go_on(passed[0].fitted.effects, end.gates):
+            rivals = without_unrelated(rivals, passed, stand)
+        also = gate.contenders(doubtful, count)  # naming weighs pairs whose second effect may be the first one's error
+        likely = [one for one in also if one.passed and gate.is_no_chance_beside_its_parts(one)]
         rivals += likely
-        known = not_told_apart_in_training(way.contenders, rivals, self.judgement.nothing.cost, self.noise_energy)
-        there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
-        starts = beside_rivals(known, stand.fitted, passed[0].fitted, there)
         several = next((one.fitted for one in (*passed, *likely) if len(one.fitted.effects) > 1), passed[0].fitted)
-        there += [*(set(one.fitted.effects) for one in asked.judged), *(set(names) for names, _ in starts)]
-        starts += exchanged(self.tuning, several, end.singles, end.screened, there)
-        there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
-        banks = bank_of((), begun.screened), bank_of(end.singles, end.screened)
-        for likely_set in {id(fit): fit for fit in (several, passed[0].fitted)}.values():
-            near = neighbours_of_all(likely_set, stand.effects, banks, there, self.runs.machine.plant)
-            there += [set(names) for names, _ in near]
-            starts += near
-        refitted = self.polished(self.fits_from(starts))
+        refitted = self.polished(self.fits_from(self._starts_that_compete(gate, end, rivals, passed[0].fitted, several)))
         smaller = (*end.smaller, *refitted)
-        more = asked.without_surplus(asked.contenders(refitted, count), smaller)
+        more = gate.without_surplus(gate.contenders(refitted, count), smaller)
         rivals += [one for one in more if one.passed]
         return replace(
             end,
-            stand=asked.after(passed[0]),
+            stand=gate.stand_beside(passed[0]),
             contenders=(*rivals, *still_in(way.contenders, rivals)),
             formless=(*end.formless, *without_form(more)),
             smaller=smaller,
             further=np.inf,
             is_at_its_end=False,
         )
+
+    def _starts_that_compete(self, gate: _AtTheGate, end: Way, rivals: Sequence[Contender], best: Fitted, several: Fitted) -> list[Start]:
+        """What was found beside rivals of the stand, and with an effect exchanged for one that answers alike or is its neighbour, each set
+        once: of the best that passed, and of the best of several effects.
+        """
+        way, stand = gate.begun.way, gate.stand
+        known = not_told_apart_in_training(way.contenders, rivals, self.judgement.nothing.cost, self.noise_energy)
+        there = [set(one.fitted.effects) for one in (*way.contenders, *rivals)]
+        starts = beside_rivals(known, stand.fitted, best, there)
+        there += [*(set(one.fitted.effects) for one in gate.judged), *(set(names) for names, _ in starts)]
+        starts += exchanged(self.tuning, several, end.singles, end.screened, there)
+        there += [*(set(fit.effects) for fit in way.smaller), *(set(names) for names, _ in starts)]
+        banks = bank_of((), gate.begun.screened), bank_of(end.singles, end.screened)
+        for likely in {id(fit): fit for fit in (several, best)}.values():
+            near = neighbours_of_all(likely, stand.effects, banks, there, self.runs.machine.plant)
+            there += [set(names) for names, _ in near]
+            starts += near
+        return starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,8 +292,8 @@ class _Begun:
     residual: np.ndarray
     found: Sequence[Candidate]
     screened: Sequence[Screened]  # the best first
-    worth: Sequence[Screened]  # a fit
-    behind: Sequence[Screened]  # these, where nothing of them passes
+    worth: Sequence[Screened]  # those that are fitted in this step
+    behind: Sequence[Screened]  # fitted in a wider step, where none of the best passes
     limits: Mapping[EffectAt, tuple[float, float]]
     tried: Tried
 
@@ -297,7 +303,7 @@ class _Begun:
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _AtTheGate:
     """The gate of one step, with its answers about the sets that were fitted."""
 
     judgement: Judgement
@@ -305,24 +311,25 @@ class _Asked:
     stand: Stand
     placebos: tuple[float, float]
     judged: Sequence[Contender]
-    _stands: dict[int, Stand] = field(default_factory=dict)
 
     def contenders(self, fits: Sequence[Fitted], earlier: int = 0, stand: Stand | None = None) -> list[Contender]:
         """Of sets that are asked about after so many others, beside the step's stand or another one."""
         stand = self.stand if stand is None else stand
         return self.judgement.contenders(stand, fits, self.begun.tried, self.placebos, self.begun.limits, earlier)
 
-    def after(self, found: Contender) -> Stand:
-        if id(found) not in self._stands:
-            self._stands[id(found)] = self.judgement.after(found)
-        return self._stands[id(found)]
+    @cached_property
+    def stand_beside(self) -> Callable[[Contender], Stand]:
+        """What sets are judged against beside one that passed."""
+        return cache(self.judgement.after)
 
     def is_there_beside(self, one: Contender, part: Contender) -> bool:
-        return self.contenders([one.fitted], stand=self.after(part))[0].passed
+        """Whether a set passes beside a part of it."""
+        return self.contenders([one.fitted], stand=self.stand_beside(part))[0].passed
 
     def is_no_chance_beside_its_parts(self, one: Contender) -> bool:
+        """Whether chance gains less beside each part of it that passed at the first step."""
         parts = parts_that_passed(one, self.judged) if self.begun.is_first else []
-        return all(self.judgement.by_chance(self.after(part), one.fitted, self.begun.tried) < 1.0 for part in parts)
+        return all(self.judgement.by_chance(self.stand_beside(part), one.fitted, self.begun.tried) < 1.0 for part in parts)
 
     def without_surplus(self, sets: Sequence[Contender], smaller: Sequence[Fitted]) -> list[Contender]:
         """Sets that need all of their effects: beside smaller ones, beside parts of them that leave less than the stand, and each."""
@@ -330,6 +337,11 @@ class _Asked:
         needed = [one for one in sets if has_no_surplus(one.fitted, self.stand, smaller, self.begun.tried, entries)]
         needed = [one for one in needed if not one.passed or all(self.is_there_beside(one, part) for part in closer_parts(one, way))]
         return [one for one in needed if not one.passed or self.is_no_chance_beside_its_parts(one)]
+
+
+def _may_go_on(effects: Sequence[EffectAt], gates: Sequence[Gate]) -> bool:
+    """Whether another step follows beside these effects, after so many."""
+    return len(effects) < MOST_EFFECTS and len(gates) < MOST_STEPS
 
 
 def _refused(best: Contender, needed: Sequence[Contender]) -> Gate:
@@ -360,3 +372,18 @@ def _pairs_worth_a_fit(
         and pair.added > needed_gain(tried.count, 1, base - pair.gain, entries)
     ]
     return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
+
+
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
+    """Fitted sets by their evidence on the training recordings, see naming.py."""
+    if not fits:
+        return []
+    known = sum(gate.gain for gate in stand.steps(numbers=True))
+
+    def by_numbers(fit: Fitted) -> float:
+        if set(fit.effects) <= numbers_of(fit):
+            return base - fit.cost
+        return known if set(stand.effects) <= set(fit.effects) else 0.0
+
+    temper = temperature_of([Removing(fit.cost, by_numbers(fit), are_of_the_file(fit)) for fit in fits], base, noise_energy)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

@@ -1,4 +1,4 @@
-"""Ways of a search: how far effects were added from one first effect or another, and how two ways are put together."""
+"""Ways of a search: how far effects were added from one first effect or another, how two ways are put together, and what competes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
-from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature_of
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
 from hil.diagnosis.judging.gate import Gate
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
 from hil.diagnosis.judging.tried import Tried
@@ -164,16 +164,16 @@ def competes(one: Contender, chosen: Contender | None) -> bool:
     return any(gain > RIVAL_SHARE * most for gain, most in zip(*gains, strict=True))
 
 
-def related(rivals: Sequence[Contender], passed: Sequence[Contender], stand: Stand) -> list[Contender]:
+def without_unrelated(rivals: Sequence[Contender], passed: Sequence[Contender], stand: Stand) -> list[Contender]:
     """Sets without those that did not pass, gain no more than those that passed and do nothing of what they do, all added to this stand:
     what passed is there whatever these gain, and they are asked for beside the best of it.
 
     What a set does is anything that its effects can at other values of their parameters, and what re-tuning can beside them.
     """
-    projection, own = Projection.of(stand.tuning), set(stand.effects)
+    own = set(stand.effects)
 
     def left(change: np.ndarray) -> np.ndarray:
-        change = projection.left(change)
+        change = Projection.of(stand.tuning).left(change)
         sizes = np.linalg.norm(change, axis=-1, keepdims=True)
         return change / np.where(sizes > 0.0, sizes, 1.0)
 
@@ -190,8 +190,8 @@ def related(rivals: Sequence[Contender], passed: Sequence[Contender], stand: Sta
         _, sizes, basis = np.linalg.svd(does, full_matrices=False)
         return float(np.sum((wanted @ basis[sizes > SAME * sizes[0]].T) ** 2, axis=1).max()) < UNRELATED
 
-    unrelated = [id(one) for one in asked if is_unrelated(one)]
-    return [one for one in rivals if id(one) not in unrelated]
+    unrelated = [one for one in asked if is_unrelated(one)]
+    return [one for one in rivals if one not in unrelated]
 
 
 def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Contender], base: float, noise_energy: float) -> list[Fitted]:
@@ -224,18 +224,3 @@ def still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[
         if is_rival_of(one, larger)
         and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger if other.passed or not one.passed)
     ]
-
-
-def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
-    """Fitted sets by their evidence on the training recordings, see naming.py."""
-    if not fits:
-        return []
-    known = sum(gate.gain for gate in stand.steps(numbers=True))
-
-    def by_numbers(fit: Fitted) -> float:
-        if set(fit.effects) <= numbers_of(fit):
-            return base - fit.cost
-        return known if set(stand.effects) <= set(fit.effects) else 0.0
-
-    temper = temperature_of([Removing(fit.cost, by_numbers(fit), are_of_the_file(fit)) for fit in fits], base, noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

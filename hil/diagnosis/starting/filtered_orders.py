@@ -39,11 +39,11 @@ STARTS = 2
 """Orders of the largest energy that fits may start from."""
 
 APART_STEPS = 3.25
-"""Steps by which orders that stand out differ: a wave is two cycles per travel wide. No multiple of half a step, which orders and their
-halves are apart by, so that rounding decides nothing."""
+"""Steps by which orders that stand out differ: a wave is two cycles per travel wide. Orders begin three whole steps from none, so that they
+and their halves are multiples of half a step apart; at no such multiple rounding decides."""
 
 HALF_APART_STEPS = 0.75
-"""The same of their halves."""
+"""The same of their halves and these orders, and of their halves."""
 
 RIDGE = 1e-6
 """Share of its energy by which a harmonic's response must differ from the others' to be told from them."""
@@ -135,7 +135,7 @@ def _starts(loop: ThroughTheLoop, tuning: Tuning, wave: _Wave, behind: Sequence[
     step = 2.0 * np.pi / wave.typical.travel / ORDERS_PER_TRAVEL
     orders = np.arange(lowest, max(highest, lowest + step), step)[:MOST_ORDERS]
     power = np.abs(wave.products(behind, orders)) ** 2
-    # what is beyond the lowest is as what is next to it, not as the lowest alone, which may be a wave's
+    # beyond the ends as next to them, and not (`nearest`) as the last alone, which may be a wave's
     around = scipy.ndimage.median_filter(power, round(ORDERS_AROUND * ORDERS_PER_TRAVEL), mode="reflect")
     standing_out = [float(orders[k]) for k in np.argsort(-power / np.maximum(around, 1e-300))]
 
