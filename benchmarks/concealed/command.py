@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from concealed import calibrating, making, mutating, running, scoring, tables
 from hil.diagnosis.judging.errors_of_laws import WEIGHTS
+from hil.worker_processes import end_with_the_parent
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 
@@ -110,7 +111,7 @@ def _each(task: Callable[[int], Any], numbers: Iterable[int], jobs: int, what: s
     numbers = list(numbers)
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     context = multiprocessing.get_context("spawn")
-    with Progress(*columns) as progress, ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with Progress(*columns) as progress, ProcessPoolExecutor(jobs, context, end_with_the_parent) as pool:
         bar = progress.add_task(what, total=len(numbers))
         waiting = {pool.submit(task, number): number for number in numbers}
         for future in as_completed(waiting):

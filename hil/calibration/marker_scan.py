@@ -19,6 +19,7 @@ from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection, find_marker
 from hil.imaging.markers.projection import PARAMETERS
 from hil.imaging.scan_folder import ImageScan
+from hil.worker_processes import end_with_the_parent
 
 FORMAT = 1
 
@@ -99,7 +100,7 @@ def calibrate_marker(
             progress(k + 1, count)
 
     if jobs > 1:
-        with ProcessPoolExecutor(jobs) as pool:
+        with ProcessPoolExecutor(jobs, initializer=end_with_the_parent) as pool:
             take(pool.map(look, range(count), chunksize=8))
     else:
         take(map(look, range(count)))

@@ -15,6 +15,7 @@ from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.phantoms import BulletPhantom
 from hil.imaging.scan_folder import ImageScan
+from hil.worker_processes import end_with_the_parent
 
 GATE_SHARE = 0.4
 """A shadow may lie this share of the mean distance between neighbouring bullets from where it is expected, after a common shift."""
@@ -70,7 +71,7 @@ def look_for_bullets(
     observed = np.full((len(scan), len(phantom.centers_m), 2), np.nan)
     sigma = np.full((len(scan), len(phantom.centers_m)), np.nan)
     if jobs > 1:
-        with ProcessPoolExecutor(jobs) as pool:
+        with ProcessPoolExecutor(jobs, initializer=end_with_the_parent) as pool:
             for done, (k, points, deviation) in enumerate(pool.map(look, range(len(scan)), chunksize=8)):
                 observed[k], sigma[k] = points, deviation
                 progress(done + 1, len(scan))
