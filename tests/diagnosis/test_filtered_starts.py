@@ -168,15 +168,25 @@ def test_a_wave_of_ten_deviations_starts_at_its_order_among_all_that_are_asked(a
     assert starts[0][1] == pytest.approx(weak[1], rel=0.3)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
-def test_a_wave_of_two_cycles_per_travel_is_found_among_thousands_of_quick_ones(slider, seed):
+@pytest.mark.parametrize(
+    ("name", "amplitude", "order", "seed"),
+    [
+        *(
+            ("cogging", 1e-2, 20.94, seed) for seed in (0, 1, 3)
+        ),  # missed where neither the slowest are asked nor the median's end is as what is next to it
+        *(("transmission_error", 1e-6, 16.0, seed) for seed in (3, 4)),  # missed where the slowest are not asked
+        ("transmission_error", 1e-6, 12.0, 3),
+    ],
+)
+def test_a_wave_of_two_cycles_per_travel_is_found_among_thousands_of_quick_ones(slider, name, amplitude, order, seed):
     """Of 7.5 deviations: chance gives one of 1300 orders more of the power around it than this one has, which are as slow."""
     runs, tuning = slider
-    cogging, order = Candidate(EffectAt("cogging", "carriage"), ()), 20.94
-    change = runs.run_one(Trial(tuning.values, (cogging.setting(np.array([order, 1e-2, 1.3, 3e-3, 2.3])),))) - tuning.predicted
+    wave = Candidate(EffectAt(name, "carriage"), ())
+    values = np.array([order, amplitude, 1.3, 0.3 * amplitude, 2.3])
+    change = runs.run_one(Trial(tuning.values, (wave.setting(values),))) - tuning.predicted
     residual = 7.5 * change / np.linalg.norm(Projection.of(tuning).left(change)) + np.random.default_rng(seed).standard_normal(len(change))
     motion = Motion(runs.machine, tuning.values, runs.sets[TRAIN].groups[0], runs.sets[TRAIN].channels)
-    (found,) = with_filtered_starts(ThroughTheLoop(runs, TRAIN, tuning), [cogging], [motion], residual)
+    (found,) = with_filtered_starts(ThroughTheLoop(runs, TRAIN, tuning), [wave], [motion], residual)
     assert min(abs(start[0] - order) for start in found.starts) < 0.25 * 2.0 * np.pi / 0.6
 
 

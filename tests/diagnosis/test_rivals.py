@@ -150,8 +150,11 @@ def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_ap
 def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(last, monkeypatch):
     """A damper whose strength scatters from repeat to repeat, beside a friction that shows as much and does not."""
     along = judgement.Scatter.along
-    scatters = lambda self, response: 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)  # noqa: E731
-    monkeypatch.setattr(judgement.Scatter, "along", scatters)
+
+    def scattering(self, response: np.ndarray) -> float:
+        return 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)
+
+    monkeypatch.setattr(judgement.Scatter, "along", scattering)
     monkeypatch.setattr(step, "competes", lambda one, chosen: not one.passed)  # as held-out recordings may have it
 
     def candidates_of(chosen: Fitted | None) -> list[Candidate]:

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 POOL = """
-import multiprocessing, os, sys
+import multiprocessing, sys
 from concurrent.futures import ProcessPoolExecutor
 from hil.worker_processes import end_with_the_parent
 

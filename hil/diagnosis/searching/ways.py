@@ -23,7 +23,6 @@ RIVAL_SHARE = 0.5
 counts for a rival as it counts in naming: in sealed 1267 a ripple gained 26 of a cogging's 55 in training, in units of its scatter, and
 more than that held out."""
 
-
 UNRELATED = 0.1
 """Share of a set's response, what re-tuning imitates taken out, below which another one explains nothing of it."""
 
