@@ -127,6 +127,7 @@ def _numbers(h: Weighed) -> dict[str, Any]:
         "searched": round(h.searched, 3),
         "passed": bool(h.passed),
         "by_numbers": [round(energy, 3) for energy in h.by_numbers],
+        "by_signs": [round(energy, 3) for energy in h.by_signs],
         "of_the_file": h.of_the_file,
         "compared": None if h.compared is None else h.compared._asdict(),
     }
@@ -148,7 +149,10 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         rarity = rarity_at(dict(zip(numbers.get("effects", ()), numbers.get("parts", ()), strict=True)).values())
         simpler = tuple((loss, tuple(seen)) for loss, seen in numbers.get("simpler", ()))  # the base has none
         known = Weighed(None, train, held_out, information, searched=searched, passed=passed, rarity=rarity)
-        known = replace(known, by_numbers=tuple(by_numbers), of_the_file=numbers.get("of_the_file", True), simpler=simpler)
+        by_signs = tuple(numbers.get("by_signs", (0.0, 0.0)))
+        known = replace(
+            known, by_numbers=tuple(by_numbers), by_signs=by_signs, of_the_file=numbers.get("of_the_file", True), simpler=simpler
+        )
         compared = numbers.get("compared")  # rows of earlier tools did not tell
         return replace(known, compared=None if compared is None else Compared(**compared))
 

@@ -10,7 +10,9 @@ import scipy.integrate
 import scipy.stats
 
 from hil.diagnosis.judging.gate import (
+    ALIKE,
     AS_PREDICTED,
+    ERROR_FREEDOM,
     HELD_OUT_LEVEL,
     IN_SAMPLE,
     LEVEL,
@@ -18,11 +20,13 @@ from hil.diagnosis.judging.gate import (
     PRIOR_VARIANCE,
     SHORT,
     SIMULATOR_ERROR,
+    TAIL_FREEDOM,
     Gate,
     Scatter,
     chance_held_out,
     chance_of_both,
     chance_of_gain,
+    expected_by_chance,
     needed_gain,
 )
 from hil.diagnosis.starting.start_waves import ONE_HARMONIC, TWO_HARMONICS
@@ -112,6 +116,31 @@ def test_the_chance_of_both_counts_all_sets_that_come_as_far(trained, followed, 
 def test_what_repeats_say_of_the_noise_along_a_response_widens_what_chance_gains_in_both():
     assert chance_of_gain(30.0, 2, 2.0) == pytest.approx(chance_of_gain(15.0, 2, 1.0))
     assert chance_held_out(30.0, 2.0) == pytest.approx(chance_held_out(15.0, 1.0))
+
+
+@pytest.mark.parametrize(("trials", "gain", "erring"), [(50.0, 60.0, 4.0), (300.0, 100.0, 4.0), (30.0, 1000.0, 100.0), (300.0, 50.0, 1.0)])
+def test_what_noise_and_an_error_of_unknown_size_gain_together_is_no_rarer_than_said(trials, gain, erring):
+    """Drawn: sets of one number each, an error along all of them, and noise that is searched; some sets imitate the error, not one."""
+    random = np.random.default_rng(5)
+    error = np.sqrt(erring) * random.standard_t(ERROR_FREEDOM, 400_000)
+    uniform = 1.0 - random.random(len(error)) ** (1.0 / trials)  # chance of the best of so many
+    noise = np.sqrt(scipy.stats.f.isf(uniform, 1, TAIL_FREEDOM)) * random.choice([-1.0, 1.0], len(error))
+    drawn = float(np.mean((noise + error) ** 2 > gain))
+    assert drawn < expected_by_chance(trials, gain, 1, 1.0, erring) < 1.2 * ALIKE * drawn
+
+
+def test_an_error_of_equations_is_not_searched():
+    """A ripple of 505 beside a compliance whose equation errs by 25 along it, as one of 60 000 with five numbers (sealed 8788, spent)."""
+    assert expected_by_chance(6e4, 505.0, 5, 1.5, 25.0) < 0.2
+    assert expected_by_chance(6e4, 505.0, 5, 1.5, 500.0) > 2.0
+    assert expected_by_chance(1e12, 2000.0, 5, 1.5, 1e5) == pytest.approx(ALIKE, rel=0.1)
+    assert expected_by_chance(100.0, 30.0, 2, 1.5, np.inf) == 100.0
+
+
+def test_without_errors_of_equations_noise_alone_gains_by_chance():
+    assert expected_by_chance(100.0, 30.0, 2, 1.5, 0.0) == 100.0 * chance_of_gain(30.0, 2, 1.5)
+    assert expected_by_chance(100.0, 3.0, 2, 1.5, 1e-9) == pytest.approx(100.0 * chance_of_gain(3.0, 2, 1.5), rel=1e-3)
+    assert expected_by_chance(100.0, -3.0, 2, 1.5, 5.0) == 100.0
 
 
 def test_the_tail_of_a_gain_is_that_of_a_variance_known_with_few_degrees_of_freedom():

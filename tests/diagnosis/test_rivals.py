@@ -63,12 +63,14 @@ def selected(
     stuck: EffectAt | None = None,
     paired: Sequence[Pair] = (),
     rounded: float = 0.0,
+    short: float = 0.0,
 ) -> selection.Selection:
     """What a search comes to where a friction and a load are hidden in noise, linear in everything; each fitted set along its directions.
 
     `mode_beside` are the mode's values where it is fitted beside a load, `less` what the load's fit lacks there, `pulls` how strong the
     load is, `backwards` what the best response run backwards in time gains beside an effect, `damps` how strong a damper is. Alone `stuck`
-    finds nothing but from where it is beside others; `paired` are the pairs that a filter finds; `rounded` is what pairs leave less.
+    comes to no more than the share `short` of what it does but from where it is beside others; `paired` are the pairs that a filter finds;
+    `rounded` is what pairs leave less.
     """
     noise = np.random.default_rng(3).standard_normal(ENTRIES)
     noise -= sum((noise @ direction) * direction for direction in (RUBS, PULLS, ELSE, DAMPS, NOWHERE))
@@ -93,7 +95,9 @@ def selected(
     def refitted(effects: tuple[EffectAt, ...], starts: tuple[np.ndarray, ...]) -> Fitted:
         found = fitted(effects)
         is_stuck = effects == (stuck,) and starts[0][0] != FAR
-        found = replace(found, predicted=np.zeros(ENTRIES), cost=float(measured @ measured)) if is_stuck else found
+        if is_stuck:
+            predicted = short * found.predicted
+            found = replace(found, predicted=predicted, cost=float(np.sum((measured - predicted) ** 2)))
         each = zip(effects, found.values, strict=True)
         return replace(found, values=tuple(np.full(1, FAR) if effect == stuck else own for effect, own in each))
 
@@ -165,6 +169,22 @@ def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(
     monkeypatch.setattr(step, last, 1)  # no further step, in which it would be asked for
     both = selected(monkeypatch, SWINGS, pulls=0.0, damps=29.0, candidates_of=candidates_of).contenders
     assert {DAMPER} in [set(one.fitted.effects) for one in both]
+
+
+def test_what_only_moves_what_was_found_to_a_closer_fit_is_not_found(monkeypatch):
+    """A friction whose fit ends at three quarters of it, and comes to all of it beside a load, which does nothing."""
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        return [Candidate(effect, ()) for effect in ((FRICTION,) if chosen is None else (LOAD, DAMPER))]
+
+    found = selected(monkeypatch, SWINGS, pulls=0.1, candidates_of=candidates_of, stuck=FRICTION, short=0.75)
+    assert [set(one.fitted.effects) for one in found.contenders] == [{FRICTION}]
+    assert found.chosen is found.contenders[0].fitted
+    assert found.chosen.predicted @ RUBS == pytest.approx(30.0)
+    assert found.contenders[0].gate.gain == pytest.approx(900.0)
+    both = selected(monkeypatch, SWINGS, pulls=7.0, candidates_of=candidates_of, stuck=FRICTION, short=0.75)
+    assert both.chosen is not None and set(both.chosen.effects) == {FRICTION, LOAD}  # a load that acts is found as before
+    assert both.contenders[0].gates[-1].gain == pytest.approx(49.0)
 
 
 def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeypatch):

@@ -32,7 +32,7 @@ def beside(effect: EffectAt, values: list[float], tuning: Tuning, cost: float, b
     """A selection that chose this effect, at this cost, with so much of what it removes by numbers alone."""
     nothing = np.zeros((0, 0))
     fitted = Fitted((effect,), (np.array(values),), tuning.offset, nothing, cost, ((0, 0),), nothing, np.ones(1))
-    return chosen_of(fitted, SimpleNamespace(fitted=fitted, by_numbers=(by_numbers, 0.0)))
+    return chosen_of(fitted, SimpleNamespace(fitted=fitted, by_numbers=(by_numbers, 0.0), by_signs=(0.0, 0.0)))
 
 
 def chosen_of(fitted: Fitted | None, *contenders: SimpleNamespace) -> Selection:

@@ -40,7 +40,7 @@ def contender(gained: float, *effects: EffectAt, response=ALONG[0], passed: bool
     cost = NOTHING.cost - gained
     fitted = Fitted(effects, (np.ones(1),) * len(effects), np.zeros(0), response, cost, (), nothing, np.zeros(0))
     gains = {"gained": gained, "gained_held_out": held_out, "left_held_out": NOTHING.cost - held_out}
-    return SimpleNamespace(fitted=fitted, passed=passed, by_numbers=(0.0, 0.0), searched=0.0, **gains)
+    return SimpleNamespace(fitted=fitted, passed=passed, by_numbers=(0.0, 0.0), by_signs=(0.0, 0.0), searched=0.0, **gains)
 
 
 def stand_of(found):

@@ -72,7 +72,9 @@ def gate(gain: float, beyond: float, needed: float, scatter: float = 1.0, held_o
     )  # fmt: skip
 
 
-def weighed_together(*sets: tuple[tuple[Gate, ...], int], by_moving: tuple[float, float] = (0.0, 0.0)) -> list[Weighed]:
+def weighed_together(
+    *sets: tuple[tuple[Gate, ...], int | tuple[EffectAt, ...]], by_moving: tuple[float, float] = (0.0, 0.0)
+) -> list[Weighed]:
     """Sets with their gates, each along a direction of its own, the last one moved. Repeats scatter by 5 along the first difference."""
     directions = np.linalg.qr(np.random.default_rng(1).standard_normal((ENTRIES, len(sets))))[0].T
     along = (directions[0] - directions[1]) / np.sqrt(2.0)
@@ -82,8 +84,8 @@ def weighed_together(*sets: tuple[tuple[Gate, ...], int], by_moving: tuple[float
     tuning = Tuning((), nothing.astype(int), nothing, nothing, nothing, np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.zeros((0, 0)))
     contenders = []
     for number, (gates, effects) in enumerate(sets):
-        names = tuple(EffectAt("cogging", "carriage", k) for k in range(effects))
-        fitted = Fitted(names, (nothing,) * effects, nothing, directions[number], 1000.0, (), np.zeros((ENTRIES, 0)), nothing)
+        names = effects if isinstance(effects, tuple) else tuple(EffectAt("cogging", "carriage", k) for k in range(effects))
+        fitted = Fitted(names, (nothing,) * len(names), nothing, directions[number], 1000.0, (), np.zeros((ENTRIES, 0)), nothing)
         moved = by_moving if number == len(sets) - 1 else (0.0, 0.0)
         steps = {id(one): one for one in gates}.values()
         gains = sum(one.certain_gain for one in steps) + moved[0], sum(one.held_out_gain for one in steps) + moved[1]
@@ -113,6 +115,17 @@ def test_sets_of_as_many_effects_stand_apart_by_what_they_leave_whichever_effect
     assert one.compared is None and one.train < other.train - 40.0
     assert other.compared.apart == other.compared.beyond == pytest.approx((1502.0 - 1500.0, 0.0))
     assert other.compared.known == (0.0, 0.0)
+
+
+def test_what_a_number_removes_by_itself_counts_where_it_came_in_one_step_with_another_effect():
+    """A compliance was found alone, and a pair that holds it at once."""
+    compliance, ripple = EffectAt("joint_compliance", "carriage"), EffectAt("cogging", "carriage")
+    alone, later, at_once = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)), gate(50.0, 50.0, 10.0), gate(1060.0, 1060.0, 10.0)
+    sets = [((compliance, ripple), (alone, later)), ((ripple, compliance), (at_once, at_once)), ((ripple,), (at_once,))]
+    one, other, without = weighed_together(*((gates, effects) for effects, gates in sets))
+    assert one.by_numbers == other.by_numbers == (1000.0, 300.0)
+    assert without.by_numbers == (0.0, 0.0)
+    assert one.by_signs == other.by_signs == (0.0, 0.0)
 
 
 def test_sets_of_more_or_fewer_effects_are_not_compared():

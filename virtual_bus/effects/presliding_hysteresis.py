@@ -17,7 +17,7 @@ EFFECT = Effect(
         Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="level of steady sliding"),
         Parameter("Fs_minus_Fc", unit="Nm", low=0.0, high=2000.0, description="break-away level above the sliding level"),
         Parameter("vs", unit="rad/s", low=1e-05, high=1.0, description="Stribeck speed", is_strength=False),
-        Parameter("sigma0", unit="Nm/rad", low=1.0, high=1000000000.0, description="stiffness of the bristles", is_strength=False),
+        Parameter("sigma0", unit="Nm/rad", low=0.01, high=1000000000.0, description="stiffness of the bristles", is_strength=False),
         Parameter("sigma1", unit="Nm s/rad", low=0.0, high=100000.0, description="damping of the bristles", is_strength=False),
     ),
     equation="z' = w - sigma0 abs(w) z / g(w), F = sigma0 z + sigma1 z', g = Fc + (Fs - Fc) exp(-(w / vs)^2)",

@@ -17,6 +17,8 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.result import EffectAt
+from virtual_bus.effects.effect import SIGN
+from virtual_bus.effects.registry import effects
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,11 @@ def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
     )
 
 
+def whole_signs_of(fitted: Fitted | None) -> frozenset[EffectAt]:
+    """Those of a set's effects that are right or wrong, and err by nothing."""
+    return frozenset(effect for effect in numbers_of(fitted) if effects()[effect.effect].kind is SIGN)
+
+
 def is_a_whole_sign(values: np.ndarray) -> bool:
     """Whether a channel has lost none or all of its sign, by the parameters of `rectified_sensor`."""
     share, sign = values
@@ -96,13 +103,15 @@ class Removing(NamedTuple):
     misfit: float
     by_numbers: float = 0.0  # energy that those of its effects remove which are EXACT
     of_the_file: bool = True  # whether these are all numbers of the machine file
+    by_signs: float = 0.0  # so much of that energy those that are whole signs, which err by nothing
 
 
 def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights: Weights = WEIGHTS) -> float:
     """T of sets that compete.
 
-    In what EXACT effects of the best set remove no equation erred but by NUMBERS_ERROR; numbers of the machine file count in any set that T
-    does not tell from it: a law that holds one of them as a part is a little closer. What else is exact has neighbours that are not.
+    In what EXACT effects of the best set remove no equation erred but by NUMBERS_ERROR, and where it is a whole sign by nothing; numbers of
+    the machine file count in any set that T does not tell from it: a law that holds one of them as a part is a little closer. What else is
+    exact has neighbours that are not.
 
     Parameters
     ----------
@@ -116,13 +125,21 @@ def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights:
     best = min(one.misfit for one in sets)
     most = temperature(base - best, best - noise, weights)
     near = best + 2.0 * most
-    by_numbers = max(one.by_numbers for one in sets if one.misfit == best or (one.of_the_file and one.misfit <= near))
-    return temperature(base - best - by_numbers, best - noise, weights) + NUMBERS_ERROR * by_numbers
+    likely = [one for one in sets if one.misfit == best or (one.of_the_file and one.misfit <= near)]
+    exact = max(likely, key=lambda one: one.by_numbers)
+    return temperature(base - best - exact.by_numbers, best - noise, weights) + numbers_err_by(exact.by_numbers, exact.by_signs)
 
 
-def erring(removed: float, by_numbers: float) -> float:
-    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects."""
-    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
+def erring(removed: float, by_numbers: float, by_signs: float = 0.0) -> float:
+    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects, of that so much by whole signs."""
+    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + numbers_err_by(by_numbers, by_signs)
+
+
+def numbers_err_by(by_numbers: float, by_signs: float) -> float:
+    """Energy by which numbers err that remove so much, of that so much by whole signs, which err by nothing; a number that another motion
+    does not want removes less there than its sign alone.
+    """
+    return NUMBERS_ERROR * max(by_numbers - by_signs, 0.0)
 
 
 def temperature(removed: float, left: float, weights: Weights = WEIGHTS) -> float:

@@ -89,6 +89,15 @@ PLACEBO_FACTOR = 1.5
 SAME_BACKWARDS = 0.5
 """A response whose cosine with itself backwards is larger has no placebo of this kind (a constant has no direction in time)."""
 
+ERROR_FREEDOM = 5.0
+"""Degrees of freedom of the t distribution of an equation's error, in units of its scale: one in a hundred is four times as long."""
+
+ALIKE = 8.0
+"""Sets that imitate an equation's error: about as many as held-out recordings are asked about."""
+
+SIZES, LARGEST = 129, 50.0
+"""Sizes of an error over which its chance is summed, and the largest, that one in ten million exceeds."""
+
 LEAST_SHARE = 0.02
 """Of the explainable mismatch, that a first effect explains."""
 
@@ -263,7 +272,44 @@ def chance_of_gain(gain: float, freedom: int, variance: float) -> float:
     variance : float
         Of the noise along the set's response, in units of the noise model's.
     """
-    return float(scipy.stats.f.sf(max(gain, 0.0) / (max(freedom, 1) * variance), max(freedom, 1), TAIL_FREEDOM))
+    return float(_chance_of_gain(np.array(gain), freedom, variance))
+
+
+def _chance_of_gain(gains: np.ndarray, freedom: int, variance: float) -> np.ndarray:
+    return np.asarray(scipy.stats.f.sf(np.maximum(gains, 0.0) / (max(freedom, 1) * variance), max(freedom, 1), TAIL_FREEDOM))
+
+
+def expected_by_chance(trials: float, gain: float, freedom: int, variance: float, erring: float) -> float:
+    """Expected number of all sets that were tried that gain as much in training where nothing is but the noise, and an error of the
+    equations found before.
+
+    Such an error is one function, whatever is searched: along a response it has an amplitude of unknown size and sign, on this scale, that
+    no number of parameters and no search makes more of. What noise must gain beside it is searched. Where the error alone gains as much,
+    ALIKE of the sets do.
+
+    Parameters
+    ----------
+    trials : float
+        Sets that were tried.
+    gain : float
+    freedom : int
+    variance : float
+        Of the noise along the set's response, in units of the noise model's.
+    erring : float
+        Energy of an error of size one along that response.
+    """
+    by_noise = trials * chance_of_gain(gain, freedom, variance)
+    if erring <= 0.0 or gain <= 0.0:
+        return by_noise
+    if not math.isfinite(erring):
+        return max(trials, 1.0)
+    most = min(math.sqrt(gain / erring), LARGEST)  # size with which the error gains as much alone
+    sizes = most * np.linspace(0.0, 1.0, SIZES) ** 2
+    missing = math.sqrt(gain) + math.sqrt(erring) * np.outer([-1.0, 1.0], sizes)  # what noise must reach with the error, or against it
+    sets = np.minimum(trials * _chance_of_gain(missing**2, freedom, variance), ALIKE).sum(axis=0)
+    larger = sets[-1] if most == LARGEST else 2.0 * min(trials, ALIKE)
+    beside_an_error = np.trapezoid(scipy.stats.t.pdf(sizes, ERROR_FREEDOM) * sets, sizes) + scipy.stats.t.sf(most, ERROR_FREEDOM) * larger
+    return max(by_noise, float(beside_an_error))
 
 
 def chance_held_out(fall: float, variance: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,10 +12,10 @@ import numpy as np
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.turned import tuning_at
-from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature
+from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature, whole_signs_of
 from hil.diagnosis.judging.form import lost_form
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
-from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, chance_of_gain, needed_gain
+from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, expected_by_chance, needed_gain
 from hil.diagnosis.judging.held_out import Followed, HeldOut
 from hil.diagnosis.judging.structure_left import StructureLeft
 from hil.diagnosis.judging.tried import Tried
@@ -72,8 +72,12 @@ class Contender:
     @property
     def by_numbers(self) -> tuple[float, float]:
         """Energies that those of its effects remove of which numbers alone are unknown, in training and held out."""
-        steps = _steps(self.fitted.effects, self.gates, numbers_of(self.fitted), numbers=True)
-        return sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
+        return _energies(steps_of(self.fitted.effects, self.gates, numbers_of(self.fitted)).values())
+
+    @property
+    def by_signs(self) -> tuple[float, float]:
+        """The same of its whole signs."""
+        return _energies(steps_of(self.fitted.effects, self.gates, whole_signs_of(self.fitted)).values())
 
 
 def are_added_to_the_same(one: Contender, other: Contender) -> bool:
@@ -124,9 +128,9 @@ class Stand:
         """Of all its steps: what chance gains is taken off every one, as it is off a set that is judged at once."""
         return sum(gate.certain_gain for gate in {id(gate): gate for gate in self.gates}.values())
 
-    def steps(self, *, numbers: bool) -> list[Gate]:
-        """Gates of the steps that added nothing but effects of which numbers alone are unknown, or of the others."""
-        return _steps(self.effects, self.gates, numbers_of(self.fitted), numbers=numbers)
+    def steps(self, known: frozenset[EffectAt]) -> list[Gate]:
+        """Gates of the steps that added nothing but known effects."""
+        return list(steps_of(self.effects, self.gates, known).values())
 
     @property
     def known_energy(self) -> tuple[float, float]:
@@ -158,13 +162,19 @@ def _each(effects: Sequence[EffectAt], gates: Sequence[Gate], energy_of: Callabl
     return [(effect, max(energy_of(gate), 0.0) / steps.count(id(gate))) for effect, gate in zip(effects, gates, strict=True)]
 
 
-def _steps(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozenset[EffectAt], *, numbers: bool) -> list[Gate]:
-    """The gates whose effects are all `known` for numbers, or the others."""
+def steps_of(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozenset[EffectAt]) -> dict[frozenset[EffectAt], Gate]:
+    """The gates of steps that added nothing but known effects, by these."""
     added: dict[int, set[EffectAt]] = {}
     for effect, gate in zip(effects, gates, strict=True):
         added.setdefault(id(gate), set()).add(effect)
     each = {id(gate): gate for gate in gates}
-    return [each[step] for step, own in added.items() if (own <= known) is numbers]
+    return {frozenset(own): each[step] for step, own in added.items() if own <= known}
+
+
+def _energies(gates: Iterable[Gate]) -> tuple[float, float]:
+    """In training and held out."""
+    gates = list(gates)
+    return sum(gate.gain for gate in gates), sum(gate.held_out_gain or 0.0 for gate in gates)
 
 
 @dataclass(frozen=True)
@@ -289,6 +299,34 @@ class Judgement:
             )
         return found
 
+    def closer(self, found: Contender, fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]]) -> Contender | None:
+        """What passed, with a closer fit of the same effects: it has its gates, the last of which gains so much more. None where that fit
+        has not the effects' form, or leaves more of the held-out recordings than chance lets it.
+        """
+        if lost_form(fitted, limits, self._measured - fitted.predicted):
+            return None
+        after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
+        left = 0.0 if self._judge is None else self._judge.misfit(after)
+        here, there = found.fitted.cost - fitted.cost, found.left_held_out - left
+        last = found.gate
+        if there < -last.needed:  # or it diverges there
+            return None
+        gate = replace(
+            last,
+            gain=last.gain + here,
+            beyond=None if last.beyond is None else last.beyond + here,
+            held_out_gain=None if last.held_out_gain is None else last.held_out_gain + there,
+            held_out_beyond=None if last.held_out_beyond is None else last.held_out_beyond + there,
+        )
+        return replace(
+            found,
+            fitted=fitted,
+            gained=found.gained + gate.certain_gain - last.certain_gain,
+            gained_held_out=found.gained_held_out + there,
+            left_held_out=left,
+            gates=tuple(gate if each is last else each for each in found.gates),
+        )
+
     def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
         """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer. Without one of
         the stand's effects a set gains what these do, too, and no chance of it compares with those of others: infinite.
@@ -305,19 +343,20 @@ class Judgement:
         response = change[:entries]
         scatter = self.scatter.along(response)
         level = max(1.0, fitted.cost / max(entries, 1))
-        variance = level * scatter
+        variance, of_equations = level * scatter, 0.0
         if before.fitted is not None:
             erring = before.erring(lambda gate: gate.gain, before.errors)
             if before.known:
-                structure = self._structure[TRAIN].along(response, self._measured - fitted.predicted)
-                variance = max(scatter, structure) + form_variance(before.response, response, erring, 0.0)
+                variance = max(scatter, self._structure[TRAIN].along(response, self._measured - fitted.predicted))
+                of_equations = form_variance(before.response, response, erring, 0.0)
             else:
                 variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
         if len(before.errors.responses):
             beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
         trials = tried.sets(added)
         needed = needed_gain(trials, freedom, fitted.cost, entries)
-        return _Trained(gain, beyond, needed, scatter, level, trials * chance_of_gain(beyond, freedom, variance))
+        by_chance = expected_by_chance(trials, beyond, freedom, variance, of_equations)
+        return _Trained(gain, beyond, needed, scatter, level, by_chance)
 
     def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
         entries = len(self._measured)

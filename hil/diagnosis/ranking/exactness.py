@@ -26,6 +26,7 @@ class Part(NamedTuple):
     before: float  # without effects
     noise: float  # expected of a perfect simulation; 0 where there are no recordings
     by_numbers: float = 0.0  # energy that effects removed of which numbers alone are unknown
+    by_signs: float = 0.0  # so much of it whole signs, which err by nothing
     is_known: bool = True  # the noise, by repeats: where it is taken to be what the closest set leaves, that set leaves it whatever errs
 
 
@@ -55,4 +56,4 @@ def level_left(part: Part) -> float:
     more.
     """
     left = part.left / part.noise if part.noise > 0.0 else 1.0
-    return max(left, 1.0 + LEAST_ERROR * max(part.before - part.left, 0.0))
+    return max(left, 1.0 + LEAST_ERROR * max(part.before - part.left - part.by_signs, 0.0))

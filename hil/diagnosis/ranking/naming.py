@@ -27,7 +27,7 @@ import scipy.stats
 
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import NUMBERS_ERROR, WEIGHTS, Removing, Weights, temperature, temperature_of
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, Weights, numbers_err_by, temperature, temperature_of
 from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.exactness import Part, exactness, level_left
 from hil.diagnosis.residuals.excess import certain_excess
@@ -115,6 +115,7 @@ class Weighed:
     passed: bool = True  # the gate
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
     by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
+    by_signs: tuple[float, float] = (0.0, 0.0)  # so much of it those that are whole signs, which err by nothing
     of_the_file: bool = True  # whether these are all numbers of the machine file
     rarity: float = 0.0  # see rarity_of
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
@@ -309,7 +310,7 @@ def tempers_of(
     """T of training and of held-out recordings; what is left within what repeats cannot tell from noise needs no name."""
     found = []
     for part, noise in enumerate(entries):
-        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], h.of_the_file) for h in hypotheses]
+        sets = [Removing((h.train, h.held_out)[part], h.by_numbers[part], h.of_the_file, h.by_signs[part]) for h in hypotheses]
         found.append(temperature_of(sets, (base.train, base.held_out)[part], noise + certain_excess(noise), weights))
     return found[0], found[1]
 
@@ -325,9 +326,10 @@ def own_tempers(
 
     def own(part: int) -> float:
         left, of_best, before = ((each.train, each.held_out)[part] for each in (h, best, base))
-        by_numbers = max(h.by_numbers[part], 0.0)
+        by_numbers, by_signs = max(h.by_numbers[part], 0.0), max(h.by_signs[part], 0.0)
         noise = entries[part] + certain_excess(entries[part])
-        return min(tempers[part], temperature(before - left - by_numbers, of_best - noise, weights) + NUMBERS_ERROR * by_numbers)
+        own_errors = temperature(before - left - by_numbers, of_best - noise, weights) + numbers_err_by(by_numbers, by_signs)
+        return min(tempers[part], own_errors)
 
     return own(0), own(1)
 
@@ -386,8 +388,8 @@ def in_units_of_what_is_left(sets: Sequence[Weighed], entries: tuple[float, floa
     best set leaves there, where that is more than the noise model says, and what equations err by however exact they are.
     """
     best, base = min(sets, key=lambda h: h.misfit), sets[-1]
-    each = zip((best.train, best.held_out), (base.train, base.held_out), entries, strict=True)
-    train, held_out = (level_left(Part(*part)) for part in each)
+    each = zip((best.train, best.held_out), (base.train, base.held_out), entries, best.by_signs, strict=True)
+    train, held_out = (level_left(Part(left, before, noise, by_signs=by_signs)) for left, before, noise, by_signs in each)
     return [h.in_units(train, held_out) for h in sets]
 
 

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import are_of_the_file
-from hil.diagnosis.judging.gate import Scatter, needed_gain
+from hil.diagnosis.judging.errors_of_laws import are_of_the_file, numbers_of, whole_signs_of
+from hil.diagnosis.judging.gate import Gate, Scatter, needed_gain
 from hil.diagnosis.judging.held_out import HeldOut
-from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
+from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same, steps_of
 from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart, rarity_of
+from hil.diagnosis.result import EffectAt
 from hil.diagnosis.tuning.free_run import FreeRuns
 from hil.diagnosis.tuning.projection import Projection
 from hil.diagnosis.tuning.retune import Tuning
@@ -72,6 +73,17 @@ def evidence_of(
             c.known,
         )
 
+    alone: dict[frozenset[EffectAt], Gate] = {}  # steps of numbers alone, of each the one that gains most
+    for c in (*contenders, *formless):
+        for effects, gate in steps_of(c.fitted.effects, c.gates, numbers_of(c.fitted)).items():
+            alone[effects] = max(alone.get(effects, gate), gate, key=lambda step: step.gain)
+
+    def with_shared(c: Contender, own: tuple[float, float], known: frozenset[EffectAt]) -> tuple[float, float]:
+        """With what known effects that came in one step with others remove by themselves in another set."""
+        in_own_steps = frozenset[EffectAt]().union(*steps_of(c.fitted.effects, c.gates, known))
+        shared = alone.get(known - in_own_steps)
+        return own if shared is None else (own[0] + shared.gain, own[1] + (shared.held_out_gain or 0.0))
+
     def weighing(c: Contender) -> Weighed:
         return Weighed(
             None,
@@ -79,7 +91,8 @@ def evidence_of(
             held_out - c.gained_held_out,
             searched=c.searched,
             passed=c.passed,
-            by_numbers=c.by_numbers,
+            by_numbers=with_shared(c, c.by_numbers, numbers_of(c.fitted)),
+            by_signs=with_shared(c, c.by_signs, whole_signs_of(c.fitted)),
             of_the_file=are_of_the_file(c.fitted),
             rarity=rarity_of(c.fitted.effects, runs.machine.plant),
             narrowed=c.narrowed,

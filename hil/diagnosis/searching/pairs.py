@@ -6,7 +6,7 @@ v = (a'r, b'r) and G their Gram matrix (Kay 1998, ch. 4): two effects of which n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,6 +142,11 @@ def without_one(pair: Fitted) -> list[Start]:
     return [_without(pair, left_out) for left_out in pair.effects] if len(pair.effects) > 1 else []
 
 
+def only(larger: Fitted, kept: Collection[EffectAt]) -> Start:
+    """A part of a set, from where it is in it."""
+    each = [k for k, effect in enumerate(larger.effects) if effect in kept]
+    return tuple(larger.effects[k] for k in each), tuple(larger.values[k] for k in each)
+
+
 def _without(larger: Fitted, left_out: EffectAt) -> Start:
-    kept = [k for k, effect in enumerate(larger.effects) if effect != left_out]
-    return tuple(larger.effects[k] for k in kept), tuple(larger.values[k] for k in kept)
+    return only(larger, [effect for effect in larger.effects if effect != left_out])

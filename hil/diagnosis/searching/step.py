@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
-from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of, whole_signs_of
 from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
 from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
 from hil.diagnosis.judging.tried import Tried
@@ -22,7 +22,7 @@ from hil.diagnosis.searching.finishing import closest_of_each, finished, rarer_b
 from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.searching.harmonics import with_other_harmonics
 from hil.diagnosis.searching.numbers_of_the_file import with_numbers_of_the_file
-from hil.diagnosis.searching.pairs import Pair, Start, beside, beside_rivals, instead, pairs, without_one, without_what_stood
+from hil.diagnosis.searching.pairs import Pair, Start, beside, beside_rivals, instead, only, pairs, without_one, without_what_stood
 from hil.diagnosis.searching.same_order import with_others_of_its_order
 from hil.diagnosis.searching.surplus import has_no_surplus, leaves_as_little, needs_all, parts_that_passed
 from hil.diagnosis.searching.ways import (
@@ -100,14 +100,18 @@ class Steps:
     def polished(self, fits: Sequence[Fitted]) -> list[Fitted]:
         return polish(self.runs, self.tuning, self.measured, fits)
 
-    def step(self, way: Way) -> Way:
-        """One effect more, or a pair at the first step or in place of what was found."""
+    def step(self, way: Way, joint: Fitted | None = None) -> Way:
+        """One effect more, or a pair at the first step or in place of what was found; anew where that came closer beside a larger set."""
         begun = self._begin(way)
         if not begun.screened:
             return replace(way, is_at_its_end=True)
         fits, leaner = self._fitted(begun)
         if not fits:
             return replace(way, is_at_its_end=True)
+        if joint is not None:
+            fits = closest_of_each(fits, [joint])
+        elif (closer := self._with_a_closer_stand(begun, fits)) is not None:
+            return self.step(*closer)
         first, singles = way.screened, way.singles
         if begun.is_first:
             first = tuple(begun.screened)
@@ -196,6 +200,40 @@ class Steps:
         leaner = [fit for fit in alone if leaves_as_little(fit, best, tried, entries)]
         fits = closest_of_each(fits, [fit for fit in alone if fit in leaner or self._is_likelier(fit, chosen, tried)])
         return fits, [fit for fit in fits if set(fit.effects) in [set(part.effects) for part in leaner]]  # the closest of each
+
+    def _with_a_closer_stand(self, begun: _Begun, fits: Sequence[Fitted]) -> tuple[Way, Fitted] | None:
+        """The way with what was found where it is beside the closest set that adds to it, if it leaves less there by itself, and that set.
+
+        Alone its fit had ended elsewhere, and whatever moved it from there would gain what it gains: a friction of no strength 128 beside a
+        drive's lag (sealed 8893, spent).
+        """
+        way, stand, entries = begun.way, begun.way.stand, len(begun.residual)
+        size = len(stand.effects)
+        larger = [fit for fit in fits if len(fit.effects) > size and fit.effects[:size] == stand.effects]
+        if stand.fitted is None or not larger:
+            return None
+        best = min(larger, key=lambda fit: fit.cost)
+        if stand.cost - best.cost < needed_gain(1.0, 1, best.cost, entries):
+            return None
+        alone = self.polished(self.fits_from([only(best, stand.effects)]))
+        if not alone or stand.cost - alone[0].cost < needed_gain(1.0, 1, alone[0].cost, entries):
+            return None
+        own = next((one for one in way.contenders if one.fitted is stand.fitted), None)
+        if own is None:
+            return None
+        closer = self.judgement.closer(own, alone[0], begun.limits)
+        if closer is None:
+            return None
+        anew = replace(
+            way,
+            stand=self.judgement.after(closer),
+            gates=tuple(closer.gate if gate is own.gate else gate for gate in way.gates),
+            contenders=tuple(closer if one is own else one for one in way.contenders),
+            smaller=(*way.smaller, closer.fitted),
+            limits=begun.limits,
+            tried=begun.tried,
+        )
+        return anew, best
 
     def _is_likelier(self, fit: Fitted, chosen: Fitted | None, tried: Tried) -> bool:
         """By training than what was found, each against nothing."""
@@ -378,12 +416,17 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
     """Fitted sets by their evidence on the training recordings, see naming.py."""
     if not fits:
         return []
-    known = sum(gate.gain for gate in stand.steps(numbers=True))
 
-    def by_numbers(fit: Fitted) -> float:
-        if set(fit.effects) <= numbers_of(fit):
+    def of(fit: Fitted, known: frozenset[EffectAt], before: float) -> float:
+        if set(fit.effects) <= known:
             return base - fit.cost
-        return known if set(stand.effects) <= set(fit.effects) else 0.0
+        return before if set(stand.effects) <= set(fit.effects) else 0.0
 
-    temper = temperature_of([Removing(fit.cost, by_numbers(fit), are_of_the_file(fit)) for fit in fits], base, noise_energy)
+    already = [sum(gate.gain for gate in stand.steps(known(stand.fitted))) for known in (numbers_of, whole_signs_of)]
+
+    def removing(fit: Fitted) -> Removing:
+        by_numbers, by_signs = (of(fit, known(fit), before) for known, before in zip((numbers_of, whole_signs_of), already, strict=True))
+        return Removing(fit.cost, by_numbers, are_of_the_file(fit), by_signs)
+
+    temper = temperature_of([removing(fit) for fit in fits], base, noise_energy)
     return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

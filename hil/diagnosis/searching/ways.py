@@ -205,7 +205,7 @@ def not_told_apart_in_training(earlier: Sequence[Contender], larger: Sequence[Co
 
 def _removing(one: Contender, base: float) -> Removing:
     """In training."""
-    return Removing(base - one.gained, one.by_numbers[0], are_of_the_file(one.fitted))
+    return Removing(base - one.gained, one.by_numbers[0], are_of_the_file(one.fitted), one.by_signs[0])
 
 
 def price_in_training(fitted: Fitted, temper: float, searched: float) -> float:
