@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -273,6 +274,27 @@ def test_what_numbers_of_the_machine_file_remove_counts_in_both_motions():
     judgement, fitted = bench(found=VISCOUS, held_out=OtherMotion(viscous_friction=9.0))
     (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), (0.0, 0.0), {})
     assert found.by_numbers == pytest.approx((900.0, 81.0))
+
+
+@pytest.mark.parametrize(("another", "is_closer"), [(3.0, True), (-3.0, False)])
+def test_a_closer_fit_of_what_passed_takes_its_place_where_held_out_recordings_do_not_lose_by_it(another, is_closer):
+    """A friction of which a fit took half, and one that is all of it in training, and held out three times what it was, or turned round."""
+    other = OtherMotion(coulomb_friction=9.0)
+    judgement, fitted = bench(held_out=other)
+    whole = fitted(COULOMB)
+    half = replace(whole, predicted=0.5 * whole.predicted, cost=whole.cost + 225.0)
+    other.measured = other.measured * another
+    (found,) = judgement.contenders(judgement.nothing, [half], tried(), (0.0, 0.0), {})
+    gates = replace(found.gate, held_out_gain=20.0, held_out_beyond=19.0)
+    found = replace(found, gates=(gates,), left_held_out=other.misfit(other.follow(whole.offset, ())) - 20.0)
+    closer = judgement.closer(found, whole, {})
+    assert (closer is not None) == is_closer
+    if closer is not None:
+        assert closer.gate.gain == pytest.approx(900.0) and closer.gained == pytest.approx(900.0)
+        fall = found.left_held_out - closer.left_held_out
+        assert closer.gate.held_out_gain == pytest.approx(20.0 + fall) and closer.gained_held_out == pytest.approx(
+            found.gained_held_out + fall
+        )
 
 
 def test_sets_that_are_asked_about_later_in_a_step_count_those_before_them():

@@ -118,11 +118,6 @@ def test_a_wave_of_the_other_sign_is_half_a_cycle_on(bench):
         ("rectified_sensor", [2e-5, 1.0], True),
         ("backlash", [1e-5, 9e-5], False),  # b, flank: fits keep it within that (`coordinates.AT_MOST`)
         ("backlash", [1e-5, 0.0], False),
-        (
-            "presliding_hysteresis",
-            [0.006, 0.0, 0.06, 0.3, 0.0],
-            False,
-        ),  # Fc, Fs_minus_Fc, vs, sigma0, sigma1: it gives way by 0.02 of the travel
         ("end_stop", [50.0, 0.0, 0.3, 1.0], False),  # K, D, at_position, side: the travel's middle is at 0.2
         ("end_stop", [50.0, 0.0, 0.1, 1.0], True),
         ("end_stop", [50.0, 0.0, 0.1, -1.0], False),

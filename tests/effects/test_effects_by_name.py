@@ -50,6 +50,11 @@ def test_an_imu_s_low_pass_of_a_file_without_a_shape_is_the_machine_file_s_own_o
     assert compile_plant(plant).model(effects=(effect,)).tobytes() == compile_plant(slow).model().tobytes()
 
 
+def test_bristles_may_be_as_soft_as_a_slight_friction_that_gives_way_over_a_few_degrees() -> None:
+    soft = EffectSetting("presliding_hysteresis", "roll", {"Fc": 0.006, "Fs_minus_Fc": 0.0, "vs": 0.06, "sigma0": 0.1, "sigma1": 0.0})
+    assert effects_from_text(effects_text((soft,), CARM), CARM, "effects.toml") == (soft,)
+
+
 @pytest.mark.parametrize("corner", [0.0, 0.05])
 @pytest.mark.parametrize("bend", [0.0, 25.0, 100.0, 1200.0])
 def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float, corner: float) -> None:
