@@ -302,8 +302,7 @@ def _drift(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, selection: Se
     found = next((one for one in selection.contenders if one.fitted is chosen), None)
     if judged is None or found is None:
         return 1.0
-    here, there = zip((found.gained, found.gained_held_out), found.by_numbers, found.by_signs, strict=True)
-    energies = erring(*here), erring(*there)
+    energies = erring(found.gained, found.by_numbers[0]), erring(found.gained_held_out, found.by_numbers[1])
     return chance_of_drift(runs, tuning, judged, found.fitted, energies, found.moved)
 
 

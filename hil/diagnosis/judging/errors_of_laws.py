@@ -130,9 +130,11 @@ def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights:
     return temperature(base - best - exact.by_numbers, best - noise, weights) + numbers_err_by(exact.by_numbers, exact.by_signs)
 
 
-def erring(removed: float, by_numbers: float, by_signs: float = 0.0) -> float:
-    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects, of that so much by whole signs."""
-    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + numbers_err_by(by_numbers, by_signs)
+def erring(removed: float, by_numbers: float) -> float:
+    """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects. A whole sign errs as other numbers
+    do where a set is not told apart from another: what it does to a simulation that is a little off is in no other law.
+    """
+    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
 
 
 def numbers_err_by(by_numbers: float, by_signs: float) -> float:

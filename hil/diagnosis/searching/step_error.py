@@ -31,7 +31,7 @@ def with_finer_steps(runs: FreeRuns, tuning: Tuning, selection: Selection) -> Tu
     left = runs.measured() - tuning.predicted
     removed = float(left @ left + tuning.offset @ tuning.offset) - found.fitted.cost
     off = runs.miscorrected(Trial(tuning.at(found.fitted.offset), found.fitted.settings))
-    if off < max(WORTH_REFINING, erring(removed, found.by_numbers[0], found.by_signs[0])):
+    if off < max(WORTH_REFINING, erring(removed, found.by_numbers[0])):
         return tuning
     runs.refine(FINER)
     return corrected(runs, tuning)
