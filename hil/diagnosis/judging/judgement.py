@@ -307,8 +307,7 @@ class Judgement:
             return None
         after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
         left = 0.0 if self._judge is None else self._judge.misfit(after)
-        here, there = found.fitted.cost - fitted.cost, found.left_held_out - left
-        last = found.gate
+        here, there, last = found.fitted.cost - fitted.cost, found.left_held_out - left, found.gate
         if there < -last.needed:  # or it diverges there
             return None
         gate = replace(
