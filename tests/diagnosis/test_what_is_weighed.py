@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,7 +74,9 @@ def gate(gain: float, beyond: float, needed: float, scatter: float = 1.0, held_o
 
 
 def weighed_together(
-    *sets: tuple[tuple[Gate, ...], int | tuple[EffectAt, ...]], by_moving: tuple[float, float] = (0.0, 0.0)
+    *sets: tuple[tuple[Gate, ...], int | tuple[EffectAt, ...]],
+    by_moving: tuple[float, float] = (0.0, 0.0),
+    values: Mapping[EffectAt, np.ndarray] = MappingProxyType({}),
 ) -> list[Weighed]:
     """Sets with their gates, each along a direction of its own, the last one moved. Repeats scatter by 5 along the first difference."""
     directions = np.linalg.qr(np.random.default_rng(1).standard_normal((ENTRIES, len(sets))))[0].T
@@ -85,7 +88,16 @@ def weighed_together(
     contenders = []
     for number, (gates, effects) in enumerate(sets):
         names = effects if isinstance(effects, tuple) else tuple(EffectAt("cogging", "carriage", k) for k in range(effects))
-        fitted = Fitted(names, (nothing,) * len(names), nothing, directions[number], 1000.0, (), np.zeros((ENTRIES, 0)), nothing)
+        fitted = Fitted(
+            names,
+            tuple(values.get(name, nothing) for name in names),
+            nothing,
+            directions[number],
+            1000.0,
+            (),
+            np.zeros((ENTRIES, 0)),
+            nothing,
+        )
         moved = by_moving if number == len(sets) - 1 else (0.0, 0.0)
         steps = {id(one): one for one in gates}.values()
         gains = sum(one.certain_gain for one in steps) + moved[0], sum(one.held_out_gain for one in steps) + moved[1]
@@ -120,12 +132,34 @@ def test_sets_of_as_many_effects_stand_apart_by_what_they_leave_whichever_effect
 def test_what_a_number_removes_by_itself_counts_where_it_came_in_one_step_with_another_effect():
     """A compliance was found alone, and a pair that holds it at once."""
     compliance, ripple = EffectAt("joint_compliance", "carriage"), EffectAt("cogging", "carriage")
-    alone, later, at_once = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)), gate(50.0, 50.0, 10.0), gate(1060.0, 1060.0, 10.0)
+    alone, later, at_once = (
+        gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)),
+        gate(50.0, 50.0, 10.0),
+        gate(1060.0, 1060.0, 10.0, held_out=(310.0, 305.0)),
+    )
     sets = [((compliance, ripple), (alone, later)), ((ripple, compliance), (at_once, at_once)), ((ripple,), (at_once,))]
     one, other, without = weighed_together(*((gates, effects) for effects, gates in sets))
     assert one.by_numbers == other.by_numbers == (1000.0, 300.0)
     assert without.by_numbers == (0.0, 0.0)
     assert one.by_signs == other.by_signs == (0.0, 0.0)
+    # of two that were found alone the one that gained less, and no more than its step
+    beside = gate(900.0, 900.0, 10.0, held_out=(320.0, 290.0))
+    sets = [*sets, ((EffectAt("backlash", "carriage"), compliance), (later, beside))]
+    assert weighed_together(*((gates, effects) for effects, gates in sets))[1].by_numbers == (900.0, 310.0)
+    # nothing of one that loses held out, or did not pass
+    lost = gate(1000.0, 1000.0, 10.0, held_out=(-300.0, -290.0))
+    sets[0] = ((compliance, ripple), (lost, later))
+    assert weighed_together(*((gates, effects) for effects, gates in sets[:3]))[1].by_numbers == (1000.0, 0.0)
+    sets[0] = ((compliance,), (replace(alone, placebo_gain=2000.0),))
+    assert weighed_together(*((gates, effects) for effects, gates in sets[:3]))[1].by_numbers == (0.0, 0.0)
+
+
+def test_a_sign_counts_where_it_came_in_one_step_with_another_effect():
+    sign, ripple = EffectAt("rectified_sensor", "carriage"), EffectAt("cogging", "carriage")
+    alone, at_once = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)), gate(1060.0, 1060.0, 10.0, held_out=(310.0, 305.0))
+    values = {sign: np.array([0.0, 1.0])}
+    _, other = weighed_together(((alone,), (sign,)), ((at_once, at_once), (ripple, sign)), values=values)
+    assert other.by_signs == other.by_numbers == (1000.0, 300.0)
 
 
 def test_sets_of_more_or_fewer_effects_are_not_compared():

@@ -126,15 +126,16 @@ def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights:
     most = temperature(base - best, best - noise, weights)
     near = best + 2.0 * most
     likely = [one for one in sets if one.misfit == best or (one.of_the_file and one.misfit <= near)]
-    exact = max(likely, key=lambda one: one.by_numbers)
-    return temperature(base - best - exact.by_numbers, best - noise, weights) + numbers_err_by(exact.by_numbers, exact.by_signs)
+    return min(
+        temperature(base - best - one.by_numbers, best - noise, weights) + numbers_err_by(one.by_numbers, one.by_signs) for one in likely
+    )
 
 
 def erring(removed: float, by_numbers: float) -> float:
     """Energy by which a set's equations may err that removes so much, so much of it by EXACT effects. A whole sign errs as other numbers
     do where a set is not told apart from another: what it does to a simulation that is a little off is in no other law.
     """
-    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * by_numbers
+    return WEIGHTS.form_error * max(removed - by_numbers, 0.0) + NUMBERS_ERROR * max(by_numbers, 0.0)
 
 
 def numbers_err_by(by_numbers: float, by_signs: float) -> float:

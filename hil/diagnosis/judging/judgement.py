@@ -42,6 +42,7 @@ class Contender:
     narrowed: Narrowed | None = None  # what that costs
     by_moving: tuple[float, float] = (0.0, 0.0)  # of what it gained, what that changed
     known: tuple[float, float] = (0.0, 0.0)  # energies removed before its last step by effects that it is known of how their equations err
+    before: Stand | None = None  # what its last step was added to
 
     @property
     def gate(self) -> Gate:
@@ -295,36 +296,18 @@ class Judgement:
                     (*before.gates, *[gate] * (len(fitted.effects) - len(before.effects))),
                     tried.searched_for(fitted),
                     known=before.known_energy,
+                    before=before,
                 )
             )
         return found
 
-    def closer(self, found: Contender, fitted: Fitted, limits: Mapping[EffectAt, tuple[float, float]]) -> Contender | None:
-        """What passed, with a closer fit of the same effects: it has its gates, the last of which gains so much more. None where that fit
-        has not the effects' form, or leaves more of the held-out recordings than chance lets it.
-        """
-        if lost_form(fitted, limits, self._measured - fitted.predicted):
+    def closer(self, found: Contender, fitted: Fitted, tried: Tried, limits: Mapping[EffectAt, tuple[float, float]]) -> Contender | None:
+        """What passed, with a closer fit of the same effects, asked as it was: None where that does not pass."""
+        if found.before is None:
             return None
-        after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
-        left = 0.0 if self._judge is None else self._judge.misfit(after)
-        here, there, last = found.fitted.cost - fitted.cost, found.left_held_out - left, found.gate
-        if there < -last.needed:  # or it diverges there
-            return None
-        gate = replace(
-            last,
-            gain=last.gain + here,
-            beyond=None if last.beyond is None else last.beyond + here,
-            held_out_gain=None if last.held_out_gain is None else last.held_out_gain + there,
-            held_out_beyond=None if last.held_out_beyond is None else last.held_out_beyond + there,
-        )
-        return replace(
-            found,
-            fitted=fitted,
-            gained=found.gained + gate.certain_gain - last.certain_gain,
-            gained_held_out=found.gained_held_out + there,
-            left_held_out=left,
-            gates=tuple(gate if each is last else each for each in found.gates),
-        )
+        placebo, earlier = found.gate.placebo_gain, max(found.gate.asked - 1, 0)
+        (closer,) = self.contenders(found.before, [fitted], tried, (placebo, placebo), limits, earlier)
+        return closer if closer.passed else None
 
     def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
         """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer. Without one of

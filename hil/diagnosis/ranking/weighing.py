@@ -73,16 +73,21 @@ def evidence_of(
             c.known,
         )
 
-    alone: dict[frozenset[EffectAt], Gate] = {}  # steps of numbers alone, of each the one that gains most
-    for c in (*contenders, *formless):
+    alone: dict[frozenset[EffectAt], Gate] = {}  # steps of numbers alone that passed, of each the one that gains least
+    for c in contenders:
         for effects, gate in steps_of(c.fitted.effects, c.gates, numbers_of(c.fitted)).items():
-            alone[effects] = max(alone.get(effects, gate), gate, key=lambda step: step.gain)
+            if gate.passed:
+                alone[effects] = min(alone.get(effects, gate), gate, key=lambda step: step.gain)
 
     def with_shared(c: Contender, own: tuple[float, float], known: frozenset[EffectAt]) -> tuple[float, float]:
-        """With what known effects that came in one step with others remove by themselves in another set."""
-        in_own_steps = frozenset[EffectAt]().union(*steps_of(c.fitted.effects, c.gates, known))
-        shared = alone.get(known - in_own_steps)
-        return own if shared is None else (own[0] + shared.gain, own[1] + (shared.held_out_gain or 0.0))
+        """With what known effects that came in one step with others remove by themselves in another set, as far as that step gains it."""
+        shared = known - frozenset[EffectAt]().union(*steps_of(c.fitted.effects, c.gates, known))
+        by_itself = alone.get(shared)
+        if by_itself is None:
+            return own
+        steps = {id(gate): gate for effect, gate in zip(c.fitted.effects, c.gates, strict=True) if effect in shared}.values()
+        here, there = sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
+        return own[0] + _within(by_itself.gain, here), own[1] + _within(by_itself.held_out_gain or 0.0, there)
 
     def weighing(c: Contender) -> Weighed:
         return Weighed(
@@ -114,6 +119,10 @@ def evidence_of(
 
 def _less(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
     return one[0] - other[0], one[1] - other[1]
+
+
+def _within(energy: float, most: float) -> float:
+    return min(max(energy, 0.0), max(most, 0.0))
 
 
 def cap_of(runs: FreeRuns) -> float:

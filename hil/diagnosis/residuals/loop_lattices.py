@@ -43,7 +43,7 @@ def loop_lattices(groups: Sequence[RepeatGroup], channels: Sequence[str]) -> lis
         rounding = [axis for axis, share in shared.items() if share > LEAST_SHARED]
         if not rounding or group.repeats < 2:
             continue
-        without = _rows(Simulator(smooth(group.machine)), group.inputs, channels)
+        without = rows_of(Simulator(smooth(group.machine)), group.inputs, channels)
         for axis in rounding:
             weight = np.sqrt(shared[axis] * len(rounding))  # powers of axes add up, those of records are averaged
             simulator = Simulator(smooth(group.machine, rounded=axis))
@@ -84,11 +84,12 @@ def _rounded(simulator: Simulator, inputs: Inputs, channels: Sequence[str], axis
     offset = phase * next(encoder.resolution for encoder in machine.plant.encoders if encoder.channel == name)
     off = np.where([one == axis for one in machine.axes], offset, 0.0)
     shifted = replace(inputs, reference=inputs.reference - off, start_pose=inputs.start_pose - off)
-    rows = _rows(simulator, shifted, channels)
+    rows = rows_of(simulator, shifted, channels)
     if name in channels:
         rows[:, list(channels).index(name)] += offset
     return rows
 
 
-def _rows(simulator: Simulator, inputs: Inputs, channels: Sequence[str]) -> np.ndarray:
+def rows_of(simulator: Simulator, inputs: Inputs, channels: Sequence[str]) -> np.ndarray:
+    """(N, C) of one run."""
     return simulated_matrix(simulator.machine, simulator.run(inputs), channels)

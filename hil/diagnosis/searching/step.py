@@ -100,18 +100,16 @@ class Steps:
     def polished(self, fits: Sequence[Fitted]) -> list[Fitted]:
         return polish(self.runs, self.tuning, self.measured, fits)
 
-    def step(self, way: Way, joint: Fitted | None = None) -> Way:
-        """One effect more, or a pair at the first step or in place of what was found; anew where that came closer beside a larger set."""
+    def step(self, way: Way, before: Sequence[Fitted] = ()) -> Way:
+        """One effect more, or a pair at the first step or in place of what was found; anew where that came closer beside a larger set, with
+        the fits of before.
+        """
         begun = self._begin(way)
-        if not begun.screened:
-            return replace(way, is_at_its_end=True)
-        fits, leaner = self._fitted(begun)
+        fits, leaner = self._fitted(begun, before)
         if not fits:
             return replace(way, is_at_its_end=True)
-        if joint is not None:
-            fits = closest_of_each(fits, [joint])
-        elif (closer := self._with_a_closer_stand(begun, fits)) is not None:
-            return self.step(*closer)
+        if not before and (closer := self._with_a_closer_stand(begun, fits)) is not None:
+            return self.step(closer, fits)
         first, singles = way.screened, way.singles
         if begun.is_first:
             first = tuple(begun.screened)
@@ -174,13 +172,13 @@ class Steps:
         behind = [one for one in screened[: WIDER * most] if one not in best]
         return _Begun(way, residual, found, screened, behind if way.is_wider else best, behind, limits, Tried(found, way.tried))
 
-    def _fitted(self, begun: _Begun) -> tuple[list[Fitted], list[Fitted]]:
-        """Fits of what is worth one, and of them those that leave as little without an effect that they were added to."""
+    def _fitted(self, begun: _Begun, before: Sequence[Fitted]) -> tuple[list[Fitted], list[Fitted]]:
+        """Fits of what is worth one and those of before, and of them those that need not all that they were added to."""
         runs, tuning, measured, stand, tried = self.runs, self.tuning, self.measured, begun.way.stand, begun.tried
         chosen, entries = stand.fitted, len(begun.residual)
         self.report("fitting", 0.35 + 0.2 * len(stand.effects))
-        starts = [*(beside(chosen, s) for s in begun.worth), *instead(chosen, begun.worth[0])]
-        fits = sorted(self.fits_from(starts, stand.tuning), key=lambda fit: fit.cost)
+        starts = [*(beside(chosen, s) for s in begun.worth), *(start for s in begun.worth[:1] for start in instead(chosen, s))]
+        fits = sorted(closest_of_each(self.fits_from(starts, stand.tuning), before), key=lambda fit: fit.cost)
         if not fits:
             return [], []
         unfinished = worth_finishing(fits, stand.cost, entries)
@@ -201,8 +199,8 @@ class Steps:
         fits = closest_of_each(fits, [fit for fit in alone if fit in leaner or self._is_likelier(fit, chosen, tried)])
         return fits, [fit for fit in fits if set(fit.effects) in [set(part.effects) for part in leaner]]  # the closest of each
 
-    def _with_a_closer_stand(self, begun: _Begun, fits: Sequence[Fitted]) -> tuple[Way, Fitted] | None:
-        """The way with what was found where it is beside the closest set that adds to it, if it leaves less there by itself, and that set.
+    def _with_a_closer_stand(self, begun: _Begun, fits: Sequence[Fitted]) -> Way | None:
+        """The way with what was found where it is beside the closest set that adds to it, if it leaves less there by itself.
 
         Alone its fit had ended elsewhere, and whatever moved it from there would gain what it gains: a friction of no strength 128 beside a
         drive's lag (sealed 8893, spent).
@@ -219,21 +217,21 @@ class Steps:
         if not alone or stand.cost - alone[0].cost < needed_gain(1.0, 1, alone[0].cost, entries):
             return None
         own = next((one for one in way.contenders if one.fitted is stand.fitted), None)
-        if own is None:
+        if own is None or way.tried is None:
             return None
-        closer = self.judgement.closer(own, alone[0], begun.limits)
+        closer = self.judgement.closer(own, alone[0], way.tried, way.limits)
         if closer is None:
             return None
-        anew = replace(
+        return replace(
             way,
             stand=self.judgement.after(closer),
             gates=tuple(closer.gate if gate is own.gate else gate for gate in way.gates),
             contenders=tuple(closer if one is own else one for one in way.contenders),
+            singles=tuple(closest_of_each(way.singles, [closer.fitted])) if size == 1 else way.singles,
             smaller=(*way.smaller, closer.fitted),
             limits=begun.limits,
             tried=begun.tried,
         )
-        return anew, best
 
     def _is_likelier(self, fit: Fitted, chosen: Fitted | None, tried: Tried) -> bool:
         """By training than what was found, each against nothing."""
