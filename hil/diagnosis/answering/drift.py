@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
+from hil.diagnosis.fitting.coordinates import difference
 from hil.diagnosis.fitting.refit import Fitted, sensitivities_to_effects
 from hil.diagnosis.judging.gate import Scatter
 from hil.diagnosis.judging.held_out import HeldOut
@@ -24,6 +25,8 @@ from hil.diagnosis.ranking.taken_over import acting, without_those_taken_over
 from hil.diagnosis.tuning.free_run import HELD_OUT, FreeRuns
 from hil.diagnosis.tuning.projection import Projection
 from hil.diagnosis.tuning.retune import Tuning
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.registry import effects
 
 DRIFTED = 1e-3
 """Chance of as much drift under one law from which two motions do not share it. On development cases that are named rightly it is 0.006 at
@@ -75,7 +78,7 @@ def chance_of_drift(
     shown, along = np.sqrt(shown[counts]), along[:, counts]
     # the numbers are nearly where they cost least, so that only the set's own parameters have a gradient
     beyond = along.T @ response.T @ (held_out.measured - followed.predicted) / shown
-    so_far = np.array([near.values[e][k] - fitted.values[e][k] for e, k in fitted.free]) * sizes
+    so_far = sizes * [difference(_parameter(fitted, e, k), near.values[e][k], fitted.values[e][k]) for e, k in fitted.free]
     deviations = beyond + shown * (along.T @ so_far)
     seen, apart = np.linalg.eigh(left.T @ left)
     values = apart / np.sqrt(np.maximum(seen, SEEN * max(seen[-1], 1.0)))  # independent in training, each of variance 1
@@ -93,3 +96,7 @@ def chance_of_drift(
     count, freedom = int(np.sum(known)), scatter.freedom
     scale = (freedom - 2.0) / freedom  # of an inverse chi-squared distribution whose mean is 1
     return float(scipy.stats.f.sf(squared / count / scale, count, freedom))
+
+
+def _parameter(fitted: Fitted, effect: int, number: int) -> Parameter:
+    return effects()[fitted.effects[effect].effect].parameters[number]

@@ -10,6 +10,7 @@ import scipy.optimize
 import scipy.stats
 
 from hil.diagnosis.answering.spread import TWO_SIDED_95, spread_of
+from hil.diagnosis.fitting.coordinates import difference
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.ranking.naming import Weighed, not_told_apart
 from hil.diagnosis.result import Estimate, RetunedValue, Span
@@ -65,8 +66,7 @@ def effect_estimates(settings: PlantSettings, sets: Sequence[Believed]) -> list[
         table = {}
         for k, (parameter, value) in enumerate(zip(effects()[effect.effect].parameters, values, strict=True)):
             parts = [part for part in (one.parameter(likeliest, at, k) for one in sets) if part is not None]
-            if parameter.unit == "phase" and not parameter.is_strength:
-                parts = [(share, float(value) + _turned_back(other - float(value)), spread) for share, other, spread in parts]
+            parts = [(share, float(value) + difference(parameter, other, float(value)), spread) for share, other, spread in parts]
             low, high = interval(parts)
             low, high = max(min(low, float(value)), parameter.low), min(max(high, float(value)), parameter.high)
             unit = parameter.unit_at(is_prismatic(effect.at, settings), drive_unit(effect.at, settings) or DRIVE_UNIT)
@@ -101,11 +101,6 @@ def interval(parts: Sequence[tuple[float, float, float]]) -> Span:
 
     low, high = (scipy.optimize.brentq(lambda x, share=share: below(x) - share, *around, xtol=1e-9 * widest) for share in (0.025, 0.975))
     return float(low), float(high)
-
-
-def _turned_back(angle: float) -> float:
-    """Within half a turn of zero."""
-    return float(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def retuned_values(tuning: Tuning, fitted: Fitted | None, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:

@@ -248,6 +248,12 @@ def _is_phase(parameter: Parameter) -> bool:
     return parameter.unit == "phase" and not parameter.is_strength
 
 
+def difference(parameter: Parameter, value: float, other: float) -> float:
+    """Of two values of a parameter; of phases, which go round, within half a turn of zero."""
+    apart = value - other
+    return float(np.remainder(apart + np.pi, 2.0 * np.pi) - np.pi) if _is_phase(parameter) else float(apart)
+
+
 def _is_order(parameter: Parameter) -> bool:
     return parameter.unit == ORDER_UNIT and not parameter.is_strength
 

@@ -69,7 +69,7 @@ def shared_power(readings: np.ndarray, count: float, block: int) -> np.ndarray:
     for i, j in combinations(range(len(readings)), 2):
         apart = np.add.reduceat(np.nan_to_num(np.abs(readings[i] - readings[j])), edges) / lengths
         alike = np.exp(-2.0 * np.pi**2 * (0.5 * np.pi) * (apart / count) ** 2)
-        shares.append(sum(6.0 / (np.pi * k) ** 2 * alike ** (k * k) for k in range(1, HARMONICS + 1)))
+        shares.append(np.sum([6.0 / (np.pi * k) ** 2 * alike ** (k * k) for k in range(1, HARMONICS + 1)], axis=0))
     return np.repeat(np.mean(shares[1:] or shares, axis=0), lengths)
 
 
