@@ -30,6 +30,7 @@ from hil.diagnosis.judging.gate import (
     needed_gain,
 )
 from hil.diagnosis.starting.start_waves import ONE_HARMONIC, TWO_HARMONICS
+from hil.diagnosis.tuning.free_run import TRAIN
 
 ROWS, PADDED = 128, 2048
 DRAWS = 12000
@@ -71,11 +72,33 @@ def test_no_gain_below_the_simulator_s_own_error_counts():
     assert needed_gain(1, 1, 0.0, 10**6) == SIMULATOR_ERROR * 10**6
 
 
+def recorded(repeats: list[np.ndarray], channels: int = 1, rate_Hz: float = 10.0) -> SimpleNamespace:
+    """Runs with these whitened repeats (M,) of one experiment."""
+    sets = {TRAIN: SimpleNamespace(channels=("a",) * channels)}
+    return SimpleNamespace(repeats=lambda name: [repeats], sets=sets, noise=SimpleNamespace(rate_Hz=rate_Hz))
+
+
+@pytest.mark.parametrize(("louder", "expected"), [(1.0, 1.0), (3.0, 9.0)])
+def test_noise_that_is_louder_where_a_response_is_scatters_more_along_it_however_small_the_strengths_are(louder, expected):
+    """Three repeats of 1000 rows, louder in a fifth of them, where the response is. Along it they happen to be the same."""
+    random = np.random.default_rng(3)
+    response = np.zeros((1000, 2))
+    response[400:600, 0] = random.standard_normal(200)
+    response /= np.linalg.norm(response)
+    found = []
+    for _ in range(20):
+        noise = random.standard_normal((3, 1000, 2)) * np.sqrt(IN_SAMPLE)
+        noise[:, 400:600] *= louder
+        noise -= np.einsum("rij,ij->r", noise, response)[:, None, None] * response
+        found.append(Scatter(recorded([row.ravel() for row in noise], channels=2, rate_Hz=40.0)).along(response.ravel()))
+    assert np.mean(found) == pytest.approx(expected, rel=0.25)
+
+
 @pytest.mark.parametrize("size", [0.2, 2.0, 6.0])
 def test_the_scatter_along_a_response_is_the_variance_expected_after_the_repeats_were_seen(size):
     response = np.array([0.0, 3.0, 4.0])
     along = size * np.array([1.0, -0.5, -0.5])
-    runs = SimpleNamespace(repeats=lambda name: [[np.array([9.0, 0.0, 0.0]) + a * response / 5.0 for a in along]])
+    runs = recorded([np.array([9.0, 0.0, 0.0]) + a * response / 5.0 for a in along])
     seen = float(along @ along) / IN_SAMPLE
 
     def weight(variance):
@@ -87,7 +110,7 @@ def test_the_scatter_along_a_response_is_the_variance_expected_after_the_repeats
 
 
 def test_without_repeats_the_noise_model_stands_alone():
-    runs = SimpleNamespace(repeats=lambda name: [[np.array([1.0, 2.0])]])
+    runs = recorded([np.array([1.0, 2.0])])
     assert Scatter(runs).along(np.array([1.0, 0.0])) == 1.0
 
 

@@ -82,7 +82,12 @@ def weighed_together(
     directions = np.linalg.qr(np.random.default_rng(1).standard_normal((ENTRIES, len(sets))))[0].T
     along = (directions[0] - directions[1]) / np.sqrt(2.0)
     repeats = np.stack([np.sqrt(5.0) * sign * along for sign in (1.0, -1.0, 1.0, -1.0)])
-    runs = SimpleNamespace(repeats=lambda name: [repeats], machine=MACHINE, noise=SimpleNamespace(kind="repeats"))
+    runs = SimpleNamespace(
+        repeats=lambda name: [repeats],
+        machine=MACHINE,
+        noise=SimpleNamespace(kind="repeats", rate_Hz=10.0),
+        sets={"train": SimpleNamespace(channels=("a",))},
+    )
     nothing = np.zeros(0)
     tuning = Tuning((), nothing.astype(int), nothing, nothing, nothing, np.zeros(ENTRIES), np.zeros((ENTRIES, 0)), np.zeros((0, 0)))
     contenders = []

@@ -23,6 +23,7 @@ import numpy as np
 import scipy.stats
 
 from hil.diagnosis.fitting.screening import Screened
+from hil.diagnosis.judging.structure_left import REACH_s, near_products
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
 from hil.diagnosis.tuning.projection import Projection
 from hil.diagnosis.tuning.retune import Tuning
@@ -344,6 +345,7 @@ class Scatter:
     def __init__(self, runs: FreeRuns) -> None:
         whitened = [np.stack(group) for group in runs.repeats(TRAIN)]
         self._deviations = [repeats - repeats.mean(axis=0) for repeats in whitened]
+        self._channels, self._reach = len(runs.sets[TRAIN].channels), max(round(REACH_s * runs.noise.rate_Hz), 1)
 
     @property
     def freedom(self) -> float:
@@ -354,12 +356,15 @@ class Scatter:
         """Variance along a response (M,), in units of the noise model's; at least 1, and 1 without repeats.
 
         Its expectation after the repeats' deviations along it have been seen, with what other machines' responses have beforehand: two or
-        three deviations alone know it to a factor of two.
+        three strengths alone know it to a factor of two. Or what the deviations' power is where the response is, if that is more: noise
+        that comes at reversals alone is strong there whatever the strengths happen to be. Stretches of a recording that are REACH_s apart
+        tell it each (White 1982, see `structure_left.py`), and what is the same all along they do not show.
         """
         length = float(np.sqrt(response @ response))
         if length == 0.0:
             return 1.0
         total, free, start = 0.0, 0.0, 0
+        local, stretches = 0.0, 0.0
         for deviations in self._deviations:
             own = response[start : start + deviations.shape[1]]
             start += deviations.shape[1]
@@ -369,9 +374,28 @@ class Scatter:
             along = deviations @ own / size
             total += float(along @ along) / IN_SAMPLE
             free += len(deviations) - 1.0
+            count = self._stretches(own) * (len(deviations) - 1.0)
+            local += count * self._where(own / size, deviations) / IN_SAMPLE
+            stretches += count
         if free == 0.0:
             return 1.0
-        return max(1.0, (PRIOR_FREEDOM * PRIOR_VARIANCE + total) / (PRIOR_FREEDOM + free - 2.0))
+        return max(1.0, _expected_variance(total, free), _expected_variance(local, stretches))
+
+    def _where(self, response: np.ndarray, deviations: np.ndarray) -> float:
+        """Variance of repeats' deviations (R, M) along a unit response (M,) by the power that they have where it is."""
+        scores = (deviations * response).reshape(len(deviations), -1, self._channels).sum(axis=2)
+        return sum(near_products(rows, self._reach) for rows in scores) / (len(deviations) - 1.0)
+
+    def _stretches(self, response: np.ndarray) -> float:
+        """Stretches of a recording that a response (M,) is spread over, equally, as far as its sum of squares tells."""
+        rows = (response**2).reshape(-1, self._channels).sum(axis=1)
+        each = np.add.reduceat(rows, np.arange(0, len(rows), self._reach))
+        return float(each.sum() ** 2 / (each @ each))
+
+
+def _expected_variance(total: float, free: float) -> float:
+    """Of a variance whose estimates, `free` of them, sum up to `total`, with what is known beforehand."""
+    return (PRIOR_FREEDOM * PRIOR_VARIANCE + total) / (PRIOR_FREEDOM + free - 2.0)
 
 
 def placebo_gain(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> float:

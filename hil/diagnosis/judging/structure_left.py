@@ -38,11 +38,12 @@ class StructureLeft:
         if energy == 0.0:
             return 1.0
         rows = (response * residual).reshape(-1, self._channels).sum(axis=1)
-        return max(1.0, sum(self._of(part) for part in np.split(rows, self._ends)) / energy)
+        return max(1.0, sum(near_products(part, self._reach) for part in np.split(rows, self._ends)) / energy)
 
-    def _of(self, rows: np.ndarray) -> float:
-        """Sum of products of rows, weighted by how near they are: not negative."""
-        spectrum = np.abs(np.fft.rfft(rows, 2 * len(rows))) ** 2
-        products = np.fft.irfft(spectrum, 2 * len(rows))[: min(self._reach, len(rows))]
-        weights = 1.0 - np.arange(len(products)) / self._reach
-        return float(products[0] + 2.0 * weights[1:] @ products[1:])
+
+def near_products(rows: np.ndarray, reach: int) -> float:
+    """Sum of products of rows (N,), weighted by how near they are, up to so many rows: not negative."""
+    spectrum = np.abs(np.fft.rfft(rows, 2 * len(rows))) ** 2
+    products = np.fft.irfft(spectrum, 2 * len(rows))[: min(reach, len(rows))]
+    weights = 1.0 - np.arange(len(products)) / reach
+    return float(products[0] + 2.0 * weights[1:] @ products[1:])
