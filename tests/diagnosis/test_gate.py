@@ -143,13 +143,16 @@ def test_what_repeats_say_of_the_noise_along_a_response_widens_what_chance_gains
 
 @pytest.mark.parametrize(("trials", "gain", "erring"), [(50.0, 60.0, 4.0), (300.0, 100.0, 4.0), (30.0, 1000.0, 100.0), (300.0, 50.0, 1.0)])
 def test_what_noise_and_an_error_of_unknown_size_gain_together_is_no_rarer_than_said(trials, gain, erring):
-    """Drawn: sets of one number each, an error along all of them, and noise that is searched; some sets imitate the error, not one."""
+    """Drawn: sets of one number each in noise, and among them ALIKE whose responses are along one error besides."""
     random = np.random.default_rng(5)
-    error = np.sqrt(erring) * random.standard_t(ERROR_FREEDOM, 400_000)
-    uniform = 1.0 - random.random(len(error)) ** (1.0 / trials)  # chance of the best of so many
-    noise = np.sqrt(scipy.stats.f.isf(uniform, 1, TAIL_FREEDOM)) * random.choice([-1.0, 1.0], len(error))
-    drawn = float(np.mean((noise + error) ** 2 > gain))
-    assert drawn < expected_by_chance(trials, gain, 1, 1.0, erring) < 1.2 * ALIKE * drawn
+    error = np.sqrt(erring) * random.standard_t(ERROR_FREEDOM, 100_000)
+
+    def noise(sets: int) -> np.ndarray:
+        return random.standard_normal((sets, len(error))) / np.sqrt(random.chisquare(TAIL_FREEDOM, (sets, len(error))) / TAIL_FREEDOM)
+
+    of_noise = (trials - ALIKE) * scipy.stats.f.sf(gain, 1, TAIL_FREEDOM)
+    drawn = of_noise + ALIKE * float(np.mean((noise(int(ALIKE)) + error) ** 2 > gain))
+    assert 0.9 * drawn < expected_by_chance(trials, gain, 1, 1.0, erring) < 4.0 * drawn
 
 
 def test_an_error_of_equations_is_not_searched():

@@ -187,6 +187,19 @@ def test_what_only_moves_what_was_found_to_a_closer_fit_is_not_found(monkeypatch
     assert both.contenders[0].gates[-1].gain == pytest.approx(49.0)
 
 
+def test_what_was_fitted_beside_a_farther_stand_is_judged_beside_the_closer_one(monkeypatch):
+    """Beside a friction that was closer the load is no candidate any more, and is there all the same."""
+    asked = []
+
+    def candidates_of(chosen: Fitted | None) -> list[Candidate]:
+        asked.append(chosen)
+        return [Candidate(effect, ()) for effect in ((FRICTION,) if chosen is None else (LOAD,) if len(asked) == 2 else ())]
+
+    found = selected(monkeypatch, SWINGS, pulls=7.0, candidates_of=candidates_of, stuck=FRICTION, short=0.75)
+    assert len(asked) > 2 and found.chosen is not None and set(found.chosen.effects) == {FRICTION, LOAD}
+    assert [gate.gain for gate in found.contenders[0].gates] == pytest.approx([900.0, 49.0])
+
+
 def test_a_set_with_one_effect_exchanged_for_what_answers_alike_competes(monkeypatch):
     monkeypatch.setattr(step, "beside_rivals", lambda *_: [])
     assert {MODE, LOAD} in search(monkeypatch, SWINGS)
