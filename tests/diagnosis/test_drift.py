@@ -23,9 +23,9 @@ COULOMB_N, DURATION_s = 20.0, 2.0
 """Of `with_friction`."""
 
 
-def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0, nearer=0.0, turns=0) -> float:
+def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0, nearer=0.0, turned=lambda own: own) -> float:
     """Chance of it where training shows the parameters, and where it does not (`seen` 0); asked from training's values, from so much nearer
-    to nothing, or with the last parameter, a phase, so many turns on.
+    to nothing, or from the same values written otherwise (`turned`).
     """
     found = mismatch(MACHINE, train)
     sets = {TRAIN: found, HELD_OUT: mismatch(MACHINE, held_out, channels=found.channels, noise=found.noise)}
@@ -39,8 +39,8 @@ def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0, nearer
         energies = removed, judged.misfit(nothing) - judged.misfit(friction)
         by_numbers = 1.0 if effects[0].effect in NUMBERS else 0.0
         near = replace(fitted, values=tuple((1.0 - nearer) * own for own in fitted.values)) if nearer else None
-        if turns:
-            near = replace(fitted, values=tuple(np.append(own[:-1], own[-1] + 2.0 * np.pi * turns) for own in fitted.values))
+        if near is None:
+            near = replace(fitted, values=tuple(turned(own) for own in fitted.values))
         return chance_of_drift(runs, tuning, judged, known, tuple(erring(energy, by_numbers * energy) for energy in energies), near)
 
 
@@ -72,11 +72,24 @@ def test_from_where_it_is_asked_makes_no_drift_and_hides_none(with_friction, nea
     assert drift(train, other, nearer=nearer) < DRIFTED
 
 
-@pytest.mark.parametrize("turns", [1, -1])
-def test_a_phase_that_has_gone_round_is_where_it_was(with_friction, turns):
+def a_turn_on(own: np.ndarray) -> np.ndarray:
+    return np.append(own[:-1], own[-1] + 2.0 * np.pi)
+
+
+def a_turn_back(own: np.ndarray) -> np.ndarray:
+    return np.array([*own[:2], own[2] - 2.0 * np.pi, *own[3:]])
+
+
+def half_a_turn_on(own: np.ndarray) -> np.ndarray:
+    """With the amplitude the other way."""
+    return np.array([own[0], -own[1], own[2] + np.pi, *own[3:]])
+
+
+@pytest.mark.parametrize("turned", [a_turn_on, a_turn_back, half_a_turn_on])
+def test_a_wave_that_is_written_otherwise_is_the_same_wave(with_friction, turned):
     """A fit at +3 rad that both motions move to -3 rad has gone a little further, not back by six."""
     wave = {"effects": (EffectAt("cogging", "carriage"),), "starts": (np.array([20.0, 3.0, 1.0, 1.0, 1.0]),)}
-    assert drift(*with_friction, **wave, turns=turns) == pytest.approx(drift(*with_friction, **wave), rel=1e-3)
+    assert drift(*with_friction, **wave, turned=turned) == pytest.approx(drift(*with_friction, **wave), rel=1e-3)
 
 
 def test_an_equation_may_err_by_a_part_in_either_motion(with_friction):

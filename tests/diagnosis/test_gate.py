@@ -94,6 +94,24 @@ def test_noise_that_is_louder_where_a_response_is_scatters_more_along_it_however
     assert np.mean(found) == pytest.approx(expected, rel=0.25)
 
 
+def test_of_several_experiments_the_one_counts_that_shows_the_response():
+    """Five times as loud in one second of the first, where the response is; hardly any of it in the quiet minute of the second."""
+    random = np.random.default_rng(4)
+    shown = np.zeros(400)
+    shown[200:240] = random.standard_normal(40)
+    faint = random.standard_normal(2400)
+    response = np.concatenate([shown / np.linalg.norm(shown), 0.12 * faint / np.linalg.norm(faint)])
+    found = []
+    for _ in range(30):
+        one, other = random.standard_normal((3, 400)), random.standard_normal((3, 2400))
+        one[:, 200:240] *= 5.0
+        one -= np.outer(one @ response[:400], response[:400])
+        sets = {TRAIN: SimpleNamespace(channels=("a",))}
+        runs = SimpleNamespace(repeats=lambda name: [list(one), list(other)], sets=sets, noise=SimpleNamespace(rate_Hz=40.0))  # noqa: B023
+        found.append(IN_SAMPLE * Scatter(runs).along(response))
+    assert np.mean(found) > 10.0
+
+
 @pytest.mark.parametrize("size", [0.2, 2.0, 6.0])
 def test_the_scatter_along_a_response_is_the_variance_expected_after_the_repeats_were_seen(size):
     response = np.array([0.0, 3.0, 4.0])

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.fitting.coordinates import difference
+from hil.diagnosis.fitting.coordinates import difference, nearest_form
 from hil.diagnosis.fitting.refit import Fitted, sensitivities_to_effects
 from hil.diagnosis.judging.gate import Scatter
 from hil.diagnosis.judging.held_out import HeldOut
@@ -67,6 +67,8 @@ def chance_of_drift(
     response = sensitivities_to_effects(runs, tuning, replace(near, offset=near.offset + followed.moved), HELD_OUT)
     if response is None:
         return 1.0
+    forms = [nearest_form(*each) for each in zip(fitted.effects, near.values, fitted.values, strict=True)]
+    response = response * [-1.0 if forms[e][k] == -near.values[e][k] != 0.0 else 1.0 for e, k in fitted.free]
     settings = runs.machine.plant
     projection = Projection.of(without_those_taken_over(tuning, fitted.settings, settings))
     left = np.column_stack([projection.left(column) for column in fitted.jacobian.T])
@@ -78,7 +80,7 @@ def chance_of_drift(
     shown, along = np.sqrt(shown[counts]), along[:, counts]
     # the numbers are nearly where they cost least, so that only the set's own parameters have a gradient
     beyond = along.T @ response.T @ (held_out.measured - followed.predicted) / shown
-    so_far = sizes * [difference(_parameter(fitted, e, k), near.values[e][k], fitted.values[e][k]) for e, k in fitted.free]
+    so_far = sizes * [difference(_parameter(fitted, e, k), forms[e][k], fitted.values[e][k]) for e, k in fitted.free]
     deviations = beyond + shown * (along.T @ so_far)
     seen, apart = np.linalg.eigh(left.T @ left)
     values = apart / np.sqrt(np.maximum(seen, SEEN * max(seen[-1], 1.0)))  # independent in training, each of variance 1

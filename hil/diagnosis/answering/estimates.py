@@ -10,7 +10,7 @@ import scipy.optimize
 import scipy.stats
 
 from hil.diagnosis.answering.spread import TWO_SIDED_95, spread_of
-from hil.diagnosis.fitting.coordinates import difference
+from hil.diagnosis.fitting.coordinates import difference, is_phase
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.ranking.naming import Weighed, not_told_apart
 from hil.diagnosis.result import Estimate, RetunedValue, Span
@@ -66,7 +66,8 @@ def effect_estimates(settings: PlantSettings, sets: Sequence[Believed]) -> list[
         table = {}
         for k, (parameter, value) in enumerate(zip(effects()[effect.effect].parameters, values, strict=True)):
             parts = [part for part in (one.parameter(likeliest, at, k) for one in sets) if part is not None]
-            parts = [(share, float(value) + difference(parameter, other, float(value)), spread) for share, other, spread in parts]
+            if is_phase(parameter):
+                parts = [(share, float(value) + difference(parameter, other, float(value)), spread) for share, other, spread in parts]
             low, high = interval(parts)
             low, high = max(min(low, float(value)), parameter.low), min(max(high, float(value)), parameter.high)
             unit = parameter.unit_at(is_prismatic(effect.at, settings), drive_unit(effect.at, settings) or DRIVE_UNIT)

@@ -129,7 +129,7 @@ class Coordinates:
         found = []
         for (e, k), size in zip(self.free, self._sizes(at), strict=True):
             parameter, value = self._parameters[e][k], at.values[e][k]
-            step = PHASE_STEP if _is_phase(parameter) else STEP_SHARE
+            step = PHASE_STEP if is_phase(parameter) else STEP_SHARE
             if _is_inverse(parameter, value):
                 found.append((Point(at.offset, _with(at.values, e, k, value / (1.0 + step))), step))
                 continue
@@ -156,7 +156,7 @@ class Coordinates:
         low, high = list(np.maximum(-bound - at.offset, -TUNED_REACH * radius)), list(np.minimum(bound - at.offset, TUNED_REACH * radius))
         for (e, k), size in zip(self.free, self._sizes(at), strict=True):
             parameter, value = self._parameters[e][k], at.values[e][k]
-            up = 1.0 if _is_phase(parameter) else 3.0
+            up = 1.0 if is_phase(parameter) else 3.0
             down = 0.6 if parameter.name in LOGARITHMIC else up
             if _is_inverse(parameter, value):
                 low.append(max(value / parameter.high - 1.0, -0.8 * min(radius, 1.0)))
@@ -183,7 +183,7 @@ class Coordinates:
             phase = self._phase_of(e, k)
             if phase is not None and to < 0.0:
                 to, values = -to, _with(values, e, phase, values[e][phase] + np.pi)
-            if _is_phase(parameter) and parameter.high - parameter.low >= 2.0 * np.pi:
+            if is_phase(parameter) and parameter.high - parameter.low >= 2.0 * np.pi:
                 to = (to + np.pi) % (2.0 * np.pi) - np.pi
             values = _with(values, e, k, float(np.clip(to, parameter.low, parameter.high)))
         return Point(offset, tuple(_within(name, own) for name, own in zip(self._names, values, strict=True)))
@@ -244,14 +244,27 @@ def _between(parameter: Parameter, ends: tuple[float, float] | None) -> Paramete
     return parameter if ends is None else replace(parameter, low=ends[0], high=ends[1])
 
 
-def _is_phase(parameter: Parameter) -> bool:
+def is_phase(parameter: Parameter) -> bool:
     return parameter.unit == "phase" and not parameter.is_strength
 
 
 def difference(parameter: Parameter, value: float, other: float) -> float:
     """Of two values of a parameter; of phases, which go round, within half a turn of zero."""
     apart = value - other
-    return float(np.remainder(apart + np.pi, 2.0 * np.pi) - np.pi) if _is_phase(parameter) else float(apart)
+    return float(np.remainder(apart + np.pi, 2.0 * np.pi) - np.pi) if is_phase(parameter) else float(apart)
+
+
+def nearest_form(effect: EffectAt, values: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Values with a wave's amplitude turned round, and its phase half a turn on, where that is nearer to another's: the same wave."""
+    parameters, found = effects()[effect.effect].parameters, np.array(values)
+    names = [parameter.name for parameter in parameters]
+    for a, k in ((names.index(a), names.index(phase)) for a, phase in TURNED_BY.items() if a in names and phase in names):
+        turned = np.array(found)
+        turned[a], turned[k] = -found[a], found[k] + np.pi
+        forms = (found, turned) if is_phase(parameters[k]) else (found,)
+        far = [np.hypot(form[a] - other[a], other[a] * difference(parameters[k], form[k], other[k])) for form in forms]
+        found = forms[int(np.argmin(far))]
+    return found
 
 
 def _is_order(parameter: Parameter) -> bool:
@@ -265,11 +278,11 @@ def _is_inverse(parameter: Parameter, value: float) -> bool:
 
 def _of_a_phase(effect: EffectAt, parameter: Parameter, visited: Visited) -> float | None:
     """Size of what turns a phase, one radian of it: an order over the motor's way, a frequency over the time."""
-    if _is_phase(parameter):
+    if is_phase(parameter):
         return 1.0
     if _is_order(parameter):
         return visited.one_over_a_radian()
-    if parameter.unit == FREQUENCY_UNIT and any(map(_is_phase, effects()[effect.effect].parameters)):
+    if parameter.unit == FREQUENCY_UNIT and any(map(is_phase, effects()[effect.effect].parameters)):
         return 1.0 / (2.0 * np.pi * max(visited.time_s, 1e-12))
     return None
 

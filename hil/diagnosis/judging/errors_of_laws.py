@@ -110,8 +110,8 @@ def temperature_of(sets: Sequence[Removing], base: float, noise: float, weights:
     """T of sets that compete.
 
     In what EXACT effects of the best set remove no equation erred but by NUMBERS_ERROR, and where it is a whole sign by nothing; numbers of
-    the machine file count in any set that T does not tell from it: a law that holds one of them as a part is a little closer. What else is
-    exact has neighbours that are not.
+    the machine file count in any set that T does not tell from it, that of which T is least: a law that holds one of them as a part is a
+    little closer. What else is exact has neighbours that are not.
 
     Parameters
     ----------

@@ -364,7 +364,7 @@ class Scatter:
         if length == 0.0:
             return 1.0
         total, free, start = 0.0, 0.0, 0
-        local, stretches = 0.0, 0.0
+        where: list[tuple[float, float, float]] = []  # of every experiment its share of the response, variance there and stretches
         for deviations in self._deviations:
             own = response[start : start + deviations.shape[1]]
             start += deviations.shape[1]
@@ -374,11 +374,14 @@ class Scatter:
             along = deviations @ own / size
             total += float(along @ along) / IN_SAMPLE
             free += len(deviations) - 1.0
-            count = self._stretches(own) * (len(deviations) - 1.0)
-            local += count * self._where(own / size, deviations) / IN_SAMPLE
-            stretches += count
+            own = own / size
+            where.append(((size / length) ** 2, self._where(own, deviations), self._stretches(own) * (len(deviations) - 1.0)))
         if free == 0.0:
             return 1.0
+        shares, variances, counts = (np.array(each) for each in zip(*where, strict=True))
+        shares = shares / shares.sum()
+        stretches = 1.0 / float(np.sum(shares**2 / counts))
+        local = stretches * float(shares @ variances) / IN_SAMPLE
         return max(1.0, _expected_variance(total, free), _expected_variance(local, stretches))
 
     def _where(self, response: np.ndarray, deviations: np.ndarray) -> float:

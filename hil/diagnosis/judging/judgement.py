@@ -302,12 +302,15 @@ class Judgement:
         return found
 
     def closer(self, found: Contender, fitted: Fitted, tried: Tried, limits: Mapping[EffectAt, tuple[float, float]]) -> Contender | None:
-        """What passed, with a closer fit of the same effects, asked as it was: None where that does not pass."""
+        """What passed, with a closer fit of the same effects, asked as it was: None where that does not pass, or leaves more of the
+        held-out recordings than chance lets it.
+        """
         if found.before is None:
             return None
         placebo, earlier = found.gate.placebo_gain, max(found.gate.asked - 1, 0)
         (closer,) = self.contenders(found.before, [fitted], tried, (placebo, placebo), limits, earlier)
-        return closer if closer.passed else None
+        loses = closer.left_held_out - found.left_held_out
+        return closer if closer.passed and loses <= found.gate.needed else None
 
     def by_chance(self, stand: Stand, fitted: Fitted, tried: Tried) -> float:
         """Expected number of all that were tried that gain as much as a set in training by chance: its gate's first answer. Without one of

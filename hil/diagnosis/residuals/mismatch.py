@@ -21,7 +21,7 @@ from hil.diagnosis.residuals.carried import carried_imu
 from hil.diagnosis.residuals.loop_lattices import loop_lattices
 from hil.diagnosis.residuals.noise import NoiseModel, noise_model
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
-from hil.diagnosis.residuals.shared_rounding import shared_rounding
+from hil.diagnosis.residuals.shared_rounding import shared_rounding, with_less_rounding
 from hil.diagnosis.residuals.simulated import channel_outputs
 from hil.diagnosis.residuals.usable import (
     LARGEST_MISSING_SHARE,
@@ -147,7 +147,8 @@ def mismatch(
     units = tuple(first.channel(name).unit for name in channels)
     if noise is None:
         floor = with_lattices(machine, lattices, max(group.repeats for group in made))
-        noise = noise_model(made, channels, floor, [*loop_lattices(made, channels), *shared_rounding(made, channels)])
+        rounding, shares = shared_rounding(made, channels, lattices)
+        noise = noise_model(made, channels, with_less_rounding(floor, shares), [*loop_lattices(made, channels), *rounding])
     return Mismatch(machine, channels, units, made, noise, by_sensor(lost), lattices)
 
 

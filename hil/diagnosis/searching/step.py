@@ -102,14 +102,14 @@ class Steps:
 
     def step(self, way: Way, before: Sequence[Fitted] = ()) -> Way:
         """One effect more, or a pair at the first step or in place of what was found; anew where that came closer beside a larger set, with
-        the fits of before.
+        the fits beside it of before.
         """
         begun = self._begin(way)
         fits, leaner = self._fitted(begun, before)
         if not fits:
             return replace(way, is_at_its_end=True)
         if not before and (closer := self._with_a_closer_stand(begun, fits)) is not None:
-            return self.step(closer, fits)
+            return self.step(closer, [fit for fit in fits if set(way.stand.effects) < set(fit.effects)])
         first, singles = way.screened, way.singles
         if begun.is_first:
             first = tuple(begun.screened)
