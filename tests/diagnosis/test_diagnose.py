@@ -71,7 +71,7 @@ def test_other_numbers_alone_are_no_missing_physics():
 
 
 @pytest.mark.parametrize(
-    ("force_N", "verdict", "confidence"), [(0.17, "ambiguous", 1.0 - WEIGHTS.outside), (0.5, "explained", STANDS_ALONE)]
+    ("force_N", "verdict", "confidence"), [(0.24, "ambiguous", 1.0 - WEIGHTS.outside), (0.5, "explained", STANDS_ALONE)]
 )
 def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_could_imitate(force_N, verdict, confidence):
     """And is as sure as such names have been right."""

@@ -245,6 +245,7 @@ def _between(parameter: Parameter, ends: tuple[float, float] | None) -> Paramete
 
 
 def is_phase(parameter: Parameter) -> bool:
+    """Whether it goes round."""
     return parameter.unit == "phase" and not parameter.is_strength
 
 
