@@ -59,14 +59,18 @@ def carriage():
 
 
 def driven(machine: Machine, command: Channel, noise: float):
-    """A machine under a command, in three repeats with noise of this size on every channel."""
+    """A machine under a command, or behind a reference, in three repeats with noise of this size on every channel."""
     random = np.random.default_rng(3)
     (axis,), rows = machine.axes, len(command.values)
-    channels = {"time": Channel("s", np.arange(rows) / machine.sample_rate_Hz), f"command_{axis}": command}
+    channels = {"time": Channel("s", np.arange(rows) / machine.sample_rate_Hz)}
+    if machine.controllers:
+        channels |= {f"reference_{axis}": command, f"excitation_{axis}": Channel(machine.units[0].effort, np.zeros(rows))}
+    else:
+        channels |= {f"command_{axis}": command}
     answer = simulate(machine, Recording(channels, recording_metadata(machine))).channels
 
     def repeat() -> Recording:
-        measured = {name: own for name, own in answer.items() if name != "time"}
+        measured = {name: own for name, own in answer.items() if name not in channels}
         noisy = {name: Channel(own.unit, own.values + noise * random.standard_normal(rows)) for name, own in measured.items()}
         return Recording(channels | noisy, recording_metadata(machine))
 
@@ -88,6 +92,14 @@ def rider():
     machine = load_machine(SPRING_MASS)
     time_s = np.arange(1999) / machine.sample_rate_Hz
     yield from driven(machine, Channel("N", 5.0 * np.sin(2.0 * np.pi * 2.0 * time_s) + 5.0 * np.sin(2.0 * np.pi * 4.5 * time_s)), 1e-4)
+
+
+@pytest.fixture(scope="module")
+def slider():
+    """A carriage behind a gear and a spring, to and fro over 0.6 m."""
+    machine = load_machine(SPRING_MASS.with_name("slider.toml"))
+    time_s = np.arange(1999) / machine.sample_rate_Hz
+    yield from driven(machine, Channel("m", 0.28 * np.sin(2.0 * np.pi * 0.25 * time_s) * np.minimum(time_s, 1.0)), 1e-5)
 
 
 def fitted(runs, tuning, *found: tuple[str, list[float]], axis: int = 0, at: str = "") -> Fitted:
@@ -214,6 +226,20 @@ def test_a_spring_behind_a_joint_errs_by_its_own_deflection_not_by_the_drive_s_e
 )
 def test_what_acts_on_a_body_without_a_drive_errs_there(rider, found, other):
     assert within(rider, found, other, at="rider")[2] > 0.8
+
+
+def test_a_load_is_no_error_of_a_gear_s_but_another_wave_is(slider):
+    """What winds up the spring behind a gear is in balance: nothing of it pushes the carriage."""
+    runs, tuning = slider
+    gear = fitted(runs, tuning, ("transmission_error", [20.0, 2e-5, 0.4, 1e-5, 1.0]))
+    errors = form_error(runs, TRAIN, tuning, gear)
+    assert errors.effects == gear.effects
+    load, wave = (
+        fitted(runs, tuning, other).predicted - tuning.predicted
+        for other in (("constant_load", [0.02]), ("transmission_error", [20.0, 2e-6, 1.9, 1e-6, 2.0]))
+    )
+    assert errors.gain(load, load) > 0.9 * float(load @ load)
+    assert errors.taken_by(wave) > 0.5 * float(wave @ wave)
 
 
 @pytest.mark.parametrize("shaken_Hz", [1.0, 4.0, 8.0])

@@ -83,6 +83,18 @@ def test_one_burst_is_enough():
     assert set(np.argwhere(found.rows)[:, 0]) == {0}
 
 
+@pytest.mark.parametrize(("channel", "is_lost"), [("imu_x", True), ("position_arm", False)])
+def test_a_burst_of_one_reading_that_noise_would_change_stays_though_not_where_the_others_were(channel, is_lost):
+    """Two lost samples after a reading at a motion's turn, which noise had put near where the others went: an encoder may have stuck."""
+    readings, _ = repeats(18, 0.0, moved=20.0, repeats=3)
+    others, row = np.median(readings[1:], axis=0), 487
+    assert abs(others[row + 2] - others[row]) > 3.0 * abs(others[row] - others[row - 1])
+    readings[0, row] += 0.25 * (others[row + 2] - others[row])
+    readings[0, row + 1 : row + 3] = readings[0, row]
+    _, lost = without_lost_samples(readings[:, :, None], readings.mean(axis=0)[:, None], (channel,))
+    assert bool(lost) is is_lost
+
+
 @pytest.mark.parametrize(("between", "found"), [(130, True), (6, False)], ids=["over the recording", "at one time"])
 def test_samples_are_lost_at_any_time_and_not_all_at_one(between, found):
     """A motion that begins differently in every repeat stays behind the others' there, and nowhere else."""

@@ -9,6 +9,7 @@ import pytest
 
 from hil.diagnosis.locating.location import locate, locate_outcome
 from hil.diagnosis.recorded.dropout import Dropout
+from hil.diagnosis.recorded.lattice import Lattice
 from hil.diagnosis.residuals.mismatch import Mismatch, mismatch
 from hil.machine import load_machine
 from hil.recording import Channel, Recording, recording_metadata
@@ -122,7 +123,9 @@ LOST = Dropout(0.02, (0.01, 0.03), 1.0, "", 5.0)
 
 def test_what_an_imu_loses_is_in_its_channels():
     names = ("position_carriage", "imu_x", "imu_z", "gyro_y")
-    found = replace(mismatch_of({}), channels=names, lost={"imu": LOST, "position_carriage": LOST})
+    plain = mismatch_of({})
+    noise = replace(plain.noise, density=np.repeat(plain.noise.density[:, :1], 4, axis=1))
+    found = replace(plain, channels=names, noise=noise, lost={"imu": LOST, "position_carriage": LOST})
     said = locate_outcome(found, [], [np.zeros((ROWS, 4))], named=True)
     assert said.channels == pytest.approx({"position_carriage": 0.5, "imu_x": 1 / 6, "imu_z": 1 / 6, "gyro_y": 1 / 6})
 
@@ -144,6 +147,20 @@ def test_lost_readings_are_located_where_they_were_lost_beside_what_effects_add(
     assert said.channels["command_carriage"] == pytest.approx(lost / (lost + other), rel=0.2)  # both noises are nearly white
     begins = [begin for begin, _ in said.time_s["repeat 1"]]
     assert begins[0] == pytest.approx(TIME[1000], abs=0.2) and len(begins) == (1 if adds == 0.0 else 2)
+
+
+def test_a_coarse_lattice_has_its_share_beside_what_effects_add():
+    """A count of c has c^2/12 in every line, a wave of amplitude A on n rows has n A^2/4 in one."""
+    found = mismatch_of({})
+    position = found.channels.index("position_carriage")
+    count = 5.0 * NOISE["position_carriage"]
+    coarse = replace(found, lattices={"position_carriage": Lattice(count, (count, count), 100)})
+    wave = np.zeros((ROWS, 2))
+    wave[:, 1 - position] = 0.1 * NOISE["command_carriage"] * np.sin(2.0 * np.pi * 50.0 * TIME)
+    assert locate_outcome(found, [], [wave], named=True).channels["command_carriage"] == 1.0
+    rounding, power = 25.0 / 12.0 * ROWS / 2.0, ROWS / 4.0 * 0.1**2
+    said = locate_outcome(coarse, [], [wave], named=True).channels["command_carriage"]
+    assert said == pytest.approx(power / (power + rounding), rel=0.2)
 
 
 def test_unknown_physics_beside_lost_samples_is_where_the_simulation_is_off():

@@ -150,6 +150,25 @@ def test_whitened_noise_of_other_repeats_is_white_at_every_frequency():
         assert 0.7 < power[band].mean() < 1.5, (low, high)
 
 
+def test_a_channel_s_density_is_its_own_however_steep():
+    """Noise that falls with frequency and noise that rises, against their closed forms averaged over the same lines."""
+    random = np.random.default_rng(8)
+    filters = ([1.0], [1.0, -0.95]), ([1.0, -1.0], [1.0])
+
+    def read(count):
+        rows = [scipy.signal.lfilter(b, a, random.standard_normal((count, ROWS + 500)), axis=1)[:, 500:] for b, a in filters]
+        return np.stack([rows[0], rows[1]], axis=-1)
+
+    model = noise_model([group_of(read(40))], CHANNELS, MACHINE)
+    lines = np.fft.rfftfreq(ROWS, 1.0 / RATE_Hz)
+    for c, (b, a) in enumerate(filters):
+        power = np.abs(scipy.signal.freqz(b, a, 2.0 * np.pi * lines / RATE_Hz)[1]) ** 2
+        near = [(np.abs(lines - f) < 10.5 * lines[1]) & (lines > 0.0) for f in model.grid_Hz]
+        assert model.density[:, c] == pytest.approx([power[each].mean() for each in near], rel=0.3)
+    fresh = np.mean([in_noise_units(model, one).power.mean(axis=0) for one in read(12)], axis=0)
+    assert fresh == pytest.approx([1.0, 1.0], abs=0.1)
+
+
 def test_what_rounding_adds_to_a_channel_counts_once():
     """Repeats differ by it already, and the machine's lattice is no second noise beside theirs."""
     (encoder,) = MACHINE.plant.encoders

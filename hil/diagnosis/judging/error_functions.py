@@ -117,7 +117,9 @@ def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, n
     is_driven = joint in {drive.joint for drive in plant.drives}
     if kind in (DELAY, LAG, LIMIT):
         return _of_a_drive(motions, effect.at, kind is not LIMIT)
-    if kind in (ELASTIC, TRANSMISSION):
+    if kind is TRANSMISSION:
+        return _of_a_gear(motions, effect, fitted.values[number])
+    if kind is ELASTIC:
         return _at_a_spring(motions, effect, fitted.values[number])
     if not is_driven and spring_at(effect.at, plant) is None and effect.effect not in OVER_TIME:
         return []
@@ -145,17 +147,50 @@ def _is_friction(name: str) -> bool:
     return effects()[name].kind is FRICTION or name in ALSO_FRICTIONS
 
 
-def _at_a_spring(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) -> list[list[Function]]:
-    """Of an elastic law, and of a gear, which acts on the joint before it too."""
+def _spring_of(effect: EffectAt, motions: Sequence[Motion]) -> int:
+    """Its joint's number."""
     plant = motions[0].machine.plant
-    joints, spring = [joint.name for joint in plant.tree.joints], spring_at(effect.at, plant)
+    spring = spring_at(effect.at, plant)
     assert spring is not None, effect
-    driven, own = joints.index(plant.drives[motions[0].axis_of(effect.at)].joint), joints.index(spring)
+    return [joint.name for joint in plant.tree.joints].index(spring)
+
+
+def _at_a_spring(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) -> list[list[Function]]:
+    """Of an elastic law."""
+    own = _spring_of(effect, motions)
     parts = [motion.residual(effect.at) for motion in motions]
-    is_elastic = effects()[effect.effect].kind is ELASTIC
-    if is_elastic and own not in motions[0].plant.joint_of_axis().values():
+    if own not in motions[0].plant.joint_of_axis().values():
         parts = [replace(part, other_position=motion.deflection(own)) for part, motion in zip(parts, motions, strict=True)]
-    return _on_joints(_functions(effect, values, parts), parts, [own] if is_elastic else [driven, own])
+    return _on_joints(_functions(effect, values, parts), parts, [own])
+
+
+def _of_a_gear(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) -> list[list[Function]]:
+    """Other functions of position by which a gear may be off: its spring rests elsewhere, and the spring's effort along that acts back on
+    the motor, as those of the law itself do.
+
+    On the motor alone they were a load, a hundredth of what winds up the spring, and a load beside a gear's error was none (9770, spent).
+    """
+    own, plant = _spring_of(effect, motions), motions[0].machine.plant
+    driven = [joint.name for joint in plant.tree.joints].index(plant.drives[motions[0].axis_of(effect.at)].joint)
+    parts = [motion.residual(effect.at) for motion in motions]
+    position = np.concatenate([part.position for part in parts])
+    functions = _with_slopes(position, values[0] * parts[0].ratio)
+    ends = np.cumsum([0, *(len(part.position) for part in parts)])
+    found = []
+    for motion, (a, b) in zip(motions, pairwise(ends), strict=True):
+        wound = motion.deflection(own)
+        found.append([Function(((own, off[a:b]), (driven, wound * slope[a:b]))) for off, slope in functions])
+    return found
+
+
+def _with_slopes(position: np.ndarray, order: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Waves over position and what changes slowly along it, of both the first ones' changes too, each with its slope."""
+    knots = np.linspace(float(position.min()), float(position.max()) + 1e-12, SLOW_KNOTS)
+    part = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, SLOW_KNOTS - 2)
+    slow = [(np.interp(position, knots, row), (np.diff(row) / np.diff(knots))[part]) for row in np.eye(SLOW_KNOTS)]
+    turned = [(k * order, k * order * position) for k in HARMONICS]
+    waves = [wave for w, x in turned for wave in ((np.cos(x), -w * np.sin(x)), (np.sin(x), w * np.cos(x)))]
+    return [*waves, *((f * g, f * g_slope + f_slope * g) for f, f_slope in waves[:2] for g, g_slope in slow), *slow]
 
 
 def _of_a_deflection(part: Residual, deflection: np.ndarray) -> Residual:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.diagnosis.recorded.dropout import OF_IMU
 from hil.diagnosis.residuals.mismatch import Mismatch
-from hil.diagnosis.residuals.whitened import InNoiseUnits, in_noise_units
+from hil.diagnosis.residuals.whitened import InNoiseUnits, in_noise_units, white_in_noise_units
 from hil.diagnosis.result import Location, Span
 
 EVERYWHERE = 0.9
@@ -53,8 +53,8 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     found : Mismatch
         Beside the simulation whose mismatch is meant: the re-tuned one, say.
     effect : sequence of (N, C) arrays, optional
-        Per group, what the named effects add to the simulation, beside which lost readings are located, too. Without it the mean residual
-        is located, which has none of these.
+        Per group, what the named effects add to the simulation, beside which lost readings are located, too, and among the channels coarse
+        lattices. Without it the mean residual is located, which has none of these.
     """
     signals = [group.mean - group.simulated for group in found.groups] if effect is None else list(effect)
     whitened = [in_noise_units(found.noise, signal) for signal in signals]
@@ -63,6 +63,8 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
         for g, signal in zip(found.groups, signals, strict=True)
     ]
     whitened = [_with_lost(found, one, off) for one, off in zip(whitened, lost, strict=True)]
+    if effect is not None:
+        whitened = [_with_lattices(found, one) for one in whitened]
     left = [1.0 / group.repeats if effect is None else 0.0 for group in found.groups]  # noise power in the mean of repeats
     total = sum(np.maximum((w.power[1:] - noise).sum(axis=0), 0.0) for w, noise in zip(whitened, left, strict=True))
     if not np.any(total > 0.0):
@@ -86,6 +88,15 @@ def _with_lost(found: Mismatch, whitened: InNoiseUnits, lost: np.ndarray) -> InN
     if not len(lost):
         return whitened
     return replace(whitened, power=whitened.power + np.mean([in_noise_units(found.noise, off).power for off in lost], axis=0))
+
+
+def _with_lattices(found: Mismatch, whitened: InNoiseUnits) -> InNoiseUnits:
+    """With the power of what lattices that were read off round (white; Widrow and Kollár 2008, ch. 5)."""
+    if not found.lattices:
+        return whitened
+    steps = np.array([found.lattices[name].step if name in found.lattices else 0.0 for name in found.channels])
+    rounding = white_in_noise_units(found.noise, steps / np.sqrt(12.0), whitened.frequencies_Hz)
+    return replace(whitened, power=whitened.power + rounding)
 
 
 def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency: float | None) -> dict[str, dict[str, float]]:

@@ -126,7 +126,7 @@ def _without_motion(measured: np.ndarray, channel: str) -> tuple[Dropout, np.nda
     alone = stood_alone(measured)
     if alone is not None:
         return _bursts_alone(alone, measured.shape)
-    held = held_samples(measured)
+    held = held_samples(measured, is_never_still=channel.startswith(NOISY))
     if held is None:
         return None
     rows = int(held.rows.sum())

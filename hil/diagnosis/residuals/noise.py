@@ -24,6 +24,7 @@ from hil.diagnosis.residuals.spectra import (
     FILTER_ORDER,
     FREEDOM_PER_CHANNEL,
     END_s,
+    density_of,
     deviations_of,
     fading,
     filtered_back,
@@ -66,6 +67,8 @@ class NoiseModel:
         S^(-1/2) of the filtered channels at the grid's frequencies.
     own : (G, C) array
         Rms of the filtered channels' lines, each by itself, with all that moves it.
+    density : (G, C) array
+        Power of the channels' own lines, not filtered: what mismatches are compared with over frequency.
     freedom : float
         Least complex degrees of freedom any S was averaged over.
     end_s : float
@@ -81,6 +84,7 @@ class NoiseModel:
     grid_Hz: np.ndarray
     roots: np.ndarray
     own: np.ndarray
+    density: np.ndarray
     freedom: float
     end_s: float
     shared: np.ndarray | None = None
@@ -229,13 +233,15 @@ def noise_model(
     _, with_carried = lines_of_all(filters, [row for group in recorded for row in group], rate_Hz)
     whole, _ = smoothed(with_carried, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
     own = np.maximum(np.diagonal(whole, axis1=1, axis2=2).real, floors)
+    density = np.maximum(density_of([row for group in recorded for row in group], rate_Hz, grid), floor**2)
     roots = roots / np.sqrt(power)[:, :, None]
     between = None
     if shared:
         std = np.hypot(std, rms_of(common, np.zeros_like(floor)))
         own = own + np.diagonal(spectra_of_common(filters, common, rate_Hz, grid), axis1=1, axis2=2).real
+        density = density + density_of(common, rate_Hz, grid)
         between = spectra_of_common(filters, uncarried, rate_Hz, grid)
-    return NoiseModel(kind, std, rate_Hz, filters, grid, roots, np.sqrt(own), float(freedom.min()), END_s, between)
+    return NoiseModel(kind, std, rate_Hz, filters, grid, roots, np.sqrt(own), density, float(freedom.min()), END_s, between)
 
 
 def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], machine: Machine) -> NoiseModel:
@@ -263,7 +269,8 @@ def assumed_noise(residuals: Sequence[np.ndarray], channels: Sequence[str], mach
     roots = np.zeros((len(grid), count, count), dtype=complex)
     own = np.sqrt(white * gains)
     roots[:, np.arange(count), np.arange(count)] = 1.0 / own
-    return NoiseModel("assumed", np.sqrt(white), rate_Hz, filters, grid, roots, own, np.inf, 0.0)
+    density = np.broadcast_to(white, gains.shape)
+    return NoiseModel("assumed", np.sqrt(white), rate_Hz, filters, grid, roots, own, density, np.inf, 0.0)
 
 
 def sensor_floor(channels: Sequence[str], machine: Machine) -> np.ndarray:

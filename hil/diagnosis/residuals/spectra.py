@@ -41,6 +41,9 @@ END_s = 0.5
 LARGEST_END = 0.05
 """As a share of the record."""
 
+NEIGHBOURS = 10
+"""Lines of the longest record on either side of a frequency, over which a channel's own density is averaged."""
+
 GRID_LINES = 400
 """Frequencies on which S(f)^(-1/2) is kept, equally spaced on a scale that is linear below 1 Hz and logarithmic above."""
 
@@ -103,6 +106,24 @@ def lines_of_all(
     """Frequencies and lines of every record."""
     pairs = [lines_of(filters, row, rate_Hz, end_s) for row in rows]
     return [place for place, _ in pairs], [line for _, line in pairs]
+
+
+def tapered_lines(values: np.ndarray) -> np.ndarray:
+    """(K, C) lines of a record (N, C) that is tapered to nothing at its ends; white noise keeps its variance."""
+    count = len(values)
+    taper = np.sqrt(2.0 / count) * np.sin(np.pi * (np.arange(count) + 0.5) / count)
+    return np.asarray(scipy.fft.rfft(values * taper[:, None], axis=0))
+
+
+def density_of(rows: Sequence[np.ndarray], rate_Hz: float, grid: np.ndarray) -> np.ndarray:
+    """(G, C) power of tapered records' lines, averaged over neighbours but for the constant: a record has one of those, too few to tell."""
+    place = np.concatenate([np.fft.rfftfreq(len(row), 1.0 / rate_Hz)[1:] for row in rows])
+    power = np.concatenate([np.abs(tapered_lines(row - row.mean(axis=0))[1:]) ** 2 for row in rows])
+    order = np.argsort(place, kind="stable")
+    place, sums = place[order], np.vstack([np.zeros(power.shape[1]), np.cumsum(power[order], axis=0)])
+    near = (NEIGHBOURS + 0.5) * rate_Hz / max(len(row) for row in rows)
+    low, high = np.searchsorted(place, grid - near), np.searchsorted(place, grid + near)
+    return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])
 
 
 def deviations_of(complete: np.ndarray) -> np.ndarray:

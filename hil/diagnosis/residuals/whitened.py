@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from hil.diagnosis.residuals.noise import NoiseModel
-from hil.diagnosis.residuals.spectra import filter_channels
+from hil.diagnosis.residuals.spectra import filter_channels, tapered_lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,22 @@ def in_noise_units(noise: NoiseModel, signal: np.ndarray) -> InNoiseUnits:
     count = len(filtered)
     lines = np.fft.rfft(filtered, axis=0) / (np.sqrt(count) * _rms_of_lines(noise, count))
     rows = np.fft.irfft(lines * np.sqrt(count), count, axis=0)
-    frequencies = np.fft.rfftfreq(count, 1.0 / noise.rate_Hz)
-    taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(count) + 0.5) / count)  # mean square 1
-    tapered = np.fft.rfft(filtered * taper[:, None], axis=0) / (np.sqrt(count) * _rms_of_lines(noise, count))
-    return InNoiseUnits(rows, len(signal) - count, frequencies, np.abs(tapered) ** 2)
+    frequencies = np.fft.rfftfreq(len(signal), 1.0 / noise.rate_Hz)
+    power = np.abs(tapered_lines(signal)) ** 2 / _at(frequencies, noise.grid_Hz, noise.density)
+    return InNoiseUnits(rows, len(signal) - count, frequencies, power)
 
 
 @lru_cache(maxsize=16)
 def _rms_of_lines(noise: NoiseModel, count: int) -> np.ndarray:
     """(K, C) noise rms of the filtered channels' lines."""
-    frequencies = np.fft.rfftfreq(count, 1.0 / noise.rate_Hz)
-    return np.column_stack([np.interp(frequencies, noise.grid_Hz, column) for column in noise.own.T])
+    return _at(np.fft.rfftfreq(count, 1.0 / noise.rate_Hz), noise.grid_Hz, noise.own)
+
+
+def white_in_noise_units(noise: NoiseModel, std: np.ndarray, frequencies_Hz: np.ndarray) -> np.ndarray:
+    """(K, C) power over frequency of white noise of this rms (C,) in the channels' units."""
+    return np.asarray(std**2 / _at(frequencies_Hz, noise.grid_Hz, noise.density))
+
+
+def _at(frequencies_Hz: np.ndarray, grid_Hz: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(K, C) values (G, C) of the grid at these frequencies."""
+    return np.column_stack([np.interp(frequencies_Hz, grid_Hz, column) for column in values.T])

@@ -22,6 +22,7 @@ from hil.diagnosis.searching.finishing import closest_of_each, finished, rarer_b
 from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.searching.harmonics import with_other_harmonics
 from hil.diagnosis.searching.numbers_of_the_file import with_numbers_of_the_file
+from hil.diagnosis.searching.other_starts import with_other_starts
 from hil.diagnosis.searching.pairs import Pair, Start, beside, beside_rivals, instead, only, pairs, without_one, without_what_stood
 from hil.diagnosis.searching.same_order import with_others_of_its_order
 from hil.diagnosis.searching.surplus import has_no_surplus, leaves_as_little, needs_all, parts_that_passed
@@ -122,7 +123,7 @@ class Steps:
         stand = self.judgement.without_own_lines(fits) if begun.is_first else way.stand
         fits = self._acting(begun, stand, fits, singles)
         closest = min(fits, key=lambda fit: fit.cost)
-        gate = self._ask(begun, stand, fits)
+        gate = self._with_others_of_formless(self._ask(begun, stand, fits), singles, first)
         needed = gate.without_surplus(gate.judged, (*way.smaller, *leaner))
         also_passed = [one for one in needed if one.passed]
         passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
@@ -190,6 +191,7 @@ class Steps:
         freedom = max(best.freedom - (0 if chosen is None else chosen.freedom), 1)
         if not stand.cost - best.cost > needed_gain(tried.sets(best.effects[-1:]), freedom, best.cost, entries):
             return fits, []
+        fits = with_other_starts(runs, tuning, stand, measured, fits, begun.found, self.noise_energy)
         fits = with_other_harmonics(runs, tuning, measured, fits)
         fits = with_others_of_its_order(runs, tuning, stand, measured, fits, begun.found)
         fits = with_numbers_of_the_file(runs, tuning, measured, fits, begun.screened, stand)
@@ -274,6 +276,23 @@ class Steps:
         placebos = placebo, placebo if begun.is_first else begun.way.placebo
         judged = self.judgement.contenders(stand, fits, begun.tried, placebos, begun.limits)
         return _AtTheGate(self.judgement, begun, stand, placebos, judged)
+
+    def _with_others_of_formless(self, gate: _AtTheGate, singles: Sequence[Fitted], screened: Sequence[Screened]) -> _AtTheGate:
+        """The gate, asked too about sets in which another effect stands for one of the closest set, where that would pass but for its form.
+
+        A gear's error at its bound and an effort read late were no names, and a motor constant, which does the same as that error, was
+        never fitted beside the late reading (10033, spent).
+        """
+        closest = min(gate.judged, key=lambda one: one.fitted.cost)
+        if not (closest.gate.lost_form and closest.gate.something_is_there):
+            return gate
+        there = [*(set(one.fitted.effects) for one in gate.judged), *(set(fit.effects) for fit in gate.begun.way.smaller)]
+        starts = exchanged(self.tuning, closest.fitted, singles, screened, there)
+        there += [set(names) for names, _ in starts]
+        banks = bank_of((), gate.begun.screened), bank_of(singles, screened)
+        starts += neighbours_of_all(closest.fitted, gate.stand.effects, banks, there, self.runs.machine.plant)
+        more = self.polished(self.fits_from(starts))
+        return replace(gate, judged=[*gate.judged, *gate.contenders(more, len(gate.judged))])
 
     def _gone_on(
         self, gate: _AtTheGate, end: Way, passed: Sequence[Contender], needed: Sequence[Contender], doubtful: Sequence[Fitted]

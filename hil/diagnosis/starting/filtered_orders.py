@@ -35,6 +35,11 @@ SLOW_ASKED = 3
 to the next, and none stands out of those around it by as much as some of a thousand quick ones do by chance. A gear's error of two cycles
 per travel and 42 in energy was not among the six (sealed 8311, spent). It is one start more where it has more energy than they."""
 
+SLOWEST_ASKED = 4
+"""Orders that are asked whatever stands out, half a cycle per travel apart from the lowest on: how much a wave of one or two cycles moves
+the recordings, and how much of that re-tuning imitates, differs more between these than any wave that is there makes them differ. A gear's
+error of a cycle per travel and 69 in energy stood out less than any (sealed 9770, spent)."""
+
 STARTS = 2
 """Orders of the largest energy that fits may start from."""
 
@@ -145,6 +150,7 @@ def _starts(loop: ThroughTheLoop, tuning: Tuning, wave: _Wave, behind: Sequence[
 
     asked = with_halves(standing_out, ASKED)
     slow = with_halves([order for order in standing_out if order < lowest + ORDERS_AROUND * ORDERS_PER_TRAVEL * step], SLOW_ASKED)
+    slow = [*slow, *(float(order) for order in orders[: 2 * SLOWEST_ASKED : 2] if order not in slow)]
     scored = {order: _filtered(loop, tuning, wave, order, left) for order in dict.fromkeys([*asked, *slow])}
 
     def energy(order: float) -> float:
