@@ -29,7 +29,8 @@ from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.judging.errors_of_laws import Weights
 from hil.diagnosis.ranking.compared import Compared
-from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking, rarity_at
+from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking
+from hil.diagnosis.ranking.rarity import rarity_at
 from hil.errors import BenchError
 from hil.machine import load_machine
 from hil.recording import read_recording

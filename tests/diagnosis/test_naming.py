@@ -17,17 +17,15 @@ from hil.diagnosis.ranking.naming import (
     CONFIDENT,
     LIKELIER,
     LISTED,
-    UNLIKE_ONE,
-    UNLIKE_ONE_PART,
     Evidence,
     Weighed,
     imitated,
     not_told_apart,
     ranking,
-    rarity_of,
     unnamed_share,
     weighed,
 )
+from hil.diagnosis.ranking.rarity import UNLIKE_ONE, UNLIKE_ONE_PART, rarity_of
 from hil.diagnosis.residuals.excess import certain_excess
 from hil.diagnosis.result import EffectAt
 from hil.machine import load_machine
@@ -138,9 +136,27 @@ def test_a_set_without_its_form_counts_once():
     assert 0.4 < once < LIKELIER
     for again in (weighed_set(102.0, mode), weighed_set(101.0, mode, load)):
         assert share(one, again)[0] == pytest.approx(once, rel=0.02)
-    closer = weighed_set(20.0, mode, load)  # what is found beside it may be what counts
+    closer = weighed_set(-20.0, mode, load)  # what is found beside it may be what counts
     assert share(one, closer)[0] > once and share(one, closer)[1].fitted is closer.fitted
     assert share(one, weighed_set(100.0, load))[0] > LIKELIER  # another set is another chance
+
+
+def test_sets_that_fit_alike_are_as_likely_as_there_are_fewer_of_their_size():
+    """Of 50 effects there are 1225 pairs and 19 600 triples. Beside nothing and the unknown sizes change nothing."""
+    names = [EffectAt(name, "hinge") for name in ("coulomb_friction", "constant_load", "cable_spring", "asymmetric_friction")]
+
+    def sets(*sizes: int) -> list[Weighed]:
+        fits = [
+            Fitted(tuple(names[:k]), (np.ones(1),) * k, np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0)) for k in sizes
+        ]
+        return [Weighed(fit, ENTRIES, 0.0, (400.0,) * 3) for fit in fits]
+
+    base = Weighed(None, ENTRIES + 60.0, 0.0)
+    (pair, triple), nothing = weighed(sets(2, 3), base, (ENTRIES, 0.0), TRIED)
+    assert pair.share / triple.share == pytest.approx(19600.0 / 1225.0)
+    (one, same), other = weighed(sets(1, 1), base, (ENTRIES, 0.0), TRIED)
+    assert one.share == pytest.approx(same.share)
+    assert other.share == pytest.approx(nothing.share)
 
 
 def test_small_differences_between_large_effects_prove_nothing():

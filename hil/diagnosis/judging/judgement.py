@@ -333,7 +333,7 @@ class Judgement:
             erring = before.erring(lambda gate: gate.gain, before.errors)
             if before.known:
                 variance = max(scatter, self._structure[TRAIN].along(response, self._measured - fitted.predicted))
-                of_equations = form_variance(before.response, response, erring, 0.0)
+                of_equations = form_variance(before.response, response, erring, 0.0, elsewhere=_left_at_most(fitted.cost, self._noise))
             else:
                 variance += form_variance(before.response, response, erring, fitted.cost - self._noise)
         if len(before.errors.responses):
@@ -418,7 +418,12 @@ class Judgement:
         return 0.0 if self._judge is None else self._judge.misfit(stand.held_out)
 
 
-def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float) -> float:
+def _left_at_most(left: float, noise: float) -> float:
+    """Above the noise, by a standard deviation of it."""
+    return max(left - noise, 0.0) + math.sqrt(2.0 * noise)
+
+
+def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float, elsewhere: float = math.inf) -> float:
     """Variance along a response that the equations of the effects found before may add to the noise's.
 
     An equation errs by a share of its own response wherever that is, with any sign: of the energy of its error no more is along another
@@ -430,7 +435,11 @@ def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: flo
         Whitened responses.
     erring, left : float
         Energy of the equations' error, and what is left above noise.
+    elsewhere : float
+        What is left above noise beside the added response. An error has the rest of its energy there: equations that leave nothing erred
+        by little. Beside a soft spring that removed 2·10^8 a gear's error took 1090 of 1120, down to the noise (9718, spent).
     """
     sizes = float(np.sqrt((found @ found) * (added @ added)))
     alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0
-    return alike**2 * erring + temperature(0.0, left) - 1.0
+    seen = elsewhere / max(1.0 - alike**2, 1e-3)
+    return alike**2 * min(erring, seen) + temperature(0.0, left) - 1.0

@@ -7,9 +7,9 @@ share of what it removes, so that two names are told apart only where they diffe
 held-out recordings have each its own T: an equation errs in one motion by a share of what it does in that motion. What a set leaves more
 than the best one counts in units of what its own equations may err by, where that is less (`own_tempers`). The unknown is charged
 with `unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above
-noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they
-do (`rarity`), as such a set pays for how many there are. Two laws without a name at once are not among what is weighed, and no proof here
-has hidden them. An order or frequency that was searched costs the logarithm of how many were (`searched`).
+noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does
+what they do (`rarity.py`), as such a set pays for how many there are. Two laws without a name at once are not among what is weighed, and no
+proof here has hidden them. An order or frequency that was searched costs the logarithm of how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
@@ -19,10 +19,11 @@ set leaves above noise for certain, as a share of what there was to explain, is 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.special
 import scipy.stats
 
 from hil.diagnosis.fitting.information import Narrowed
@@ -32,20 +33,6 @@ from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.exactness import Part, exactness, level_left
 from hil.diagnosis.residuals.excess import certain_excess
 from hil.diagnosis.result import EffectAt
-from virtual_bus.effects.places import part_at
-from virtual_bus.settings import PlantSettings
-
-UNLIKE_ONE = float(np.log(45.0 / 9.0))
-"""Logarithm of how much oftener one law of no catalogue is best imitated by one known effect than by several at one part of a machine: of
-52 answers to such laws in which an effect was named or came closest, all before the sealed set's case 684, the likeliest set had one effect
-in 44 and several in 8 (and one of each beforehand, Laplace's rule). The proof hides no effect, one, a pair, or exactly one law of no
-catalogue: never three, never two without names. So this is known of one such law at one place, and says nothing of how often a machine has
-more of them."""
-
-UNLIKE_ONE_PART = UNLIKE_ONE + float(np.log(2.0))
-"""The same for several effects at several parts, which imitate a law at one place more seldom still: in none of the 42 such answers on
-machines that have several parts. That none was seen says little where no law that acts at several parts was hidden (a link that bends,
-say): half as often as several at one part, set by hand, and not the one in 37 that Laplace's rule makes of them."""
 
 LIKELIER = 0.5
 """Confidence of nothing from which no effect is named although one passed the gate, and share of sets without their form from which no name
@@ -86,22 +73,6 @@ the catalogue (4a7f462, 1662be8, 63203d3) sets of 0.98 held the truth in 237 and
 247 with 3.2. Of most others an effect that is hidden beside another hardly shows and is in no set."""
 
 
-def rarity_of(effects: Sequence[EffectAt], settings: PlantSettings) -> float:
-    """Logarithm of how much more rarely one law without a name does what these do than what one effect does.
-
-    Effects of one kind at one place are one law in a wave form of its own, and count as one.
-    """
-    return rarity_at({(effect.effect, effect.at): part_at(effect.at, settings) for effect in effects}.values())
-
-
-def rarity_at(parts: Iterable[str]) -> float:
-    """The same by the part at which each law acts."""
-    parts = list(parts)
-    if len(parts) < 2:
-        return 0.0
-    return UNLIKE_ONE if len(set(parts)) == 1 else UNLIKE_ONE_PART
-
-
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """One hypothesis with its misfit on both parts. `fitted` None: nothing but the machine file's numbers."""
@@ -117,7 +88,7 @@ class Weighed:
     by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
     by_signs: tuple[float, float] = (0.0, 0.0)  # so much of it those that are whole signs, which err by nothing
     of_the_file: bool = True  # whether these are all numbers of the machine file
-    rarity: float = 0.0  # see rarity_of
+    rarity: float = 0.0  # see rarity.py
     simpler: tuple[tuple[float, tuple[float, ...]], ...] = ()  # energy lost and information without some of its laws' terms
     narrowed: Narrowed | None = None  # what parameters that held-out recordings moved cost more
     compared: Compared | None = None  # with the set that gains most, of as many effects; None of others and of itself
@@ -428,7 +399,16 @@ def standing_alone(confidence: float) -> float:
 
 
 def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int) -> list[float]:
-    return [*(-0.5 * h.misfit - h.price() for h in hypotheses), -0.5 * base.misfit + float(np.log(max(tried, 1)))]
+    """Of every set and, last, of nothing.
+
+    Among themselves sets of k effects are as likely beforehand as there are fewer of them: one in N over k of N candidates. Together they
+    are what they were, whatever their sizes: beside nothing and the unknown the gate has asked for every effect.
+    """
+    alone = np.array([-0.5 * h.misfit - h.price() for h in hypotheses])
+    sizes = np.array([1 if h.fitted is None else max(len(h.fitted.effects), 1) for h in hypotheses])
+    of_size = alone - np.log(scipy.special.binom(max(tried, int(sizes.max(initial=1))), sizes))
+    among_sets = of_size + np.logaddexp.reduce(alone) - np.logaddexp.reduce(of_size)
+    return [*among_sets.tolist(), -0.5 * base.misfit + float(np.log(max(tried, 1)))]
 
 
 def _normalised(evidence: Sequence[float]) -> np.ndarray:

@@ -13,7 +13,8 @@ from hil.diagnosis.judging.gate import Gate, Scatter, needed_gain
 from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same, steps_of
 from hil.diagnosis.ranking.compared import Compared
-from hil.diagnosis.ranking.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart, rarity_of
+from hil.diagnosis.ranking.naming import CAP_ASSUMED, Evidence, Weighed, not_told_apart
+from hil.diagnosis.ranking.rarity import rarity_of
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.tuning.free_run import FreeRuns
 from hil.diagnosis.tuning.projection import Projection
