@@ -94,6 +94,16 @@ def test_noise_that_is_louder_where_a_response_is_scatters_more_along_it_however
     assert np.mean(found) == pytest.approx(expected, rel=0.25)
 
 
+@pytest.mark.parametrize(("rows", "freedom"), [(12, 2.0), (120, 20.0), (1200, 200.0)])
+def test_what_comes_once_is_known_by_the_stretches_it_is_spread_over(rows, freedom):
+    """Three repeats of 1200 rows at 40 Hz: twice as many degrees of freedom as stretches of 0.3 s, and the prior's."""
+    random, response = np.random.default_rng(5), np.zeros((1200, 2))
+    response[:rows] = 1.0
+    runs = recorded([row.ravel() for row in random.standard_normal((3, 1200, 2))], channels=2, rate_Hz=40.0)
+    assert Scatter(runs).known_along(response.ravel()).freedom == pytest.approx(min(PRIOR_FREEDOM + freedom, TAIL_FREEDOM))
+    assert chance_of_gain(60.0, 3, 1.0, PRIOR_FREEDOM + 2.0) > 1e3 * chance_of_gain(60.0, 3, 1.0)
+
+
 def test_of_several_experiments_the_one_counts_that_shows_the_response():
     """Five times as loud in one second of the first, where the response is; hardly any of it in the quiet minute of the second."""
     random = np.random.default_rng(4)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -47,7 +48,9 @@ by more where few lines decide."""
 TAIL_FREEDOM = 40.0
 """Second degrees of freedom of the F distribution of what a response gains by chance, in units of its expected variance. By the prior
 above alone they would be six or seven; then the best of all sets should come as far as one does by chance on two of three nulls, and did on
-none of 30 development nulls. With 40 it did on two, with infinitely many (chi-squared) on seven."""
+none of 30 development nulls. With 40 it did on two, with infinitely many (chi-squared) on seven. With repeats they are no more than the
+prior's and those of the stretches that the response is spread over (`Along`): what comes once in a recording, an end stop near one
+reversal, is known by few (9738, spent, an alarm)."""
 
 HELD_OUT_SCALE, HELD_OUT_FREEDOM = 0.81, 5.0
 """Of the t distribution of the root of the held-out misfit's fall, in standard deviations of the noise along the response, by sets fitted
@@ -263,7 +266,7 @@ def chance_of_both(trained: float, followed: float, asked: int) -> float:
     return min(1.0, x * (2.0 + math.log(asked / x))) if x > 0.0 else 0.0
 
 
-def chance_of_gain(gain: float, freedom: int, variance: float) -> float:
+def chance_of_gain(gain: float, freedom: int, variance: float, known: float = TAIL_FREEDOM) -> float:
     """Of a gain in training by one set of so many parameters where there is nothing.
 
     Parameters
@@ -272,15 +275,17 @@ def chance_of_gain(gain: float, freedom: int, variance: float) -> float:
     freedom : int
     variance : float
         Of the noise along the set's response, in units of the noise model's.
+    known : float
+        Degrees of freedom with which that is known.
     """
-    return float(_chance_of_gain(np.array(gain), freedom, variance))
+    return float(_chance_of_gain(np.array(gain), freedom, variance, known))
 
 
-def _chance_of_gain(gains: np.ndarray, freedom: int, variance: float) -> np.ndarray:
-    return np.asarray(scipy.stats.f.sf(np.maximum(gains, 0.0) / (max(freedom, 1) * variance), max(freedom, 1), TAIL_FREEDOM))
+def _chance_of_gain(gains: np.ndarray, freedom: int, variance: float, known: float) -> np.ndarray:
+    return np.asarray(scipy.stats.f.sf(np.maximum(gains, 0.0) / (max(freedom, 1) * variance), max(freedom, 1), known))
 
 
-def expected_by_chance(trials: float, gain: float, freedom: int, variance: float, erring: float) -> float:
+def expected_by_chance(trials: float, gain: float, freedom: int, variance: float, erring: float, known: float = TAIL_FREEDOM) -> float:
     """Expected number of all sets that were tried that gain as much in training where nothing is but the noise, and an error of the
     equations found before.
 
@@ -298,8 +303,10 @@ def expected_by_chance(trials: float, gain: float, freedom: int, variance: float
         Of the noise along the set's response, in units of the noise model's.
     erring : float
         Energy of an error of size one along that response.
+    known : float
+        Degrees of freedom with which that variance is known.
     """
-    by_noise = trials * chance_of_gain(gain, freedom, variance)
+    by_noise = trials * chance_of_gain(gain, freedom, variance, known)
     if erring <= 0.0 or gain <= 0.0:
         return by_noise
     if not math.isfinite(erring):
@@ -307,7 +314,7 @@ def expected_by_chance(trials: float, gain: float, freedom: int, variance: float
     most = min(math.sqrt(gain / erring), LARGEST)  # size with which the error gains as much alone
     sizes = most * np.linspace(0.0, 1.0, SIZES) ** 2
     missing = math.sqrt(gain) + math.sqrt(erring) * np.outer([-1.0, 1.0], sizes)  # what noise must reach with the error, or against it
-    sets = np.minimum(trials * _chance_of_gain(missing**2, freedom, variance), ALIKE).sum(axis=0)
+    sets = np.minimum(trials * _chance_of_gain(missing**2, freedom, variance, known), ALIKE).sum(axis=0)
     larger = sets[-1] if most == LARGEST else 2.0 * min(trials, ALIKE)
     beside_an_error = np.trapezoid(scipy.stats.t.pdf(sizes, ERROR_FREEDOM) * sets, sizes) + scipy.stats.t.sf(most, ERROR_FREEDOM) * larger
     return max(by_noise, float(beside_an_error))
@@ -339,6 +346,13 @@ def needed_gain(trials: float, freedom: int, left: float, entries: int) -> float
     return level * max(float(scipy.stats.chi2.isf(LEVEL / max(trials, 1.0), max(freedom, 1))), SIMULATOR_ERROR * entries)
 
 
+class Along(NamedTuple):
+    """Of the noise along a response: its variance, in units of the noise model's, and the degrees of freedom with which that is known."""
+
+    variance: float
+    freedom: float
+
+
 class Scatter:
     """How much more the strength along a change of the simulation varies from repeat to repeat than the noise model says."""
 
@@ -353,7 +367,11 @@ class Scatter:
         return PRIOR_FREEDOM + sum(len(deviations) - 1.0 for deviations in self._deviations)
 
     def along(self, response: np.ndarray) -> float:
-        """Variance along a response (M,), in units of the noise model's; at least 1, and 1 without repeats.
+        """Variance along a response (M,), in units of the noise model's; at least 1, and 1 without repeats."""
+        return self.known_along(response).variance
+
+    def known_along(self, response: np.ndarray) -> Along:
+        """Variance along a response (M,), and how well it is known.
 
         Its expectation after the repeats' deviations along it have been seen, with what other machines' responses have beforehand: two or
         three strengths alone know it to a factor of two. Or what the deviations' power is where the response is, if that is more: noise
@@ -362,7 +380,7 @@ class Scatter:
         """
         length = float(np.sqrt(response @ response))
         if length == 0.0:
-            return 1.0
+            return Along(1.0, TAIL_FREEDOM)
         total, free, start = 0.0, 0.0, 0
         where: list[tuple[float, float, float]] = []  # of every experiment its share of the response, variance there and stretches
         for deviations in self._deviations:
@@ -377,12 +395,13 @@ class Scatter:
             own = own / size
             where.append(((size / length) ** 2, self._where(own, deviations), self._stretches(own) * (len(deviations) - 1.0)))
         if free == 0.0:
-            return 1.0
+            return Along(1.0, TAIL_FREEDOM)
         shares, variances, counts = (np.array(each) for each in zip(*where, strict=True))
         shares = shares / shares.sum()
         stretches = 1.0 / float(np.sum(shares**2 / counts))
         local = stretches * float(shares @ variances) / IN_SAMPLE
-        return max(1.0, _expected_variance(total, free), _expected_variance(local, stretches))
+        variance = max(1.0, _expected_variance(total, free), _expected_variance(local, stretches))
+        return Along(variance, min(PRIOR_FREEDOM + stretches, TAIL_FREEDOM))
 
     def _where(self, response: np.ndarray, deviations: np.ndarray) -> float:
         """Variance of repeats' deviations (R, M) along a unit response (M,) by the power that they have where it is."""

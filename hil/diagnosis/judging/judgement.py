@@ -326,7 +326,7 @@ class Judgement:
         projection = Projection.of(before.tuning)
         change = projection.left(fitted.predicted - before.tuning.predicted)
         response = change[:entries]
-        scatter = self.scatter.along(response)
+        scatter, known = self.scatter.known_along(response)
         level = max(1.0, fitted.cost / max(entries, 1))
         variance, of_equations = level * scatter, 0.0
         if before.fitted is not None:
@@ -340,7 +340,7 @@ class Judgement:
             beyond = min(gain, before.errors.gain(projection.left_of_residual(self._measured - before.tuning.predicted), change))
         trials = tried.sets(added)
         needed = needed_gain(trials, freedom, fitted.cost, entries)
-        by_chance = expected_by_chance(trials, beyond, freedom, variance, of_equations)
+        by_chance = expected_by_chance(trials, beyond, freedom, variance, of_equations, known)
         return _Trained(gain, beyond, needed, scatter, level, by_chance)
 
     def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
