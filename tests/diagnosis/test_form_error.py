@@ -228,6 +228,24 @@ def test_what_acts_on_a_body_without_a_drive_errs_there(rider, found, other):
     assert within(rider, found, other, at="rider")[2] > 0.8
 
 
+def test_a_gear_s_errors_act_as_its_own_law_does_on_its_spring_and_back_on_the_motor(slider):
+    """A spring that rests elsewhere by f(q) pushes the motor back by what winds it up times f'(q)."""
+    runs, tuning = slider
+    values = [20.0, 2e-5, 0.0, 0.0, 0.0]
+    (functions,) = error_functions(runs, TRAIN, tuning, fitted(runs, tuning, ("transmission_error", values)), 0)
+    position = runs.sets[TRAIN].groups[0].position[:, 0]
+    at = np.flatnonzero(np.abs(np.gradient(position)) > 1e-4)
+    found = runs.sets[TRAIN]
+    spring = [joint.name for joint in runs.machine.plant.tree.joints].index("belt")
+    wound = Motion(runs.machine, tuning.values, found.groups[0], found.channels).deflection(spring)
+    for function in functions:
+        (own, off), (driven, back) = function.efforts
+        assert (own, driven != own) == (spring, True)
+        slope = np.gradient(off) / np.gradient(position)
+        far = at[np.abs(np.gradient(slope)[at]) < 0.3 * np.abs(slope).max()]  # not at a knot
+        assert np.linalg.norm((back - wound * slope)[far]) < 0.05 * np.linalg.norm((wound * slope)[far])
+
+
 def test_a_load_is_no_error_of_a_gear_s_but_another_wave_is(slider):
     """What winds up the spring behind a gear is in balance: nothing of it pushes the carriage."""
     runs, tuning = slider

@@ -95,6 +95,16 @@ def test_a_burst_of_one_reading_that_noise_would_change_stays_though_not_where_t
     assert bool(lost) is is_lost
 
 
+@pytest.mark.parametrize("readings_apart", [0.0, NOISE], ids=["two of one reading", "three, of other readings each"])
+def test_what_stays_elsewhere_for_less_or_with_noise_of_its_own_is_no_burst(readings_apart):
+    readings, _ = repeats(18, 0.0, moved=20.0, repeats=3)
+    others, row = np.median(readings[1:], axis=0), 487
+    readings[0, row] += 0.25 * (others[row + 2] - others[row])
+    last = row + 3 if readings_apart else row + 2
+    readings[0, row + 1 : last] = readings[0, row] + readings_apart * np.arange(1, last - row)
+    assert held_samples(readings, is_never_still=True) is None
+
+
 @pytest.mark.parametrize(("between", "found"), [(130, True), (6, False)], ids=["over the recording", "at one time"])
 def test_samples_are_lost_at_any_time_and_not_all_at_one(between, found):
     """A motion that begins differently in every repeat stays behind the others' there, and nowhere else."""

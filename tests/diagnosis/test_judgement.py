@@ -15,7 +15,7 @@ from hil.diagnosis.judging import judgement as judging
 from hil.diagnosis.judging.form_error import FormError
 from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.judging.held_out import Followed
-from hil.diagnosis.judging.judgement import Contender, Judgement
+from hil.diagnosis.judging.judgement import Contender, Judgement, form_variance
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.candidates import Candidate
@@ -327,3 +327,10 @@ def test_what_chance_does_is_known_before_the_held_out_recordings_are_asked():
     (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
     assert judgement.by_chance(stand, fitted(COULOMB, LOAD), tried()) == found.gate.trained
     assert judgement.by_chance(stand, fitted(LOAD), tried()) == math.inf  # in place of the friction: what that gained is in it
+
+
+@pytest.mark.parametrize(("elsewhere", "variance"), [(np.inf, 50.0), (1e3, 50.0), (30.0, 30.0), (0.0, 0.0)])
+def test_an_error_has_the_rest_of_its_energy_elsewhere(elsewhere, variance):
+    """Half alike: of an error of 100 half is along the response, and no more than is left beside it."""
+    found, added = np.array([3.0, 0.0]), np.array([1.0, -1.0])
+    assert form_variance(found, added, 100.0, 0.0, elsewhere) == pytest.approx(variance)

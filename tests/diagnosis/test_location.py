@@ -22,8 +22,10 @@ REFERENCE = 0.1 - 0.1 * np.cos(2.0 * np.pi * 0.5 * TIME)  # to and fro over 0.2 
 NOISE = {"command_carriage": 2e-3, "position_carriage": 1e-7}
 
 
-def mismatch_of(added) -> Mismatch:
-    """Four repeats of the nominal simulation with white noise and `added` (a mapping of channel to (N,) values)."""
+def mismatch_of(added, offset=0.0) -> Mismatch:
+    """Four repeats of the nominal simulation with white noise and `added` (a mapping of channel to (N,) values), whose encoders' zeros
+    differ by such offsets, rms.
+    """
     from hil.simulation import simulate
 
     experiment = {"start_pose": [0.0]}
@@ -39,6 +41,7 @@ def mismatch_of(added) -> Mismatch:
         channels = dict(driven.channels)
         for name, rms in NOISE.items():
             values = clean[name] + rms * random.standard_normal(ROWS) + added.get(name, 0.0)
+            values = values + (offset * random.standard_normal() if name == "position_carriage" else 0.0)
             channels[name] = Channel(clean.channel(name).unit, values)
         repeats[f"repeat {number}"] = Recording(channels, driven.metadata)
     return mismatch(MACHINE, repeats)
@@ -149,6 +152,16 @@ def test_lost_readings_are_located_where_they_were_lost_beside_what_effects_add(
     assert begins[0] == pytest.approx(TIME[1000], abs=0.2) and len(begins) == (1 if adds == 0.0 else 2)
 
 
+@pytest.mark.parametrize("offset", [0.0, 3.0, 10.0])
+def test_offsets_that_repeats_differ_by_are_noise(offset):
+    """In units of the encoder's noise; a wave of half the command's noise is where the mismatch is."""
+    wave = 0.5 * NOISE["command_carriage"] * np.sin(2.0 * np.pi * 25.0 * TIME)
+    found = mismatch_of({"command_carriage": wave}, offset * NOISE["position_carriage"])
+    location = locate(found)
+    assert location.channels["command_carriage"] > 0.9
+    assert all(low > 10.0 for low, _ in location.frequency_hz)
+
+
 def test_a_coarse_lattice_has_its_share_beside_what_effects_add():
     """A count of c has c^2/12 in every line, a wave of amplitude A on n rows has n A^2/4 in one."""
     found = mismatch_of({})
@@ -158,9 +171,11 @@ def test_a_coarse_lattice_has_its_share_beside_what_effects_add():
     wave = np.zeros((ROWS, 2))
     wave[:, 1 - position] = 0.1 * NOISE["command_carriage"] * np.sin(2.0 * np.pi * 50.0 * TIME)
     assert locate_outcome(found, [], [wave], named=True).channels["command_carriage"] == 1.0
-    rounding, power = 25.0 / 12.0 * ROWS / 2.0, ROWS / 4.0 * 0.1**2
-    said = locate_outcome(coarse, [], [wave], named=True).channels["command_carriage"]
-    assert said == pytest.approx(power / (power + rounding), rel=0.2)
+    inverse = np.interp(np.fft.rfftfreq(ROWS, 1.0 / RATE_Hz)[1:], found.noise.grid_Hz, 1.0 / found.noise.density[:, position])
+    rounding, power = count**2 / 12.0 * inverse.sum(), ROWS / 4.0 * 0.1**2
+    said = locate_outcome(coarse, [], [wave], named=True)
+    assert said.channels["command_carriage"] == pytest.approx(power / (power + rounding), rel=0.2)
+    assert said.frequency_hz == locate_outcome(found, [], [wave], named=True).frequency_hz  # rounding is in no band
 
 
 def test_unknown_physics_beside_lost_samples_is_where_the_simulation_is_off():

@@ -26,15 +26,18 @@ def fitted(cost: float, *effects: tuple[EffectAt, np.ndarray]) -> Fitted:
 
 
 def asked(monkeypatch, fits, stand=None, starts=STARTS):
-    """The starts that were fitted, and the fits that came of it."""
-    begun = []
+    """The starts that were fitted, and the fits that came of it. Both are beside what was found, with the machine's numbers there."""
+    begun, there = [], SimpleNamespace(predicted=np.zeros(1))
 
     def screen(runs, tuning, found, residual, present=()):
+        assert tuning is there
+        assert present == (() if stand is None else stand.settings)
         (candidate,) = found
         (start,) = candidate.starts
         return [Screened(candidate.effect, start, np.zeros(1), float(start[2]))]
 
     def refit(runs, tuning, measured, starts):
+        assert tuning is there
         begun.extend(starts)
         return [fitted(4000.0 + 1e6 * values[-1][2], *zip(names, values, strict=True)) for names, values in starts]
 
@@ -42,7 +45,7 @@ def asked(monkeypatch, fits, stand=None, starts=STARTS):
     monkeypatch.setattr(other_starts, "refit", refit)
     monkeypatch.setattr(other_starts, "polish", lambda runs, tuning, measured, fits: list(fits))
     effects = () if stand is None else stand.effects
-    before = SimpleNamespace(effects=effects, fitted=stand, tuning=SimpleNamespace(predicted=np.zeros(1)), cost=12000.0)
+    before = SimpleNamespace(effects=effects, fitted=stand, tuning=there, cost=12000.0)
     found = [Candidate(FRICTION, (np.array([2.0]),)), Candidate(HYSTERESIS, starts)]
     return begun, with_other_starts(None, None, before, np.zeros(1), fits, found, NOISE)
 
@@ -59,6 +62,7 @@ def test_what_was_found_before_stands_beside_every_start(monkeypatch):
     stand = fitted(12000.0, (FRICTION, np.array([2.0])))
     begun, found = asked(monkeypatch, [fitted(6000.0, (FRICTION, np.array([1.8])), (HYSTERESIS, STARTS[-1]))], stand)
     assert {names for names, _ in begun} == {(FRICTION, HYSTERESIS)}
+    assert all(values[0] == pytest.approx([1.8]) for _, values in begun)
     assert [fit.cost for fit in found] == pytest.approx([4100.0])
 
 

@@ -132,15 +132,15 @@ def error_functions(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted, n
         each = zip(parts, motions, runs.rows(trial, name) or (None,) * len(parts), strict=True)
         parts = [replace(part, acceleration=_acceleration(motion, rows, axis)) for part, motion, rows in each]
     begins = from_rest if effect.effect in OVER_TIME else np.asarray
-    return _on_joints(_functions(effect, fitted.values[number], parts), parts, [at], begins)
+    return _on_a_joint(_functions(effect, fitted.values[number], parts), parts, at, begins)
 
 
-def _on_joints(
-    functions: Efforts, parts: Sequence[Residual], places: Sequence[int], begins: Callable[[np.ndarray], np.ndarray] = np.asarray
+def _on_a_joint(
+    functions: Efforts, parts: Sequence[Residual], joint: int, begins: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> list[list[Function]]:
-    """Per group, every effort on every one of the joints alone."""
+    """Per group, every effort on this joint."""
     ends = np.cumsum([0, *(len(part.time_s) for part in parts)])
-    return [[Function(((joint, begins(function[a:b])),)) for function in functions for joint in places] for a, b in pairwise(ends)]
+    return [[Function(((joint, begins(function[a:b])),)) for function in functions] for a, b in pairwise(ends)]
 
 
 def _is_friction(name: str) -> bool:
@@ -161,7 +161,7 @@ def _at_a_spring(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray
     parts = [motion.residual(effect.at) for motion in motions]
     if own not in motions[0].plant.joint_of_axis().values():
         parts = [replace(part, other_position=motion.deflection(own)) for part, motion in zip(parts, motions, strict=True)]
-    return _on_joints(_functions(effect, values, parts), parts, [own])
+    return _on_a_joint(_functions(effect, values, parts), parts, own)
 
 
 def _of_a_gear(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) -> list[list[Function]]:
@@ -185,7 +185,7 @@ def _of_a_gear(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) 
 
 def _with_slopes(position: np.ndarray, order: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Waves over position and what changes slowly along it, of both the first ones' changes too, each with its slope."""
-    knots = np.linspace(float(position.min()), float(position.max()) + 1e-12, SLOW_KNOTS)
+    knots = np.linspace(float(position.min()), float(position.max()) + 1e-9, SLOW_KNOTS)
     part = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, SLOW_KNOTS - 2)
     slow = [(np.interp(position, knots, row), (np.diff(row) / np.diff(knots))[part]) for row in np.eye(SLOW_KNOTS)]
     turned = [(k * order, k * order * position) for k in HARMONICS]

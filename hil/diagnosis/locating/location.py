@@ -53,8 +53,8 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
     found : Mismatch
         Beside the simulation whose mismatch is meant: the re-tuned one, say.
     effect : sequence of (N, C) arrays, optional
-        Per group, what the named effects add to the simulation, beside which lost readings are located, too, and among the channels coarse
-        lattices. Without it the mean residual is located, which has none of these.
+        Per group, what the named effects add to the simulation, beside which lost readings are located, too. In the channels' shares coarse
+        lattices count as well. Without it the mean residual is located, which has none of these.
     """
     signals = [group.mean - group.simulated for group in found.groups] if effect is None else list(effect)
     whitened = [in_noise_units(found.noise, signal) for signal in signals]
@@ -63,10 +63,10 @@ def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Locat
         for g, signal in zip(found.groups, signals, strict=True)
     ]
     whitened = [_with_lost(found, one, off) for one, off in zip(whitened, lost, strict=True)]
-    if effect is not None:
-        whitened = [_with_lattices(found, one) for one in whitened]
     left = [1.0 / group.repeats if effect is None else 0.0 for group in found.groups]  # noise power in the mean of repeats
     total = sum(np.maximum((w.power[1:] - noise).sum(axis=0), 0.0) for w, noise in zip(whitened, left, strict=True))
+    if effect is not None and found.lattices:
+        total = total + sum(_rounding(found, one) for one in whitened)
     if not np.any(total > 0.0):
         return Location()
     squares = [signal**2 + np.mean(off**2, axis=0) if len(off) else signal**2 for signal, off in zip(signals, lost, strict=True)]
@@ -90,13 +90,10 @@ def _with_lost(found: Mismatch, whitened: InNoiseUnits, lost: np.ndarray) -> InN
     return replace(whitened, power=whitened.power + np.mean([in_noise_units(found.noise, off).power for off in lost], axis=0))
 
 
-def _with_lattices(found: Mismatch, whitened: InNoiseUnits) -> InNoiseUnits:
-    """With the power of what lattices that were read off round (white; Widrow and Kollár 2008, ch. 5)."""
-    if not found.lattices:
-        return whitened
+def _rounding(found: Mismatch, whitened: InNoiseUnits) -> np.ndarray:
+    """(C,) power of what lattices that were read off round (white; Widrow and Kollár 2008, ch. 5), over all lines."""
     steps = np.array([found.lattices[name].step if name in found.lattices else 0.0 for name in found.channels])
-    rounding = white_in_noise_units(found.noise, steps / np.sqrt(12.0), whitened.frequencies_Hz)
-    return replace(whitened, power=whitened.power + rounding)
+    return white_in_noise_units(found.noise, steps / np.sqrt(12.0), whitened.frequencies_Hz[1:]).sum(axis=0)
 
 
 def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency: float | None) -> dict[str, dict[str, float]]:
@@ -206,9 +203,11 @@ def _bands(whitened: Sequence[InNoiseUnits], left: Sequence[float]) -> tuple[Spa
     frequency = longest.frequencies_Hz
     is_on = np.zeros(len(frequency), dtype=bool)
     for w, noise in zip(whitened, left, strict=True):
-        above = (_smooth(w.power - noise, LINES) > 1.0).any(axis=1)
+        power = w.power - noise
+        power[0] = 0.0  # a constant has no octave
+        above = (_smooth(power, LINES) > 1.0).any(axis=1)
         is_on |= np.interp(frequency, w.frequencies_Hz, above.astype(float)) > 0.5
-    is_on[0] = False  # a constant has no octave
+    is_on[0] = False
     step = frequency[1]
     spans: list[Span] = []
     for a, b in _runs(is_on):

@@ -233,7 +233,8 @@ def noise_model(
     _, with_carried = lines_of_all(filters, [row for group in recorded for row in group], rate_Hz)
     whole, _ = smoothed(with_carried, frequencies, grid, free, FREEDOM_PER_CHANNEL * len(channels))
     own = np.maximum(np.diagonal(whole, axis1=1, axis2=2).real, floors)
-    density = np.maximum(density_of([row for group in recorded for row in group], rate_Hz, grid), floor**2)
+    least = np.minimum(floor, sensor_floor(channels, repeated[0].machine))  # deviations hold what a coarser lattice rounds
+    density = np.maximum(density_of([row for group in recorded for row in group], rate_Hz, grid), least**2)
     roots = roots / np.sqrt(power)[:, :, None]
     between = None
     if shared:

@@ -116,9 +116,12 @@ def tapered_lines(values: np.ndarray) -> np.ndarray:
 
 
 def density_of(rows: Sequence[np.ndarray], rate_Hz: float, grid: np.ndarray) -> np.ndarray:
-    """(G, C) power of tapered records' lines, averaged over neighbours but for the constant: a record has one of those, too few to tell."""
+    """(G, C) power of tapered records' lines, averaged over neighbours but for the constant: a record has one of those, too few to tell.
+
+    What of it the taper lets into the first lines counts there, as it does in what they are compared with: repeats may differ by offsets.
+    """
     place = np.concatenate([np.fft.rfftfreq(len(row), 1.0 / rate_Hz)[1:] for row in rows])
-    power = np.concatenate([np.abs(tapered_lines(row - row.mean(axis=0))[1:]) ** 2 for row in rows])
+    power = np.concatenate([np.abs(tapered_lines(row)[1:]) ** 2 for row in rows])
     order = np.argsort(place, kind="stable")
     place, sums = place[order], np.vstack([np.zeros(power.shape[1]), np.cumsum(power[order], axis=0)])
     near = (NEIGHBOURS + 0.5) * rate_Hz / max(len(row) for row in rows)

@@ -13,7 +13,8 @@ from hil.diagnosis.residuals.spectra import filter_channels, tapered_lines
 
 @dataclass(frozen=True, eq=False)
 class InNoiseUnits:
-    """A signal (N, C) divided by each channel's own noise spectrum: 1 is as large as one repeat's noise.
+    """A signal (N, C) divided by each channel's own noise spectrum: 1 is as large as one repeat's noise. Over time that is the noise
+    model's, behind its filters; over frequency the density of the repeats' own lines, which is right at the lowest of them too.
 
     Attributes
     ----------

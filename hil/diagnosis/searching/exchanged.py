@@ -150,6 +150,23 @@ def neighbours_of_all(
     return starts
 
 
+def another_for_each(
+    tuning: Tuning,
+    found: Fitted,
+    before: Sequence[EffectAt],
+    alike: tuple[Sequence[Fitted], Sequence[Screened]],
+    banks: tuple[Sequence[tuple[EffectAt, np.ndarray]], Sequence[tuple[EffectAt, np.ndarray]]],
+    there: Collection[set[EffectAt]],
+    settings: PlantSettings,
+) -> list[Start]:
+    """Starts of a set with one of its effects exchanged, for what answers alike (`exchanged`) and for its neighbours.
+
+    `alike` are effects that were fitted alone and others that were tried alone; the rest is as `neighbours_of_all` has it.
+    """
+    starts = exchanged(tuning, found, *alike, there)
+    return starts + neighbours_of_all(found, before, banks, [*there, *(set(names) for names, _ in starts)], settings)
+
+
 def _strengths(found: Fitted, number: int) -> np.ndarray:
     """(F,) steps of the free parameters by which the effect of this number grows from nothing, as far as it is in proportion to them."""
     steps = np.zeros(len(found.free))

@@ -56,7 +56,8 @@ def with_other_starts(
         one for start in candidate.starts for one in screen(runs, stand.tuning, [replace(candidate, starts=(start,))], residual, present)
     ]
     each.sort(key=lambda one: -one.score)
-    starts = [((*best.effects[:-1], one.effect), (*best.values[:-1], one.values)) for one in each[1 : 1 + MOST_STARTS]]
+    next_best = [one for one in each[1 : 1 + MOST_STARTS] if one.score > 0.0]
+    starts = [((*best.effects[:-1], one.effect), (*best.values[:-1], one.values)) for one in next_best]
     least = NEARLY_AS_CLOSE * (stand.cost - best.cost)
     more = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
     closest = polish(runs, tuning, measured, sorted(more, key=lambda fit: fit.cost)[:1])

@@ -17,7 +17,7 @@ from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import price_of_a_parameter
 from hil.diagnosis.ranking.weighing import least_by_chance, without_form
 from hil.diagnosis.result import EffectAt
-from hil.diagnosis.searching.exchanged import bank_of, exchanged, neighbours_of_all
+from hil.diagnosis.searching.exchanged import another_for_each, bank_of, exchanged, neighbours_of_all
 from hil.diagnosis.searching.finishing import closest_of_each, finished, rarer_by_chance, worth_finishing
 from hil.diagnosis.searching.from_nominal import with_numbers_from_nominal
 from hil.diagnosis.searching.harmonics import with_other_harmonics
@@ -123,7 +123,7 @@ class Steps:
         stand = self.judgement.without_own_lines(fits) if begun.is_first else way.stand
         fits = self._acting(begun, stand, fits, singles)
         closest = min(fits, key=lambda fit: fit.cost)
-        gate = self._with_others_of_formless(self._ask(begun, stand, fits), singles, first)
+        gate, fits = self._with_others_of_formless(self._ask(begun, stand, fits), fits, singles, first)
         needed = gate.without_surplus(gate.judged, (*way.smaller, *leaner))
         also_passed = [one for one in needed if one.passed]
         passed = [one for one in also_passed if one.fitted.cost < stand.cost]  # in place of what was found stands only what leaves less
@@ -277,22 +277,23 @@ class Steps:
         judged = self.judgement.contenders(stand, fits, begun.tried, placebos, begun.limits)
         return _AtTheGate(self.judgement, begun, stand, placebos, judged)
 
-    def _with_others_of_formless(self, gate: _AtTheGate, singles: Sequence[Fitted], screened: Sequence[Screened]) -> _AtTheGate:
-        """The gate, asked too about sets in which another effect stands for one of the closest set, where that would pass but for its form.
-
-        A gear's error at its bound and an effort read late were no names, and a motor constant, which does the same as that error, was
-        never fitted beside the late reading (10033, spent).
+    def _with_others_of_formless(
+        self, gate: _AtTheGate, fits: Sequence[Fitted], singles: Sequence[Fitted], screened: Sequence[Screened]
+    ) -> tuple[_AtTheGate, list[Fitted]]:
+        """The gate, asked too about sets in which another effect stands for one of the closest set, where that has several and would pass
+        but for its form, and all fits in the order of their evidence. Beside an effort read late a gear's error at its bound was no name,
+        and a motor constant, which does the same, was never fitted there (10033, spent).
         """
-        closest = min(gate.judged, key=lambda one: one.fitted.cost)
-        if not (closest.gate.lost_form and closest.gate.something_is_there):
-            return gate
-        there = [*(set(one.fitted.effects) for one in gate.judged), *(set(fit.effects) for fit in gate.begun.way.smaller)]
-        starts = exchanged(self.tuning, closest.fitted, singles, screened, there)
-        there += [set(names) for names, _ in starts]
-        banks = bank_of((), gate.begun.screened), bank_of(singles, screened)
-        starts += neighbours_of_all(closest.fitted, gate.stand.effects, banks, there, self.runs.machine.plant)
-        more = self.polished(self.fits_from(starts))
-        return replace(gate, judged=[*gate.judged, *gate.contenders(more, len(gate.judged))])
+        closest, begun = min(gate.judged, key=lambda one: one.fitted.cost), gate.begun
+        if len(closest.fitted.effects) < 2 or not (closest.gate.lost_form and closest.gate.something_is_there):
+            return gate, list(fits)
+        there = [set(fit.effects) for fit in (*fits, *begun.way.smaller)]
+        banks, settings = (bank_of((), begun.screened), bank_of(singles, screened)), self.runs.machine.plant
+        starts = another_for_each(self.tuning, closest.fitted, gate.stand.effects, (singles, screened), banks, there, settings)
+        more, _ = self._that_need_all(begun, self.polished(self.fits_from(starts)), (), singles)
+        asked = {id(one.fitted): one for one in (*gate.judged, *gate.contenders(more, len(gate.judged)))}
+        ordered = in_order([*fits, *more], self.judgement.nothing.cost, self.noise_energy, begun.tried, gate.stand)
+        return replace(gate, judged=[asked[id(fit)] for fit in ordered]), ordered
 
     def _gone_on(
         self, gate: _AtTheGate, end: Way, passed: Sequence[Contender], needed: Sequence[Contender], doubtful: Sequence[Fitted]
