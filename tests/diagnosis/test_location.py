@@ -172,7 +172,8 @@ def test_a_coarse_lattice_has_its_share_beside_what_effects_add():
     wave[:, 1 - position] = 0.1 * NOISE["command_carriage"] * np.sin(2.0 * np.pi * 50.0 * TIME)
     assert locate_outcome(found, [], [wave], named=True).channels["command_carriage"] == 1.0
     inverse = np.interp(np.fft.rfftfreq(ROWS, 1.0 / RATE_Hz)[1:], found.noise.grid_Hz, 1.0 / found.noise.density[:, position])
-    rounding, power = count**2 / 12.0 * inverse.sum(), ROWS / 4.0 * 0.1**2
+    noise = np.interp(50.0, found.noise.grid_Hz, found.noise.density[:, 1 - position])
+    rounding, power = count**2 / 12.0 * inverse.sum(), ROWS / 4.0 * (0.1 * NOISE["command_carriage"]) ** 2 / noise
     said = locate_outcome(coarse, [], [wave], named=True)
     assert said.channels["command_carriage"] == pytest.approx(power / (power + rounding), rel=0.2)
     assert said.frequency_hz == locate_outcome(found, [], [wave], named=True).frequency_hz  # rounding is in no band

@@ -13,6 +13,7 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging import judgement
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
+from hil.diagnosis.judging.gate import Along
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching import exchanged, finishing, selection, step, ways
 from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
@@ -153,12 +154,13 @@ def test_what_training_shows_beside_the_chosen_set_and_is_not_certain_is_kept_ap
 @pytest.mark.parametrize("last", ["MOST_EFFECTS", "MOST_STEPS"])
 def test_what_did_not_pass_and_acts_elsewhere_does_not_compete_with_what_passed(last, monkeypatch):
     """A damper whose strength scatters from repeat to repeat, beside a friction that shows as much and does not."""
-    along = judgement.Scatter.along
+    known_along = judgement.Scatter.known_along
 
-    def scattering(self, response: np.ndarray) -> float:
-        return 400.0 if response @ DAMPS > 0.9 * np.linalg.norm(response) else along(self, response)
+    def scattering(self, response: np.ndarray) -> Along:
+        found = known_along(self, response)
+        return found._replace(variance=400.0) if response @ DAMPS > 0.9 * np.linalg.norm(response) else found
 
-    monkeypatch.setattr(judgement.Scatter, "along", scattering)
+    monkeypatch.setattr(judgement.Scatter, "known_along", scattering)
     monkeypatch.setattr(step, "competes", lambda one, chosen: not one.passed)  # as held-out recordings may have it
 
     def candidates_of(chosen: Fitted | None) -> list[Candidate]:
