@@ -176,9 +176,10 @@ def test_a_wave_of_ten_deviations_starts_at_its_order_among_all_that_are_asked(a
         ),  # missed where neither the slowest are asked nor the median's end is as what is next to it
         *(("transmission_error", 1e-6, 16.0, seed) for seed in (3, 4)),  # missed where the slowest are not asked
         ("transmission_error", 1e-6, 12.0, 3),
+        *(("transmission_error", 1e-6, 9.5, seed) for seed in (1, 2)),  # of less than a cycle: missed where it must stand out
     ],
 )
-def test_a_wave_of_two_cycles_per_travel_is_found_among_thousands_of_quick_ones(slider, name, amplitude, order, seed):
+def test_a_wave_of_one_or_two_cycles_per_travel_is_found_among_thousands_of_quick_ones(slider, name, amplitude, order, seed):
     """Of 7.5 deviations: chance gives one of 1300 orders more of the power around it than this one has, which are as slow."""
     runs, tuning = slider
     wave = Candidate(EffectAt(name, "carriage"), ())
