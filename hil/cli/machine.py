@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import MachineArgument, load
+from hil.cli.options import MachineArgument, can_be_written, load
 from hil.cli.output import Answer, JsonOption
 
 app = typer.Typer(
@@ -69,7 +69,8 @@ def export(
     from hil.machine.mjcf import to_mjcf
 
     machine = load(machine_name)
-    mjcf.write_text(to_mjcf(machine.plant, machine.name), encoding="utf-8")
     answer = Answer(json_to)
+    can_be_written(mjcf)
+    mjcf.write_text(to_mjcf(machine.plant, machine.name), encoding="utf-8")
     answer.say(f"{mjcf}: MuJoCo model of {machine.name}")
     answer.write({"mjcf": mjcf, "machine": machine.name, "hash": machine.hash})

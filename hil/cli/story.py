@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hil.cli.options import folder_can_be_written
 from hil.cli.output import Answer, JsonOption
 
 
@@ -28,4 +29,5 @@ def demo(
     from hil.demo import run_demo
 
     answer = Answer(json_to)
+    folder_can_be_written(out)
     answer.write(run_demo(out, answer))

@@ -34,3 +34,12 @@ def test_a_folder_that_is_not_there_is_said_before_the_work(tmp_path, capsys, co
     arguments = [tmp_path / "x.npz" if argument == "read" else argument for argument in COMMANDS[command]]
     outcome = runner(capsys)(*arguments, "--figure", tmp_path / "no" / "f.png")
     assert outcome.status == 2 and "there is no folder" in outcome.line
+
+
+def test_a_model_or_a_demo_that_could_not_be_written_is_refused_with_what_would_do(tmp_path, capsys):
+    outcome = runner(capsys)("machine", "export", "carm", "--mjcf", tmp_path / "no" / "carm.xml")
+    assert outcome.status == 2 and f"there is no folder {tmp_path / 'no'}" in outcome.line
+    (tmp_path / "file").write_text("kept")
+    outcome = runner(capsys)("demo", "--out", tmp_path / "file")
+    assert outcome.status == 2 and "is a file; give a folder" in outcome.line
+    assert (tmp_path / "file").read_text() == "kept"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,14 @@ SLIDER = load_machine(Path(__file__).parents[2] / "benchmarks" / "concealed" / "
 def test_every_effect_is_written_and_read_back() -> None:
     chosen = tuple(EXAMPLES.values())
     assert effects_from_text(effects_text(chosen, CARM), CARM, "effects.toml") == chosen
+
+
+def test_powers_in_units_are_written_as_in_recordings_and_left_out_of_keys() -> None:
+    k3 = next(p for p in effects()["nonlinear_stiffness"].parameters if p.name == "k3")
+    assert (k3.unit_at(prismatic=False), k3.key(prismatic=False)) == ("Nm/rad^3", "k3_Nm_rad3")
+    assert (k3.unit_at(prismatic=True), k3.key(prismatic=True)) == ("N/m^3", "k3_N_m3")
+    units = {p.unit_at(slides) for effect in effects().values() for p in effect.parameters for slides in (False, True)}
+    assert not [unit for unit in units if re.search(r"[a-z]\d", unit)]
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,8 @@ def test_parameters_have_names_units_and_the_files_values() -> None:
     assert by_name["mount_sway.damping_Nm_s_rad"].unit == "Nm s/rad"
     assert by_name["roll.armature_kg_m2"].value > 0.0
     assert by_name["roll.constant_Nm_A"].unit == "Nm/A"
-    assert by_name["gravity.z_m_s2"].value == -9.81
+    assert by_name["roll.armature_kg_m2"].unit == "kg m^2"
+    assert by_name["gravity.z_m_s2"].value == -9.81 and by_name["gravity.z_m_s2"].unit == "m/s^2"
 
 
 def test_an_unknown_parameter_is_answered_with_its_neighbours() -> None:

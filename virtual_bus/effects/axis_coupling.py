@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="axis_coupling",
     kind=COUPLING,
     parameters=(
-        Parameter("J12", unit="kg m2", low=-500.0, high=500.0, description="coupling inertia where the next axis's position + phi = 0"),
+        Parameter("J12", unit="kg m^2", low=-500.0, high=500.0, description="coupling inertia where the next axis's position + phi = 0"),
         Parameter("phi", unit="phase", low=-6.283185307179586, high=6.283185307179586, description="phase", is_strength=False),
     ),
     equation="J12(q2) q2'' on the axis and J12(q2) q1'' on the next, J12(q2) = J12 cos(q2 + phi), with the velocity terms",

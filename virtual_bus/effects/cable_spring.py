@@ -13,7 +13,7 @@ EFFECT = Effect(
     kind=EFFORT,
     parameters=(
         Parameter("kc", unit="Nm/rad", low=0.0, high=100000.0, description="stiffness"),
-        Parameter("kc3", unit="Nm/rad3", low=0.0, high=1000000.0, description="cubic stiffness"),
+        Parameter("kc3", unit="Nm/rad^3", low=0.0, high=1000000.0, description="cubic stiffness"),
         Parameter("theta0", unit="rad", low=-10.0, high=10.0, description="position at which the cable is slack", is_strength=False),
     ),
     equation="kc (position - theta0) + kc3 (position - theta0)^3",

@@ -10,12 +10,12 @@ PRISMATIC_UNITS = {
     "rad": "m",
     "rad/s": "m/s",
     "Nm/rad": "N/m",
-    "Nm/rad3": "N/m3",
-    "1/rad2": "1/m2",
+    "Nm/rad^3": "N/m^3",
+    "1/rad^2": "1/m^2",
     "rad/Nm": "m/N",
     "Nm s/rad": "N s/m",
-    "Nm s2/rad2": "N s2/m2",
-    "kg m2": "kg",
+    "Nm s^2/rad^2": "N s^2/m^2",
+    "kg m^2": "kg",
     "cycles/turn": "rad/m",
 }
 DRIVE_UNIT = "A"  # stands for the unit of the drive's effort
@@ -99,7 +99,7 @@ class Parameter:
 
     def key(self, prismatic: bool = False, drive_unit: str = DRIVE_UNIT) -> str:
         """As it is written in an effects file: `Fc_Nm`, `vs_rad_s`, `delta`."""
-        suffix = self.unit_at(prismatic, drive_unit).replace("/", "_").replace(" ", "_")
+        suffix = self.unit_at(prismatic, drive_unit).replace("/", "_").replace(" ", "_").replace("^", "")
         return f"{self.name}_{suffix}" if suffix else self.name
 
 

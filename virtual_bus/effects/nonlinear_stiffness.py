@@ -14,10 +14,10 @@ EFFECT = Effect(
     name="nonlinear_stiffness",
     kind=ELASTIC,
     parameters=(
-        Parameter("k3", unit="Nm/rad3", low=-1e18, high=1e18, description="cubic stiffness; negative softens"),
+        Parameter("k3", unit="Nm/rad^3", low=-1e18, high=1e18, description="cubic stiffness; negative softens"),
         Parameter(
             "bend",
-            unit="1/rad2",
+            unit="1/rad^2",
             low=0.0,
             high=1000000000000.0,
             description="one over the square of the deflection about which the cubic becomes a straight line; 0: nowhere",

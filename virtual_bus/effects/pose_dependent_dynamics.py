@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="pose_dependent_dynamics",
     kind=COUPLING,
     parameters=(
-        Parameter("dJ", unit="kg m2", low=0.0, high=1000.0, description="largest inertia added; none half a turn of the next axis on"),
+        Parameter("dJ", unit="kg m^2", low=0.0, high=1000.0, description="largest inertia added; none half a turn of the next axis on"),
         Parameter(
             "phi",
             unit="phase",

@@ -11,7 +11,7 @@ from virtual_bus.effects.residual import Residual, fitted
 EFFECT = Effect(
     name="quadratic_friction",
     kind=FRICTION,
-    parameters=(Parameter("Fv2", unit="Nm s2/rad2", low=0.0, high=5000.0, description="effort per squared speed"),),
+    parameters=(Parameter("Fv2", unit="Nm s^2/rad^2", low=0.0, high=5000.0, description="effort per squared speed"),),
     equation="Fv2 speed abs(speed)",
     convention="effort on the joint = -Fv2 speed abs(speed), on the joint's side of the gear",
     neighbours=("viscous_friction",),

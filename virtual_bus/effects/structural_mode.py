@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="structural_mode",
     kind=REACTION,
     parameters=(
-        Parameter("J", unit="kg m2", low=0.0, high=500.0, description="inertia that hangs on the spring"),
+        Parameter("J", unit="kg m^2", low=0.0, high=500.0, description="inertia that hangs on the spring"),
         Parameter(
             "f",
             unit="Hz",

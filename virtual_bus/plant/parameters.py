@@ -29,7 +29,7 @@ class PlantParameter:
     @property
     def name(self) -> str:
         """Owner, quantity and unit in one word."""
-        suffix = self.unit.replace("/", "_").replace(" ", "_")
+        suffix = self.unit.replace("/", "_").replace(" ", "_").replace("^", "")
         return f"{self.owner}.{self.quantity}_{suffix}" if suffix else f"{self.owner}.{self.quantity}"
 
 
@@ -46,11 +46,11 @@ def _body_parameters(body: Body) -> Iterator[PlantParameter]:
         yield from _entries(body.name, "center_of_mass", "m", body.center_of_mass_m)
     for label, i, j in INERTIA_ENTRIES:
         if body.inertia_kg_m2[i, j] != 0.0:
-            yield PlantParameter(body.name, f"inertia_{label}", "kg m2", float(body.inertia_kg_m2[i, j]))
+            yield PlantParameter(body.name, f"inertia_{label}", "kg m^2", float(body.inertia_kg_m2[i, j]))
 
 
 def _joint_parameters(joint: Joint) -> Iterator[PlantParameter]:
-    effort, position, inertia = ("Nm", "rad", "kg m2") if joint.kind == "revolute" else ("N", "m", "kg")
+    effort, position, inertia = ("Nm", "rad", "kg m^2") if joint.kind == "revolute" else ("N", "m", "kg")
     yield PlantParameter(joint.name, "stiffness", f"{effort}/{position}", joint.stiffness)
     yield PlantParameter(joint.name, "damping", f"{effort} s/{position}", joint.damping)
     yield PlantParameter(joint.name, "rest_position", position, joint.rest_position)
@@ -74,7 +74,7 @@ def plant_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
     """Every run-time number of a plant, in the order of its parameter vector."""
     tree = settings.tree
     gravity = dict(zip(AXES, tree.gravity_m_s2.tolist(), strict=True))
-    found = [PlantParameter("gravity", letter, "m/s2", value) for letter, value in gravity.items() if value != 0.0]
+    found = [PlantParameter("gravity", letter, "m/s^2", value) for letter, value in gravity.items() if value != 0.0]
     for body in tree.bodies:
         found.extend(_body_parameters(body))
     for joint in tree.joints:
