@@ -12,16 +12,19 @@ import scipy.stats
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging import judgement as judging
+from hil.diagnosis.judging.errors_of_laws import form_variance
 from hil.diagnosis.judging.form_error import FormError
 from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.judging.held_out import Followed
-from hil.diagnosis.judging.judgement import Contender, Judgement, form_variance
+from hil.diagnosis.judging.judgement import Contender, Judgement
+from hil.diagnosis.judging.placebos import NO_PLACEBOS
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.retune import Tuning
 
 ENTRIES = 4000
+NEITHER = (NO_PLACEBOS, NO_PLACEBOS)
 COULOMB, LOAD, VISCOUS = (EffectAt(name, "carriage") for name in ("coulomb_friction", "constant_load", "viscous_friction"))
 
 
@@ -71,8 +74,8 @@ def judged(before: tuple[EffectAt, ...], *effects: EffectAt, friction: float = 3
     judgement, fitted = bench(friction, before[0], apart=apart)
     stand = judgement.nothing
     if before:
-        stand = judgement.after(judgement.contenders(stand, [fitted(*before)], tried(), (0.0, 0.0), {})[0])
-    (found,) = judgement.contenders(stand, [fitted(*effects)], tried(), (0.0, 0.0), {})
+        stand = judgement.after(judgement.contenders(stand, [fitted(*before)], tried(), NEITHER, {})[0])
+    (found,) = judgement.contenders(stand, [fitted(*effects)], tried(), NEITHER, {})
     return found
 
 
@@ -86,8 +89,8 @@ def test_an_effect_beside_another_is_judged_by_what_it_adds():
 def test_what_chance_gains_is_taken_off_every_step_of_a_set():
     """As off the same effects judged at once: else a set that was found step by step would gain more than it."""
     judgement, fitted = bench(30.0, scattered=3.0)
-    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
-    (both,) = judgement.contenders(judgement.after(first), [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
+    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
+    (both,) = judgement.contenders(judgement.after(first), [fitted(COULOMB, LOAD)], tried(), NEITHER, {})
     assert first.gate.scatter > 1.5 and first.gained < 890.0
     assert both.gained == pytest.approx(first.gained + both.gate.certain_gain)
 
@@ -114,8 +117,8 @@ def test_where_it_is_known_how_an_equation_errs_only_that_is_taken_from_a_gain()
     gates = []
     for errors in (VISCOUS, LOAD):
         judgement, fitted = bench(60.0, errors=errors)
-        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})[0])
-        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
+        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})[0])
+        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), NEITHER, {})
         gates.append(found.gate)
     assert [gate.beyond for gate in gates] == pytest.approx([64.0, 64.0 / 37.0])
     assert [gate.passed for gate in gates] == [True, False]
@@ -128,8 +131,8 @@ def test_where_no_errors_of_equations_are_estimated_none_of_a_gain_is_said_to_be
 
 def test_of_a_number_of_the_machine_file_too_only_its_known_errors_are_taken_from_a_gain():
     judgement, fitted = bench(4000.0, VISCOUS, errors=COULOMB)
-    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), (0.0, 0.0), {})[0])
-    (found,) = judgement.contenders(stand, [fitted(VISCOUS, LOAD)], tried(), (0.0, 0.0), {})
+    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), NEITHER, {})[0])
+    (found,) = judgement.contenders(stand, [fitted(VISCOUS, LOAD)], tried(), NEITHER, {})
     assert found.gate.beyond == pytest.approx(64.0)
     assert found.gate.passed
     assert not judged((VISCOUS,), VISCOUS, LOAD, friction=4000.0).gate.passed
@@ -208,7 +211,7 @@ def followed(fall: float, variance: float) -> float:
 def test_a_held_out_fall_counts_in_units_of_what_is_left_there():
     for noise in (1.0, 2.0):
         judgement, fitted = bench(held_out=OtherMotion(noise, coulomb_friction=9.0))
-        (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+        (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
         assert found.gate.held_out_gain == pytest.approx(81.0)
         assert found.gate.followed == pytest.approx(followed(81.0, noise**2), rel=1e-3)
         assert (found.gate.predicted, found.gate.seen) == pytest.approx((9.0 / noise, 9.0 / noise), rel=1e-3)
@@ -218,8 +221,8 @@ def test_beside_a_large_effect_a_held_out_fall_must_exceed_what_its_equation_may
     chances = []
     for friction in (6.0, 60.0):
         judgement, fitted = bench(friction, held_out=OtherMotion(coulomb_friction=friction, constant_load=8.0))
-        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})[0])
-        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
+        stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})[0])
+        (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), NEITHER, {})
         assert found.gate.held_out_gain == pytest.approx(64.0)
         chances.append(found.gate.followed)
     assert chances[0] == pytest.approx(followed(64.0, 1.0), rel=0.5)
@@ -231,8 +234,8 @@ def test_a_held_out_fall_counts_without_what_errors_of_the_equations_found_befor
     """An error of 12, where it may be 6, hides a load of 8 from the misfit as it is. Against the matched filter in such noise."""
     motion = OtherMotion(errs=12.0, coulomb_friction=60.0, constant_load=8.0)
     judgement, fitted = bench(60.0, held_out=motion, errors=VISCOUS)
-    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})[0])
-    (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
+    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})[0])
+    (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), NEITHER, {})
     assert found.gate.held_out_gain < -70.0
     load, left = motion._said["constant_load"], motion.measured - motion._said["coulomb_friction"]
     weighed = load - motion.error * (36.0 / 37.0) * (motion.error @ load)  # (1 + 36 e e')^-1
@@ -243,7 +246,7 @@ def test_a_held_out_fall_counts_without_what_errors_of_the_equations_found_befor
 
 def test_what_training_hardly_shows_may_be_more_than_the_simulator_s_error_in_another_motion():
     judgement, fitted = bench(1.5, held_out=OtherMotion(coulomb_friction=9.0))
-    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
     assert found.gate.over_simulator == pytest.approx(81.0 / 4.0, rel=1e-3)
 
 
@@ -251,7 +254,7 @@ def test_what_is_left_held_out_says_nothing_of_what_chance_gains_in_training():
     chances = []
     for held_out in (None, OtherMotion(constant_load=8.0), OtherMotion(10.0, constant_load=8.0)):
         judgement, fitted = bench(held_out=held_out)
-        (found,) = judgement.contenders(judgement.nothing, [fitted(LOAD)], tried(), (0.0, 0.0), {})
+        (found,) = judgement.contenders(judgement.nothing, [fitted(LOAD)], tried(), NEITHER, {})
         chances.append(found.gate.trained)
     assert chances[1:] == pytest.approx([chances[0]] * 2)
 
@@ -259,12 +262,12 @@ def test_what_is_left_held_out_says_nothing_of_what_chance_gains_in_training():
 def test_held_out_recordings_are_asked_about_as_many_sets_as_were_fitted():
     judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0, constant_load=8.0))
     fits = [fitted(COULOMB), fitted(LOAD), fitted(COULOMB, LOAD)]
-    assert {found.gate.asked for found in judgement.contenders(judgement.nothing, fits, tried(), (0.0, 0.0), {})} == {3}
+    assert {found.gate.asked for found in judgement.contenders(judgement.nothing, fits, tried(), NEITHER, {})} == {3}
 
 
 def test_what_repeats_scatter_along_a_response_widens_what_chance_gains_in_both():
     judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0), scattered=6.0)
-    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
     assert found.gate.scatter > 5.0
     assert found.gate.followed == pytest.approx(followed(81.0, found.gate.scatter), rel=1e-3)
     by_chance = 50 * scipy.stats.f.sf(900.0 / found.gate.scatter, 1, TAIL_FREEDOM)
@@ -273,7 +276,7 @@ def test_what_repeats_scatter_along_a_response_widens_what_chance_gains_in_both(
 
 def test_what_numbers_of_the_machine_file_remove_counts_in_both_motions():
     judgement, fitted = bench(found=VISCOUS, held_out=OtherMotion(viscous_friction=9.0))
-    (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), NEITHER, {})
     assert found.by_numbers == pytest.approx((900.0, 81.0))
 
 
@@ -285,8 +288,8 @@ def test_a_closer_fit_of_what_passed_takes_its_place_where_it_passes_as_well(ano
     whole = fitted(COULOMB)
     half = replace(whole, predicted=0.5 * whole.predicted, cost=whole.cost + 225.0)
     other.measured = other.measured * another
-    (found,) = judgement.contenders(judgement.nothing, [half], tried(), (0.0, 0.0), {})
-    (alone,) = judgement.contenders(judgement.nothing, [whole], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [half], tried(), NEITHER, {})
+    (alone,) = judgement.contenders(judgement.nothing, [whole], tried(), NEITHER, {})
     monkeypatch.setattr(judging, "lost_form", lambda *_: form)
     closer = judgement.closer(found, whole, tried(), {})
     assert (closer is not None) == is_closer
@@ -297,8 +300,8 @@ def test_a_closer_fit_of_what_passed_takes_its_place_where_it_passes_as_well(ano
 
 def test_sets_that_are_asked_about_later_in_a_step_count_those_before_them():
     judgement, fitted = bench(held_out=OtherMotion(coulomb_friction=9.0))
-    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {}, 8)
-    (alone,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {}, 8)
+    (alone,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
     assert found.gate.asked == 9
     assert found.gate.chance >= alone.gate.chance
 
@@ -315,16 +318,16 @@ def test_a_machine_that_diverges_on_the_held_out_motion_confirms_nothing():
             return -np.inf if before is None or after is None else super().deviations(before, after)
 
     judgement, fitted = bench(held_out=Diverging(coulomb_friction=9.0))
-    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
     assert found.gate.followed == 1.0
     assert not found.gate.passed
 
 
 def test_what_chance_does_is_known_before_the_held_out_recordings_are_asked():
     judgement, fitted = bench()
-    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), (0.0, 0.0), {})
+    (first,) = judgement.contenders(judgement.nothing, [fitted(COULOMB)], tried(), NEITHER, {})
     stand = judgement.after(first)
-    (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), (0.0, 0.0), {})
+    (found,) = judgement.contenders(stand, [fitted(COULOMB, LOAD)], tried(), NEITHER, {})
     assert judgement.by_chance(stand, fitted(COULOMB, LOAD), tried()) == found.gate.trained
     assert judgement.by_chance(stand, fitted(LOAD), tried()) == math.inf  # in place of the friction: what that gained is in it
 

@@ -14,6 +14,7 @@ from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging import judgement
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import Along
+from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching import exchanged, finishing, selection, step, ways
 from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
@@ -117,7 +118,8 @@ def selected(
     monkeypatch.setattr(step, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(step, "pairs", lambda *_: paired)
     monkeypatch.setattr(exchanged, "neighbours_instead", neighbours)
-    monkeypatch.setattr(step, "placebo_gain", lambda runs, at, *_: backwards if np.any(at.predicted) else 0.0)
+    alone = Placebos(np.zeros((1, ENTRIES)), np.array([np.sqrt(backwards)]))  # along no response
+    monkeypatch.setattr(step, "placebos_of", lambda runs, at, *_: alone if np.any(at.predicted) else NO_PLACEBOS)
     monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
 

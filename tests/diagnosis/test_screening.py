@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -117,6 +119,14 @@ def test_gravity_is_no_candidate_where_the_machine_file_has_none():
     circuit, carm = load_machine("silverbox"), load_machine("carm")
     assert "gravity_imbalance" not in {place.effect for place in places_to_try(circuit.plant, ["position_mass"])}
     assert EffectAt("gravity_imbalance", "propeller") in places_to_try(carm.plant, ["position_propeller"])
+
+
+def test_gravity_over_position_is_no_candidate_where_a_joint_slides():
+    """Its weight is the same everywhere: a constant load."""
+    emps = load_machine("emps").plant
+    held = replace(emps, tree=replace(emps.tree, gravity_m_s2=np.array([0.0, 0.0, -9.81])))
+    tried = {place.effect for place in places_to_try(held, ["position_carriage"])}
+    assert "constant_load" in tried and "gravity_imbalance" not in tried
 
 
 def test_a_clock_may_be_one_channels_or_that_of_a_whole_imu():

@@ -12,11 +12,12 @@ import numpy as np
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.turned import tuning_at
-from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, numbers_of, temperature, whole_signs_of
+from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, form_variance, numbers_of, whole_signs_of
 from hil.diagnosis.judging.form import lost_form
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, expected_by_chance, needed_gain
 from hil.diagnosis.judging.held_out import Followed, HeldOut
+from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
 from hil.diagnosis.judging.structure_left import StructureLeft
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
@@ -47,6 +48,7 @@ class Contender:
     by_moving: tuple[float, float] = (0.0, 0.0)  # of what it gained, what that changed
     known: tuple[float, float] = (0.0, 0.0)  # energies removed before its last step by effects that it is known of how their equations err
     before: Stand | None = None  # what its last step was added to
+    placebos: Placebos = NO_PLACEBOS  # of that step
 
     @property
     def gate(self) -> Gate:
@@ -192,6 +194,7 @@ class _Trained:
     scatter: float
     level: float  # of what the fit leaves, in units of the noise model's
     by_chance: float
+    change: np.ndarray  # (M + F,) of the simulation, the part that no re-tuning imitates
 
 
 class Judgement:
@@ -265,7 +268,7 @@ class Judgement:
         stand: Stand,
         fits: Sequence[Fitted],
         tried: Tried,
-        placebos: tuple[float, float],
+        placebos: tuple[Placebos, Placebos],
         limits: Mapping[EffectAt, tuple[float, float]],
         earlier: int = 0,
     ) -> list[Contender]:
@@ -276,8 +279,8 @@ class Judgement:
         stand : Stand
         fits : sequence of Fitted
         tried : Tried
-        placebos : pair of float
-            Largest gains of a placebo beside the stand and beside nothing.
+        placebos : pair of Placebos
+            Beside the stand and beside nothing.
         limits : mapping
             See `form.lost_form`.
         earlier : int
@@ -301,6 +304,7 @@ class Judgement:
                     tried.searched_for(fitted),
                     known=before.known_energy,
                     before=before,
+                    placebos=placebo,
                 )
             )
         return found
@@ -311,8 +315,8 @@ class Judgement:
         """
         if found.before is None:
             return None
-        placebo, earlier = found.gate.placebo_gain, max(found.gate.asked - 1, 0)
-        (closer,) = self.contenders(found.before, [fitted], tried, (placebo, placebo), limits, earlier)
+        placebos, earlier = found.placebos, max(found.gate.asked - 1, 0)
+        (closer,) = self.contenders(found.before, [fitted], tried, (placebos, placebos), limits, earlier)
         loses = closer.left_held_out - found.left_held_out
         return closer if closer.passed and loses <= found.gate.needed else None
 
@@ -345,12 +349,13 @@ class Judgement:
         trials = tried.sets(added)
         needed = needed_gain(trials, freedom, fitted.cost, entries)
         by_chance = expected_by_chance(trials, beyond, freedom, variance, of_equations, known)
-        return _Trained(gain, beyond, needed, scatter, level, by_chance)
+        return _Trained(gain, beyond, needed, scatter, level, by_chance, change)
 
-    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebo: float, asked: int) -> Gate:
+    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebos: Placebos, asked: int) -> Gate:
         entries = len(self._measured)
         trained = self._trained(before, fitted, tried)
         gain, scatter, level = trained.gain, trained.scatter, trained.level
+        placebo, beside_placebo = placebos.beside(trained.change, gain)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = there = None
         predicted = seen = None
@@ -376,6 +381,7 @@ class Judgement:
             predicted=predicted,
             seen=seen,
             placebo_gain=placebo,
+            beside_placebo=beside_placebo,
             share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
             is_first=before.fitted is None,
         )
@@ -425,26 +431,3 @@ class Judgement:
 def _left_at_most(left: float, noise: float) -> float:
     """Above the noise, by a standard deviation of it and of how well it is known."""
     return max(left - noise, 0.0) + math.hypot(math.sqrt(2.0 * noise), NOISE_KNOWN * noise)
-
-
-def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: float, elsewhere: float = math.inf) -> float:
-    """Variance along a response that the equations of the effects found before may add to the noise's.
-
-    An equation errs by a share of its own response wherever that is, with any sign: of the energy of its error no more is along another
-    response than the squared cosine of both responses' absolute values. What is left above noise counts as in naming's temperature.
-
-    Parameters
-    ----------
-    found, added : (M,) arrays
-        Whitened responses.
-    erring, left : float
-        Energy of the equations' error, and what is left above noise.
-    elsewhere : float
-        What is left above noise beside the added response, both fitted with all other numbers. What of an error these do not take up has
-        the rest of its energy there: equations that leave nothing erred by little. Beside a soft spring that removed 2·10^8 a gear's error
-        took 1090 of 1120, down to the noise (9718, spent). Held out, where nothing is fitted, errors are not bounded so.
-    """
-    sizes = float(np.sqrt((found @ found) * (added @ added)))
-    alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0
-    seen = elsewhere / max(1.0 - alike**2, 1e-3)
-    return alike**2 * min(erring, seen) + temperature(0.0, left) - 1.0

@@ -11,8 +11,9 @@ import numpy as np
 from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of, whole_signs_of
-from hil.diagnosis.judging.gate import Gate, needed_gain, placebo_gain
+from hil.diagnosis.judging.gate import Gate, needed_gain
 from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
+from hil.diagnosis.judging.placebos import Placebos, placebos_of
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import price_of_a_parameter
 from hil.diagnosis.ranking.weighing import least_by_chance, without_form
@@ -146,7 +147,7 @@ class Steps:
             begun.tried,
             True,
             (*way.formless, *without_form(needed)),
-            placebo=gate.placebos[1],
+            placebos=gate.placebos[1],
         )
         if passed:
             return self._gone_on(gate, end, passed, needed, doubtful)
@@ -207,8 +208,7 @@ class Steps:
         Alone its fit had ended elsewhere, and whatever moved it from there would gain what it gains: a friction of no strength 128 beside a
         drive's lag (sealed 8893, spent).
         """
-        way, stand, entries = begun.way, begun.way.stand, len(begun.residual)
-        size = len(stand.effects)
+        way, stand, entries, size = begun.way, begun.way.stand, len(begun.residual), len(begun.way.stand.effects)
         larger = [fit for fit in fits if len(fit.effects) > size and fit.effects[:size] == stand.effects]
         if stand.fitted is None or not larger:
             return None
@@ -272,8 +272,8 @@ class Steps:
 
     def _ask(self, begun: _Begun, stand: Stand, fits: Sequence[Fitted]) -> _AtTheGate:
         """The gate, with its answers about these sets."""
-        placebo = placebo_gain(self.runs, stand.tuning, begun.screened, begun.residual)
-        placebos = placebo, placebo if begun.is_first else begun.way.placebo
+        here = placebos_of(self.runs, stand.tuning, begun.screened, begun.residual)
+        placebos = here, here if begun.is_first else begun.way.placebos
         judged = self.judgement.contenders(stand, fits, begun.tried, placebos, begun.limits)
         return _AtTheGate(self.judgement, begun, stand, placebos, judged)
 
@@ -365,7 +365,7 @@ class _AtTheGate:
     judgement: Judgement
     begun: _Begun
     stand: Stand
-    placebos: tuple[float, float]
+    placebos: tuple[Placebos, Placebos]
     judged: Sequence[Contender]
 
     def contenders(self, fits: Sequence[Fitted], earlier: int = 0, stand: Stand | None = None) -> list[Contender]:

@@ -13,6 +13,7 @@ from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
 from hil.diagnosis.judging.gate import Gate
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
+from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import PLAUSIBLE, Weighed
 from hil.diagnosis.result import EffectAt
@@ -48,7 +49,7 @@ class Way:
     formless: tuple[Contender, ...] = ()  # of all steps
     unsure: tuple[Contender, ...] = ()
     is_wider: bool = False  # whether candidates behind the best were fitted as well
-    placebo: float = 0.0  # largest gain of one at the first step
+    placebos: Placebos = NO_PLACEBOS  # of the first step
 
 
 def joined(one: Way, other: Way, base: float, noise_energy: float) -> Way:

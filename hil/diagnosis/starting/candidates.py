@@ -12,7 +12,7 @@ from hil.diagnosis.starting.motion import Motion
 from hil.diagnosis.starting.shape_limits import NO_LIMIT, shape_limits
 from hil.diagnosis.starting.starts import shapes_of, starts_of
 from virtual_bus.effects.effect import CLOCK, DROPOUT, ELASTIC, SIGN, SPRING_CHANGE, TRANSMISSION
-from virtual_bus.effects.places import joint_at, places, spring_at
+from virtual_bus.effects.places import is_prismatic, joint_at, places, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting, PlantSettings
 
@@ -20,7 +20,9 @@ ON_A_SPRING = ("joint_compliance", "nonlinear_stiffness", "backlash", "structura
 """What may act at a joint without a drive: it moves as far as its spring gives way, so a law over its own range would show nothing."""
 
 NEEDS_GRAVITY = ("gravity_imbalance",)
-"""What no machine has whose file says that gravity does nothing to it: a circuit, a balanced rotor, a level slide."""
+"""What no machine has whose file says that gravity does nothing to it: a circuit, a balanced rotor, a level slide. Nor has a joint that
+slides: there a weight is the same everywhere, a constant load (of a slide's load of 0.038 N gravity over position had the same share as the
+load itself, and came first; 10531, spent)."""
 
 WHOLE_IMU = "imu"
 
@@ -88,6 +90,8 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
             continue
         is_of_readings = effect.kind in (CLOCK, SIGN) or "encoder" in effect.kind.allowed_at
         for at in places(effect.kind, settings):
+            if name in NEEDS_GRAVITY and is_prismatic(at, settings):
+                continue
             key = at
             if effect.kind in (ELASTIC, SPRING_CHANGE, TRANSMISSION):
                 key = spring_at(at, settings) or at

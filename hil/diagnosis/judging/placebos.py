@@ -1,0 +1,95 @@
+"""Placebos: the candidates' own responses run backwards in time, which have their size and spectrum but no cause.
+
+A placebo may look like an effect: of a long slow motion a response run backwards keeps what it has in common with itself and with others.
+So an effect and a placebo are compared by what each gains beside the other, which is what each gains where they have nothing in common. One
+that gains by its likeness to the effect alone gains nothing beside it: an eccentric encoder wheel gained 6.1e4 and another's response run
+backwards 4.1e4 of the same, while another motion confirmed the wheel by 98 deviations (11098, spent).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.fitting.screening import Screened
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
+from hil.diagnosis.tuning.projection import Projection
+from hil.diagnosis.tuning.retune import Tuning
+
+SAME_BACKWARDS = 0.5
+"""A response whose cosine with itself backwards is larger has no placebo of this kind (a constant has no direction in time)."""
+
+KEPT = 8
+"""Placebos that are compared with an effect: those that gain most."""
+
+ALIKE = 0.999
+"""Squared cosine from which on an effect and a placebo are one response: neither gains anything beside the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placebos:
+    """Those that gain most where an effect is looked for.
+
+    Attributes
+    ----------
+    responses : (K, M + F) array
+        Of unit length, the part that no re-tuning imitates.
+    along : (K,) array
+        How far the residual goes along each: the root of what it gains.
+    """
+
+    responses: np.ndarray
+    along: np.ndarray
+
+    def beside(self, change: np.ndarray, gain: float) -> tuple[float, float]:
+        """What the strongest rival of an effect gains beside it, and what the effect gains beside that.
+
+        Parameters
+        ----------
+        change : (M + F,) array
+            Of the simulation by the effect, the part that no re-tuning imitates.
+        gain : float
+            Fall of |residual|^2 by it.
+        """
+        length = float(np.sqrt(change @ change))
+        if not len(self.along) or length == 0.0 or gain <= 0.0:
+            return float(np.max(self.along**2, initial=0.0)), gain
+        own = np.sqrt(gain)
+        common = self.responses @ change / length
+        left = 1.0 - np.minimum(common**2, ALIKE)
+        placebo, effect = (self.along - common * own) ** 2 / left, (own - common * self.along) ** 2 / left
+        rival = int(np.argmax(placebo / np.maximum(effect, 1e-12)))
+        return float(placebo[rival]), float(effect[rival])
+
+
+NO_PLACEBOS = Placebos(np.zeros((0, 0)), np.zeros(0))
+
+
+def placebos_of(runs: FreeRuns, tuning: Tuning, screened: Sequence[Screened], residual: np.ndarray) -> Placebos:
+    """Of the candidates, where this (M,) residual is left."""
+    projection = Projection.of(tuning)
+    left = projection.left_of_residual(residual)
+    count = len(residual)
+    kept: list[tuple[float, np.ndarray]] = []
+    for candidate in screened:
+        response = candidate.response[:count].astype(float)
+        reverse = backwards(runs, response)
+        placebo = projection.left(reverse)
+        energy = float(placebo @ placebo)
+        if energy < 1e-6 or abs(float(response @ reverse)) > SAME_BACKWARDS * float(response @ response):
+            continue
+        placebo /= np.sqrt(energy)
+        kept.append((float(placebo @ left), placebo))
+        kept = sorted(kept, key=lambda each: -abs(each[0]))[:KEPT]
+    if not kept:
+        return NO_PLACEBOS
+    return Placebos(np.stack([response for _, response in kept]), np.array([along for along, _ in kept]))
+
+
+def backwards(runs: FreeRuns, whitened: np.ndarray) -> np.ndarray:
+    """(M,) whitened training records, each run backwards: of the same spectrum."""
+    groups = runs.sets[TRAIN].groups
+    ends = np.cumsum([runs.noise.size(len(group.time_s)) for group in groups])[:-1]
+    return np.concatenate([runs.noise.backwards(part) for part in np.split(whitened, ends)])
