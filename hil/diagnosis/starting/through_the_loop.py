@@ -6,11 +6,13 @@ back (Kailath, Sayed, Hassibi 2000, ch. 3), so a matched filter over many laws a
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.fft
 
 from hil.diagnosis.locating.disturbance import LOWEST_Hz, loop_response
 from hil.diagnosis.tuning.free_run import FreeRuns
@@ -41,7 +43,7 @@ class _AtOnePose:
 
     Attributes
     ----------
-    lines : (L, C, joints + axes) complex array
+    lines : (joints + axes, C, L) complex array
         To an effort on every joint, and to what every axis' own encoder reads too much, which stands for a joint after the others.
     grown : (N,) array
         exp(growth t).
@@ -54,21 +56,24 @@ class _AtOnePose:
     standing: np.ndarray
 
     def response(self, joint: int, effort: np.ndarray) -> np.ndarray:
-        """(N, C) to an effort (N,) on a joint.
+        """(C, N) to an effort (N,) on a joint.
 
         What acts on the first row has acted before: the machine stands under it, but for joints that nothing holds, which start from rest.
         """
         rows, before = len(effort), effort[0] if np.any(self.standing[:, joint]) else 0.0
-        lines = self.lines[:, :, joint] * np.fft.rfft((effort - before) / self.grown, 2 * rows)[:, None]
-        return self.grown[:, None] * np.fft.irfft(lines, 2 * rows, axis=0)[:rows] + self.standing[:, joint] * before
+        lines = self.lines[joint] * scipy.fft.rfft((effort - before) / self.grown, 2 * rows)
+        answer = np.asarray(scipy.fft.irfft(lines, 2 * rows, overwrite_x=True))[:, :rows]
+        answer *= self.grown
+        answer += self.standing[:, joint, None] * before
+        return answer
 
     def back(self, channels: np.ndarray) -> np.ndarray:
-        """(N, joints + axes) whose product with efforts is that of their responses with `channels` (N, C)."""
-        rows = len(channels)
-        lines = np.fft.rfft(self.grown[:, None] * channels, 2 * rows, axis=0)
-        efforts = np.fft.irfft((self.lines.conj() * lines[:, :, None]).sum(axis=1), 2 * rows, axis=0)[:rows] / self.grown[:, None]
+        """(joints + axes, N) whose product with efforts is that of their responses with `channels` (C, N)."""
+        rows = channels.shape[1]
+        lines = np.conj(self.lines) * scipy.fft.rfft(self.grown * channels, 2 * rows)
+        efforts = np.asarray(scipy.fft.irfft(lines.sum(axis=1), 2 * rows))[:, :rows] / self.grown
         held = np.any(self.standing, axis=0)
-        efforts[0] += np.where(held, channels.sum(axis=0) @ self.standing - efforts.sum(axis=0), 0.0)
+        efforts[:, 0] += np.where(held, channels.sum(axis=1) @ self.standing - efforts.sum(axis=1), 0.0)
         return efforts
 
 
@@ -90,13 +95,14 @@ class _Loop:
     near: np.ndarray
 
     def response(self, joint: int, effort: np.ndarray) -> np.ndarray:
-        """(N, C), see `_AtOnePose.response`."""
-        each = [share[:, None] * pose.response(joint, effort) for pose, share in zip(self.poses, self.near, strict=True)]
-        return np.sum(each, axis=0)
+        """(N, C) to an effort (N,) on a joint."""
+        each = zip(self.poses, self.near, strict=True)
+        return functools.reduce(np.add, (share * pose.response(joint, effort) for pose, share in each)).T
 
     def back(self, channels: np.ndarray) -> np.ndarray:
-        """(N, joints + axes), see `_AtOnePose.back`."""
-        return np.sum([pose.back(share[:, None] * channels) for pose, share in zip(self.poses, self.near, strict=True)], axis=0)
+        """(N, joints + axes) whose product with efforts is that of their responses with `channels` (N, C)."""
+        each = zip(self.poses, self.near, strict=True)
+        return functools.reduce(np.add, (pose.back(share * channels.T) for pose, share in each)).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +125,7 @@ class ThroughTheLoop:
             poses, near = poses_along(group.position, np.array(turns))
             each = [
                 _AtOnePose(
-                    loop_response(group.machine, pose, found.channels, frequencies, self.tuning.values, growth),
+                    np.ascontiguousarray(loop_response(group.machine, pose, found.channels, frequencies, self.tuning.values, growth).T),
                     grown,
                     _standing(group.machine, pose, found.channels, self.tuning.values),
                 )
