@@ -9,6 +9,7 @@ from carriage import MACHINE
 from hil.diagnosis.fitting.refit import refit
 from hil.diagnosis.fitting.tuned_sensitivities import TunedSensitivities
 from hil.diagnosis.judging.judgement import Judgement
+from hil.diagnosis.judging.placebos import NO_PLACEBOS
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
@@ -77,7 +78,9 @@ def test_beside_a_channel_of_the_wrong_sign_the_file_s_numbers_move_it_the_other
         tuning = retune(runs)
         judgement = Judgement(runs, tuning, None, float(len(tuning.predicted)))
         (fit,) = refit(runs, tuning, runs.measured(), [((turned,), (np.array([0.0, -1.0]),))])
-        stand = judgement.after(judgement.contenders(judgement.nothing, [fit], Tried([Candidate(turned, ())]), (0.0, 0.0), {})[0])
+        stand = judgement.after(
+            judgement.contenders(judgement.nothing, [fit], Tried([Candidate(turned, ())]), (NO_PLACEBOS, NO_PLACEBOS), {})[0]
+        )
         for column, (here, before) in enumerate(zip(stand.tuning.jacobian.T, tuning.jacobian.T, strict=True)):
             step = np.where(np.arange(len(tuning.offset)) == column, 1e-4, 0.0)
             moved, back = (runs.run_one(Trial(tuning.at(fit.offset + s * step), fit.settings)) for s in (1.0, -1.0))
