@@ -29,6 +29,7 @@ from hil.diagnosis.judging.gate import (
     expected_by_chance,
     needed_gain,
 )
+from hil.diagnosis.judging.placebos import Beside
 from hil.diagnosis.starting.start_waves import ONE_HARMONIC, TWO_HARMONICS
 from hil.diagnosis.tuning.free_run import TRAIN
 
@@ -256,11 +257,20 @@ def test_a_gain_that_the_simulator_s_own_error_may_be_is_none():
     assert not Gate(**{**vars(one), "over_simulator": 0.9}).passed
 
 
+@pytest.mark.parametrize(
+    ("placebo", "effect", "passes"), [(1.0, 21.0, True), (15.0, 21.0, False), (1.0, 19.0, False)], ids=["stands", "no better", "too little"]
+)
+def test_a_gain_that_a_placebo_has_by_its_likeness_must_show_beside_it(placebo, effect, passes):
+    """It needs 20 to show."""
+    one = {**vars(gate(1e-6, 1e-6)), "placebo_gain": 21.0}
+    assert not Gate(**one).passed
+    assert Gate(**one | {"beside": Beside(placebo, effect)}).passed is passes
+
+
 def test_a_gain_that_a_response_run_backwards_nearly_has_is_none():
     one = gate(1e-6, 1e-6)  # it gains 30
     assert Gate(**{**vars(one), "placebo_gain": 19.0}).passed
     assert not Gate(**{**vars(one), "placebo_gain": 21.0}).passed
-    assert not Gate(**{**vars(one), "placebo_gain": 19.0, "beside_placebo": 28.0}).passed
     followed = {**vars(one), "placebo_gain": 21.0, "held_out_gain": 32.0}
     assert Gate(**followed).passed  # nothing was searched there
     assert not Gate(**followed | {"held_out_beyond": 30.0}).passed

@@ -14,7 +14,7 @@ from hil.diagnosis.fitting.screening import Screened
 from hil.diagnosis.judging import judgement
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import Along
-from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
+from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos, Rivals
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching import exchanged, finishing, selection, step, ways
 from hil.diagnosis.searching.exchanged import MOST_NEIGHBOURS, neighbours_instead, neighbours_of_all
@@ -118,8 +118,14 @@ def selected(
     monkeypatch.setattr(step, "with_other_harmonics", lambda runs, tuning, measured, fits: fits)
     monkeypatch.setattr(step, "pairs", lambda *_: paired)
     monkeypatch.setattr(exchanged, "neighbours_instead", neighbours)
-    alone = Placebos(np.zeros((1, ENTRIES)), np.array([np.sqrt(backwards)]))  # along no response
-    monkeypatch.setattr(step, "placebos_of", lambda runs, at, *_: alone if np.any(at.predicted) else NO_PLACEBOS)
+    alone = Rivals(np.zeros((1, ENTRIES)), np.array([np.sqrt(backwards)]))  # along no response
+
+    def compared(placebos: Placebos, at, _residual) -> Rivals:
+        return alone if len(placebos.responses) and np.any(at.predicted) else Rivals(np.zeros((0, 0)), np.zeros(0))
+
+    monkeypatch.setattr(Placebos, "at", compared)
+    some = Placebos(np.ones((1, ENTRIES)))
+    monkeypatch.setattr(step, "placebos_of", lambda runs, at, *_: some if np.any(at.predicted) else NO_PLACEBOS)
     monkeypatch.setattr(selection, "onset", lambda runs, name, tuning: NO_ERROR)
     monkeypatch.setattr(selection, "form_error", lambda runs, name, tuning, fit: FormError(np.zeros((0, ENTRIES)), fit.effects))
 

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
+from hil.diagnosis.judging.placebos import PLACEBO_FACTOR, Beside
 from hil.diagnosis.judging.structure_left import REACH_s, near_products
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
 
@@ -93,10 +94,6 @@ TRAINING_ALONE = 1e-6
 """The same below which something is there whatever held-out recordings say: a law that no known effect has may be one motion's own. Of 35
 spent nulls (every fifth of the sealed ones from 966 to 1391) the least was 0.04, of the six that raised an alarm 0.006."""
 
-PLACEBO_FACTOR = 1.5
-"""The effect must gain this many times what a placebo gains, each beside the other, in training, where that was searched, or held out,
-where nothing is."""
-
 ERROR_FREEDOM = 5.0
 """Degrees of freedom of the t distribution of an equation's error, in units of its scale: one in a hundred is four times as long."""
 
@@ -123,7 +120,7 @@ class Gate:
     held_out_deviations: float | None  # along the predicted change; None without held-out recordings
     held_out_gain: float | None  # fall of the held-out misfit
     followed: float | None  # chance of that gain
-    placebo_gain: float  # of the placebo that rivals it most, beside it
+    placebo_gain: float  # the largest of a placebo by itself
     share: float  # of what there is to explain before the first effect
     is_first: bool
     lost_form: str = ""  # what left its own equation, see form.py, or that an effect is surplus, see step.py
@@ -131,7 +128,7 @@ class Gate:
     held_out_beyond: float | None = None  # the same of the held-out gain
     predicted: float | None = None  # length of the held-out change beyond such errors, in standard deviations of the noise along it
     seen: float | None = None  # how far the held-out recordings go along it, in the same
-    beside_placebo: float | None = None  # of the gain, what is left beside that placebo; all of it by default
+    beside: Beside | None = None  # what a placebo and this gain beside each other
 
     @property
     def explained(self) -> tuple[float, float]:
@@ -198,8 +195,14 @@ class Gate:
 
     @property
     def _beats_placebo_in_training(self) -> bool:
-        own = self.gain if self.beside_placebo is None else self.beside_placebo
-        return own > PLACEBO_FACTOR * self.placebo_gain
+        """By itself, or where placebos look like it, by what is left beside them, which then must show by itself."""
+        return self.gain > PLACEBO_FACTOR * self.placebo_gain or self._stands_beside_placebos
+
+    @property
+    def _stands_beside_placebos(self) -> bool:
+        if self.beside is None:
+            return False
+        return self.beside.effect > max(PLACEBO_FACTOR * self.beside.placebo, self.scatter * self.needed)
 
     @property
     def _beats_placebo_held_out(self) -> bool:
@@ -230,11 +233,12 @@ class Gate:
         by_chance = f"one of all that was tried gains as much by chance with a probability of {self.chance:.2g}"
         if self.followed is not None:
             by_chance = f"one of all that was tried gains as much and is followed so by chance with a probability of {self.chance:.2g}"
-        backwards = f"the response run backwards in time that rivals it most gains {self.placebo_gain:.4g} beside it"
-        if self._beats_placebo_held_out and not self._beats_placebo_in_training:
+        backwards = f"the best response run backwards in time gains {self.placebo_gain:.4g}"
+        if not self.gain > PLACEBO_FACTOR * self.placebo_gain and self.beats_placebo:
             backwards += ", less than held-out recordings follow this one by"
-        elif self.beside_placebo is not None:
-            backwards += f", it {self.beside_placebo:.4g} beside that"
+            if self.beside is not None and self._stands_beside_placebos:
+                backwards = f"{backwards.partition(',')[0]}, as far as it looks like this one: fitted with such a one, "
+                backwards += f"this one gains {self.beside.effect:.4g} and that one {self.beside.placebo:.4g}"
         lines = [
             (self.significant, f"the sum of squares in units of noise falls by {self.gain:.4g}; {by_chance}"),
             (self.beats_placebo, backwards),

@@ -17,7 +17,7 @@ from hil.diagnosis.judging.form import lost_form
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, expected_by_chance, needed_gain
 from hil.diagnosis.judging.held_out import Followed, HeldOut
-from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
+from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos, Rivals
 from hil.diagnosis.judging.structure_left import StructureLeft
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.result import EffectAt
@@ -286,13 +286,13 @@ class Judgement:
         earlier : int
             Sets that the held-out recordings have been asked about before these, in the same step.
         """
-        found = []
+        found, rivals = [], cache(lambda one, placebos: placebos.at(one.tuning, self._measured - one.tuning.predicted))
         for fitted in fits:
             before = stand if set(stand.effects) <= set(fitted.effects) else self.nothing
             after = None if self._judge is None else self._judge.follow(fitted.offset, fitted.settings)
             form = lost_form(fitted, limits, self._measured - fitted.predicted)
             placebo = placebos[0 if before is stand else 1]
-            gate = replace(self._gate(before, fitted, after, tried, placebo, earlier + len(fits)), lost_form=form)
+            gate = replace(self._gate(before, fitted, after, tried, rivals(before, placebo), earlier + len(fits)), lost_form=form)
             left = 0.0 if self._judge is None else self._judge.misfit(after)
             found.append(
                 Contender(
@@ -351,11 +351,10 @@ class Judgement:
         by_chance = expected_by_chance(trials, beyond, freedom, variance, of_equations, known)
         return _Trained(gain, beyond, needed, scatter, level, by_chance, change)
 
-    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, placebos: Placebos, asked: int) -> Gate:
+    def _gate(self, before: Stand, fitted: Fitted, after: Followed | None, tried: Tried, rivals: Rivals, asked: int) -> Gate:
         entries = len(self._measured)
         trained = self._trained(before, fitted, tried)
         gain, scatter, level = trained.gain, trained.scatter, trained.level
-        placebo, beside_placebo = placebos.beside(trained.change, gain)
         over_simulator = gain / (level * SIMULATOR_ERROR * entries)
         deviations = fall = followed = there = None
         predicted = seen = None
@@ -380,8 +379,8 @@ class Judgement:
             followed=followed,
             predicted=predicted,
             seen=seen,
-            placebo_gain=placebo,
-            beside_placebo=beside_placebo,
+            placebo_gain=rivals.largest,
+            beside=rivals.beside(trained.change, gain),
             share=gain / max(self.nothing.cost - self._noise, gain, 1e-9),
             is_first=before.fitted is None,
         )

@@ -24,7 +24,7 @@ DIES_OUT = 9.0
 """Logarithm by which answers fall before they go around twice the record: to 10^-4."""
 
 REACH = 0.4
-"""Way of a pose, in rad over all axes that turn, along which one linear loop holds."""
+"""Way from a pose, in rad over all axes that turn, along which its linear loop stands for the machine's."""
 
 MOST_POSES = 6
 """At which the loop is linear. What a vibrating floor does to a C-arm's propeller while it turns by 1.6 rad has a cosine of 0.47 with what
@@ -81,8 +81,8 @@ class _AtOnePose:
 class _Loop:
     """Of one group along its motion: at every time a mixture of the loops at the poses that are near.
 
-    A loop answers to an effort within a few of its periods, in which a pose hardly changes: answers of each pose's loop to all of an effort
-    are mixed. IMUs turn with what carries them, so what the loop at the mean pose says of them holds nowhere else.
+    A loop that holds its joints answers to an effort within a few of its periods, in which a pose hardly changes: answers of each pose's
+    loop to all of an effort are mixed. IMUs turn with what carries them: what the loop at one pose says of them does not hold far from it.
 
     Attributes
     ----------
@@ -121,8 +121,7 @@ class ThroughTheLoop:
             rows, rate_Hz = len(group.time_s), found.noise.rate_Hz
             frequencies, growth = np.fft.rfftfreq(2 * rows, 1.0 / rate_Hz), DIES_OUT * rate_Hz / (2 * rows)
             grown = np.exp(growth * np.arange(rows) / rate_Hz)
-            turns = [not is_prismatic(axis, group.machine.plant) for axis in group.machine.axes]
-            poses, near = poses_along(group.position, np.array(turns))
+            poses, near = poses_along(group.position, self._turning(group.machine, group.position.mean(axis=0)))
             each = [
                 _AtOnePose(
                     np.ascontiguousarray(loop_response(group.machine, pose, found.channels, frequencies, self.tuning.values, growth).T),
@@ -133,6 +132,16 @@ class ThroughTheLoop:
             ]
             loops.append(_Loop(tuple(each), near))
         return tuple(loops)
+
+    def _turning(self, machine: Machine, mean: np.ndarray) -> np.ndarray:
+        """(axes,) of which axes the position tells loops apart: none where a joint that nothing holds would carry all of its past from pose
+        to pose, nor where one axis alone turns and no IMU with it.
+        """
+        joints = len(machine.plant.tree.joints)
+        standing = _standing(machine, mean, self.runs.sets[self.name].channels, self.tuning.values)[:, :joints]
+        if not np.all(np.any(standing, axis=0)) or (len(machine.axes) == 1 and not machine.plant.imus):
+            return np.zeros(len(machine.axes), dtype=bool)
+        return np.array([not is_prismatic(axis, machine.plant) for axis in machine.axes])
 
     def responses(self, efforts: Sequence[Sequence[tuple[int, np.ndarray]]]) -> np.ndarray:
         """(K, M) whitened, of K joints' numbers and their efforts (N,) per group."""
@@ -172,15 +181,15 @@ def poses_along(position: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np
     Returns
     -------
     poses : (P, axes) array
-        The mean where all of the motion is near it, else the pose farthest from it and then, one after another, those farthest from all
-        chosen ones, until none is farther than REACH or there are MOST_POSES.
+        The mean where all of the motion is within REACH of it, else the pose farthest from it and then, one after another, those farthest
+        from all chosen ones, until all of the motion is within REACH of one or there are MOST_POSES. A turn on is the same pose.
     near : (P, N) array
         Shares, at every time of sum 1: of a normal law over the distance, half the least distance between two poses wide.
     """
     mean = position.mean(axis=0)
 
     def away(pose: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.norm((position - pose)[:, turns], axis=1))
+        return np.asarray(np.linalg.norm(_within_a_turn((position - pose)[:, turns]), axis=1))
 
     if away(mean).max() <= REACH:
         return mean[None], np.ones((1, len(position)))
@@ -192,10 +201,14 @@ def poses_along(position: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np
             break
         poses.append(position[np.argmax(nearest)])
     found = np.array(poses)
-    between = np.linalg.norm((found[:, None] - found[None])[:, :, turns], axis=2)[np.triu_indices(len(found), 1)].min()
+    between = np.linalg.norm(_within_a_turn((found[:, None] - found[None])[:, :, turns]), axis=2)[np.triu_indices(len(found), 1)].min()
     exponents = -0.5 * (distances / (0.5 * between)) ** 2
     near = np.exp(exponents - exponents.max(axis=0))
     return found, near / near.sum(axis=0)
+
+
+def _within_a_turn(angles: np.ndarray) -> np.ndarray:
+    return (angles + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _standing(machine: Machine, pose: np.ndarray, channels: tuple[str, ...], values: np.ndarray) -> np.ndarray:
