@@ -131,6 +131,14 @@ def test_efforts_behind_a_record_have_its_products_with_their_responses(machine,
     assert products == pytest.approx(responses @ record, rel=1e-6, abs=1e-6 * np.linalg.norm(responses, axis=1).max())
 
 
+def test_a_rotor_that_nothing_holds_has_one_loop_however_far_it_turns(rotor):
+    """Its answers last as long as the record: poses may not be mixed under them."""
+    runs, tuning = rotor
+    assert np.ptp(runs.sets[TRAIN].groups[0].position) > 1.0
+    (loop,) = ThroughTheLoop(runs, TRAIN, tuning).loops
+    assert len(loop.poses) == 1
+
+
 def offered(arm, name: str, values: np.ndarray, at: str = "arm", load: float = 0.0) -> tuple[list[np.ndarray], float]:
     """Starts where this wave is missing in noise, and maybe a load, and the wave's own energy beyond what re-tuning imitates."""
     runs, tuning = arm

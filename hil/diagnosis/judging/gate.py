@@ -83,9 +83,11 @@ UNCONFIRMED_LEVEL = 1e-3
 recordings do not confirm with less than 0.003 in training; those stay 4.4 to 4.8 deviations behind what is predicted, and none agrees. A
 ripple of 11 deviations had 2e-4 (10642, spent), an inertia that varies with pose 1e-6 (1092, spent)."""
 
-UNCONFIRMED_ERRORS = 1e-4
 OWN_GAIN = 0.9
-"""The same beside effects that were found before, of what gains less than this share beyond errors of their equations. Beside strong first
+"""Share of a gain beside effects that were found before, above which what is beyond errors of their equations is an effect of its own."""
+
+UNCONFIRMED_ERRORS = 1e-4
+"""The same as UNCONFIRMED_LEVEL of what is less its own than that, or where no such errors are known. Beside strong first
 effects others take up what their equations err by, with 2e-4 in training and a quarter of the gain beyond (development 102; beside 103's
 it is half); two ripples and an inertia between axes beside a mode, 7 and 10 deviations long, have 3e-4 and 4 to 6e-4 and 99 in 100 of it
 beyond (3695, 3223, spent)."""
