@@ -214,8 +214,10 @@ def standing_states(kinds, dofs, states, q, drive):
 
 
 def static_efforts(kinds, dofs, others, parameters, q, load, drive):
-    """Efforts on every joint of a machine that stands at q."""
+    """Efforts on every joint of a machine that stands at q, before anything shakes it."""
     zero, applied, armature = np.zeros_like(q), np.zeros_like(q), np.zeros_like(q)
+    calm = parameters.copy()
+    calm[kinds == SHAKE, 0] = 0.0
     states = standing_states(kinds, dofs, np.zeros((len(kinds), STATES)), q, drive)
-    add_efforts(kinds, dofs, others, parameters, states, q, zero, zero, 0.0, 0.0, load, drive, applied, armature)
+    add_efforts(kinds, dofs, others, calm, states, q, zero, zero, 0.0, 0.0, load, drive, applied, armature)
     return applied
