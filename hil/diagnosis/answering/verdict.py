@@ -136,6 +136,9 @@ def _why_it_does_not_stand_alone(standing: Standing, effects: Sequence[EffectAt]
         return ", beside which training shows more than its equations may err by, but no effect for certain"
     if left > ALONE_LEFT:
         return f", which leaves {left:.0%} of what is above noise, if the noise is what repeats say"
+    left_for_certain = standing.best_misfit - standing.noise - certain_excess(standing.noise)
+    if len(effects) > 1 and left_for_certain > standing.gained:
+        return ", which leave more above noise than one of them gains: what they leave may be a law that takes this one's place"
     if not is_sure:
         catalogue, own = registry.effects(), {effect.effect for effect in effects}
         near = dict.fromkeys(name for effect in effects for name in catalogue[effect.effect].neighbours if name not in own)

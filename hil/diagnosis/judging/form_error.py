@@ -19,7 +19,7 @@ import scipy.linalg
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.error_functions import Function, can_err, error_functions
-from hil.diagnosis.judging.errors_of_laws import NUMBERS, WEIGHTS, is_a_whole_sign
+from hil.diagnosis.judging.errors_of_laws import ERRS_AS_A_LAW, NUMBERS, WEIGHTS, is_a_whole_sign
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.through_the_loop import ThroughTheLoop
 from hil.diagnosis.tuning.free_run import FreeRuns, Trial
@@ -120,13 +120,19 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         sizes, responses = [[group[k] for k in seen] for group in sizes], responses[seen]
         own = _mean_square(sizes, responses, whole - without)
         if own > 0.0:
-            share = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
+            share = _errs_by(effect) * own
             each = sum(float(np.sum(values**2)) for group in sizes for function in group for _, values in function)
-            rows.append(responses * np.sqrt(share * own / each))
+            rows.append(responses * np.sqrt(share / each))
             known.append(effect)
     if not known:
         return NO_ERROR
     return FormError(np.concatenate(rows) if rows else NO_ERROR.responses, tuple(known))
+
+
+def _errs_by(effect: EffectAt) -> float:
+    """Share of its effort's mean square by which an effect's equation errs."""
+    of_numbers = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
+    return ERRS_AS_A_LAW[effect.effect] * WEIGHTS.form_error if effect.effect in ERRS_AS_A_LAW else of_numbers
 
 
 def _responses(loop: ThroughTheLoop, functions: Sequence[Sequence[Function]]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,7 +12,15 @@ import numpy as np
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.turned import tuning_at
-from hil.diagnosis.judging.errors_of_laws import LEAST_ERROR, NUMBERS_ERROR, WEIGHTS, form_variance, numbers_of, whole_signs_of
+from hil.diagnosis.judging.errors_of_laws import (
+    LEAST_ERROR,
+    NUMBERS_ERROR,
+    WEIGHTS,
+    form_variance,
+    numbers_of,
+    share_of_numbers,
+    whole_signs_of,
+)
 from hil.diagnosis.judging.form import lost_form
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import SIMULATOR_ERROR, Gate, Scatter, chance_held_out, expected_by_chance, needed_gain
@@ -78,13 +86,14 @@ class Contender:
 
     @property
     def by_numbers(self) -> tuple[float, float]:
-        """Energies that those of its effects remove of which numbers alone are unknown, in training and held out."""
-        return _energies(steps_of(self.fitted.effects, self.gates, numbers_of(self.fitted)).values())
+        """Energies that those of its effects remove of which numbers alone are unknown, in training and held out, as far as these do not
+        err as laws do."""
+        return _energies(steps_of(self.fitted.effects, self.gates, numbers_of(self.fitted)), share_of_numbers)
 
     @property
     def by_signs(self) -> tuple[float, float]:
         """The same of its whole signs."""
-        return _energies(steps_of(self.fitted.effects, self.gates, whole_signs_of(self.fitted)).values())
+        return _energies(steps_of(self.fitted.effects, self.gates, whole_signs_of(self.fitted)))
 
 
 def are_added_to_the_same(one: Contender, other: Contender) -> bool:
@@ -157,8 +166,8 @@ class Stand:
         each = _each(self.effects, self.gates, energy_of)
         beyond = [(effect, energy) for effect, energy in each if effect not in errors.effects]
         known = numbers_of(self.fitted)
-        numbers = sum(energy for effect, energy in beyond if effect in known)
-        unknown = sum(energy for effect, energy in beyond if effect not in known)
+        numbers = sum(energy * share_of_numbers((effect,)) for effect, energy in beyond if effect in known)
+        unknown = sum(energy for _, energy in beyond) - numbers
         within = sum(energy for effect, energy in each if effect in errors.effects and effect not in known)
         return WEIGHTS.form_error * unknown + NUMBERS_ERROR * numbers + LEAST_ERROR * within
 
@@ -178,10 +187,12 @@ def steps_of(effects: Sequence[EffectAt], gates: Sequence[Gate], known: frozense
     return {frozenset(own): each[step] for step, own in added.items() if own <= known}
 
 
-def _energies(gates: Iterable[Gate]) -> tuple[float, float]:
+def _energies(
+    steps: dict[frozenset[EffectAt], Gate], share_of: Callable[[frozenset[EffectAt]], float] = lambda _: 1.0
+) -> tuple[float, float]:
     """In training and held out."""
-    gates = list(gates)
-    return sum(gate.gain for gate in gates), sum(gate.held_out_gain or 0.0 for gate in gates)
+    each = [(share_of(effects), gate) for effects, gate in steps.items()]
+    return sum(share * gate.gain for share, gate in each), sum(share * (gate.held_out_gain or 0.0) for share, gate in each)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ import scipy.stats
 
 from hil.diagnosis.fitting.information import Narrowed
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, Weights, numbers_err_by, temperature, temperature_of
+from hil.diagnosis.judging.errors_of_laws import WEIGHTS, Removing, Weights, likely_of, numbers_err_by, temperature, temperature_of
 from hil.diagnosis.ranking.compared import Compared
 from hil.diagnosis.ranking.exactness import Part, exactness, level_left
 from hil.diagnosis.residuals.excess import certain_excess
@@ -270,7 +270,8 @@ def _shares(
     unknown = -0.5 * left + for_the_unknown(best, entries, of_signs) - price
     shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
-    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, best.by_numbers, strict=True)]
+    blamed = [max(one.by_numbers for one in likely_of(*each, weights)) for each in _removing(hypotheses, base, entries, signs_err=False)]
+    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, blamed, strict=True)]
     parts[0] = parts[0]._replace(is_known=is_noise_known)
     share = exactness(parts, weights.exact, weights.form_error)
     return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]
@@ -284,14 +285,22 @@ def tempers_of(
     Sets are told apart where whole signs err by nothing. What the best of them leaves is no evidence of something without a name where they
     err as other numbers do (`signs_err`): of 1.3e11 that a lost sign removed 2.5e-8 were left, more than noise (sealed 9511, spent).
     """
+    train, held_out = (temperature_of(*each, weights) for each in _removing(hypotheses, base, entries, signs_err=signs_err))
+    return train, held_out
+
+
+def _removing(
+    hypotheses: Sequence[Weighed], base: Weighed, entries: tuple[float, float], *, signs_err: bool
+) -> list[tuple[list[Removing], float, float]]:
+    """What sets remove, misfit without effects and noise, of training and of held-out recordings."""
     found = []
     for part, noise in enumerate(entries):
         sets = [
             Removing((h.train, h.held_out)[part], h.by_numbers[part], h.of_the_file, 0.0 if signs_err else h.by_signs[part])
             for h in hypotheses
         ]
-        found.append(temperature_of(sets, (base.train, base.held_out)[part], noise + certain_excess(noise), weights))
-    return found[0], found[1]
+        found.append((sets, (base.train, base.held_out)[part], noise + certain_excess(noise)))
+    return found
 
 
 def own_tempers(

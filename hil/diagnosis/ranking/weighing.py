@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import are_of_the_file, numbers_of, whole_signs_of
+from hil.diagnosis.judging.errors_of_laws import are_of_the_file, numbers_of, share_of_numbers, whole_signs_of
 from hil.diagnosis.judging.gate import Gate, Scatter, needed_gain
 from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same, steps_of
@@ -88,7 +88,8 @@ def evidence_of(
             return own
         steps = {id(gate): gate for effect, gate in zip(c.fitted.effects, c.gates, strict=True) if effect in shared}.values()
         here, there = sum(gate.gain for gate in steps), sum(gate.held_out_gain or 0.0 for gate in steps)
-        return own[0] + _within(by_itself.gain, here), own[1] + _within(by_itself.held_out_gain or 0.0, there)
+        share = share_of_numbers(shared)
+        return own[0] + share * _within(by_itself.gain, here), own[1] + share * _within(by_itself.held_out_gain or 0.0, there)
 
     def weighing(c: Contender) -> Weighed:
         return Weighed(

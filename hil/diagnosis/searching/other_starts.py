@@ -1,8 +1,9 @@
-"""The closest fit's last effect from its other starts, where it leaves something for certain: the start that screening wanted may be in
+"""Fits' last effects from their other starts, where the closest leaves more than noise: the start that screening wanted may be in
 another valley.
 
 A hysteresis that ended with a travel of 0.12 mm left 5775 of 8238 in units of noise, and from a start that screening liked less it came to
-0.03 mm and left 4385 (10051, spent).
+0.03 mm and left 4385 (10051, spent). A stop gained 1701 from the start with a score of 1503, and 2793, where it is, from one of 1378; a
+cogging had come closest meanwhile (11578, spent).
 """
 
 from __future__ import annotations
@@ -13,15 +14,22 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.fitting.refit import POLISHED_GAIN, Fitted, polish, refit
-from hil.diagnosis.fitting.screening import screen
+from hil.diagnosis.fitting.screening import Screened, screen
 from hil.diagnosis.judging.judgement import Stand
 from hil.diagnosis.residuals.excess import certain_excess
+from hil.diagnosis.searching.pairs import Start
 from hil.diagnosis.starting.candidates import Candidate
 from hil.diagnosis.tuning.free_run import FreeRuns
 from hil.diagnosis.tuning.retune import Tuning
 
 MOST_STARTS = 4
 """Of those that screening liked next best, that are fitted."""
+
+LEFT = 0.5
+"""Of what may be left for noise, from which other starts are tried: looking costs time and no name."""
+
+OF_RIVALS, ALIKE = 1, 0.7
+"""So many of an effect that is not the closest, with at least this share of its best start's score."""
 
 NEARLY_AS_CLOSE = 0.5
 """Share of the closest fit's gain from which one from another start is worth polishing."""
@@ -30,7 +38,8 @@ NEARLY_AS_CLOSE = 0.5
 def with_other_starts(
     runs: FreeRuns, tuning: Tuning, stand: Stand, measured: np.ndarray, fits: Sequence[Fitted], found: Sequence[Candidate], noise: float
 ) -> list[Fitted]:
-    """The fits, the closest of which gives way to one of the same set from another start that leaves less.
+    """The fits, the closest of which, and those that gain nearly as much, give way to one of the same set from another start that leaves
+    less.
 
     Parameters
     ----------
@@ -38,7 +47,7 @@ def with_other_starts(
     tuning : Tuning
         Without effects.
     stand : Stand
-        What was found before, to which the last effect of the best fit was added.
+        What was found before, to which the last effect of the fits was added.
     measured : (M,) array
     fits : sequence of Fitted
     found : sequence of Candidate
@@ -47,19 +56,34 @@ def with_other_starts(
         Expected |residual|^2 of a perfect simulation.
     """
     best = min(fits, key=lambda fit: fit.cost)
-    candidate = next((one for one in found if best.effects == (*stand.effects, one.effect)), None)
-    if candidate is None or len(candidate.starts) < 2 or best.cost - noise <= certain_excess(noise):
+    if best.cost - noise <= LEFT * certain_excess(noise):
         return list(fits)
+    least = NEARLY_AS_CLOSE * (stand.cost - best.cost)
+    candidates = {(*stand.effects, one.effect): one for one in found}
+    starts: list[Start] = []
+    for fit in fits:
+        candidate = candidates.get(fit.effects)
+        if candidate is None or len(candidate.starts) < 2 or stand.cost - fit.cost < least:
+            continue
+        liked = _liked(runs, stand, measured, candidate)
+        most, least_score = (MOST_STARTS, 0.0) if fit is best else (OF_RIVALS, ALIKE * liked[0].score if liked else 0.0)
+        next_best = [one for one in liked[1 : 1 + most] if one.score > least_score]
+        starts += [((*fit.effects[:-1], one.effect), (*fit.values[:-1], one.values)) for one in next_best]
+    if not starts:
+        return list(fits)
+    more = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
+    own = {fit.effects: fit for fit in fits}
+    closest = {fit.effects: fit for fit in sorted(more, key=lambda fit: -fit.cost)}  # of each the one that leaves least
+    near = [fit for fit in closest.values() if fit.effects == best.effects or fit.cost < own[fit.effects].cost]
+    closer = {fit.effects: fit for fit in polish(runs, tuning, measured, near) if fit.cost < own[fit.effects].cost - POLISHED_GAIN}
+    return [closer.get(fit.effects, fit) for fit in fits]
+
+
+def _liked(runs: FreeRuns, stand: Stand, measured: np.ndarray, candidate: Candidate) -> list[Screened]:
+    """A candidate from each of its starts that may gain anything, the one that screening likes best first."""
     present = () if stand.fitted is None else stand.fitted.settings
     residual = measured - stand.tuning.predicted
     each = [
         one for start in candidate.starts for one in screen(runs, stand.tuning, [replace(candidate, starts=(start,))], residual, present)
     ]
-    each.sort(key=lambda one: -one.score)
-    next_best = [one for one in each[1 : 1 + MOST_STARTS] if one.score > 0.0]
-    starts = [((*best.effects[:-1], one.effect), (*best.values[:-1], one.values)) for one in next_best]
-    least = NEARLY_AS_CLOSE * (stand.cost - best.cost)
-    more = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
-    closest = polish(runs, tuning, measured, sorted(more, key=lambda fit: fit.cost)[:1])
-    closer = [fit for fit in closest if fit.cost < best.cost - POLISHED_GAIN]
-    return [*(fit for fit in fits if fit is not best or not closer), *closer]
+    return sorted((one for one in each if one.score > 0.0), key=lambda one: -one.score)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted, polish, refit
 from hil.diagnosis.fitting.screening import Screened, screen, shortlist
-from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, temperature, temperature_of, whole_signs_of
+from hil.diagnosis.judging.errors_of_laws import temperature
 from hil.diagnosis.judging.gate import Gate, needed_gain
 from hil.diagnosis.judging.judgement import Contender, Judgement, Stand
 from hil.diagnosis.judging.placebos import Placebos, placebos_of
@@ -31,6 +31,7 @@ from hil.diagnosis.searching.ways import (
     Way,
     closer_parts,
     competes,
+    in_order,
     not_told_apart_in_training,
     price_in_training,
     still_in,
@@ -428,23 +429,3 @@ def _pairs_worth_a_fit(
         and pair.added > needed_gain(tried.count, 1, base - pair.gain, entries)
     ]
     return [pair.start for pair in sorted(worth, key=lambda pair: -evidence(pair))[:PAIRED]]
-
-
-def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
-    """Fitted sets by their evidence on the training recordings, see naming.py."""
-    if not fits:
-        return []
-
-    def of(fit: Fitted, known: frozenset[EffectAt], before: float) -> float:
-        if set(fit.effects) <= known:
-            return base - fit.cost
-        return before if set(stand.effects) <= set(fit.effects) else 0.0
-
-    already = [sum(gate.gain for gate in stand.steps(known(stand.fitted))) for known in (numbers_of, whole_signs_of)]
-
-    def removing(fit: Fitted) -> Removing:
-        by_numbers, by_signs = (of(fit, known(fit), before) for known, before in zip((numbers_of, whole_signs_of), already, strict=True))
-        return Removing(fit.cost, by_numbers, are_of_the_file(fit), by_signs)
-
-    temper = temperature_of([removing(fit) for fit in fits], base, noise_energy)
-    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))

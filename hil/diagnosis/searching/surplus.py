@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import Removing, numbers_of, temperature, temperature_of, whole_signs_of
+from hil.diagnosis.judging.errors_of_laws import Removing, numbers_of, share_of_numbers, temperature, temperature_of, whole_signs_of
 from hil.diagnosis.judging.gate import needed_gain
 from hil.diagnosis.judging.judgement import Contender, Stand
 from hil.diagnosis.judging.tried import Tried
@@ -30,6 +30,7 @@ def _temper(single: Fitted, fit: Fitted, base: float, entries: int) -> float:
     """In which what a pair gains over one of its effects counts: by what that one's equation errs, and by what the pair leaves."""
     removed = base - single.cost
     by_numbers, by_signs = (removed if of(single) else 0.0 for of in (numbers_of, whole_signs_of))
+    by_numbers *= share_of_numbers(numbers_of(single))
     errs = temperature_of([Removing(single.cost, by_numbers, by_signs=by_signs)], base, single.cost)
     return errs + temperature(0.0, fit.cost - entries) - 1.0
 

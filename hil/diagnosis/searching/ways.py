@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
-from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, temperature_of
+from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, share_of_numbers, temperature_of, whole_signs_of
 from hil.diagnosis.judging.gate import Gate
 from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
 from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
@@ -224,3 +224,23 @@ def still_in(earlier: Sequence[Contender], larger: Sequence[Contender]) -> list[
         if is_rival_of(one, larger)
         and not any(set(one.fitted.effects) <= set(other.fitted.effects) for other in larger if other.passed or not one.passed)
     ]
+
+
+def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tried, stand: Stand) -> list[Fitted]:
+    """Fitted sets by their evidence on the training recordings, see naming.py."""
+    if not fits:
+        return []
+
+    def of(fit: Fitted, known: frozenset[EffectAt], before: float) -> float:
+        if set(fit.effects) <= known:
+            return base - fit.cost
+        return before if set(stand.effects) <= set(fit.effects) else 0.0
+
+    already = [sum(gate.gain for gate in stand.steps(known(stand.fitted))) for known in (numbers_of, whole_signs_of)]
+
+    def removing(fit: Fitted) -> Removing:
+        by_numbers, by_signs = (of(fit, known(fit), before) for known, before in zip((numbers_of, whole_signs_of), already, strict=True))
+        return Removing(fit.cost, by_numbers * share_of_numbers(numbers_of(fit)), are_of_the_file(fit), by_signs)
+
+    temper = temperature_of([removing(fit) for fit in fits], base, noise_energy)
+    return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))
