@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import calibrating, making, mutating, running, scoring, tables
+from concealed import calibrating, directions, making, mutating, running, scoring, tables
 from hil.diagnosis.judging.errors_of_laws import WEIGHTS
 from hil.worker_processes import end_with_the_parent
 
@@ -24,7 +24,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate", "tables"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate", "directions", "tables"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -60,6 +60,10 @@ def main(arguments: list[str]) -> int:
         answers = options.results / f"answers_{options.seeds}.jsonl"
         _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs, answers)
         print(calibrating.calibrate([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()], WEIGHTS))
+    if options.step == "directions":
+        path = options.results / f"directions_{options.seeds}.jsonl"
+        _append(path, numbers, partial(directions.directions_of, places), options.jobs)
+        print(directions.said_of([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]))
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results, numbers, partial=options.partial, judged_before=options.judged))
     return 0

@@ -10,7 +10,7 @@ from carriage import DAMPING, MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.answering.drift import DRIFTED, chance_of_drift
 from hil.diagnosis.fitting.refit import refit, sensitivities_to_effects
-from hil.diagnosis.judging.errors_of_laws import NUMBERS, erring
+from hil.diagnosis.judging.errors_of_laws import NUMBERS, erring, share_of_numbers
 from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
@@ -37,7 +37,7 @@ def drift(train, held_out, effects=(FRICTION,), starts=(10.0,), seen=1.0, nearer
         removed = float(np.sum((runs.measured() - tuning.predicted) ** 2)) - fitted.cost
         known = replace(fitted, jacobian=seen * fitted.jacobian)
         energies = removed, judged.misfit(nothing) - judged.misfit(friction)
-        by_numbers = 1.0 if effects[0].effect in NUMBERS else 0.0
+        by_numbers = share_of_numbers(effects) if effects[0].effect in NUMBERS else 0.0
         near = replace(fitted, values=tuple((1.0 - nearer) * own for own in fitted.values)) if nearer else None
         if near is None:
             near = replace(fitted, values=tuple(turned(own) for own in fitted.values))

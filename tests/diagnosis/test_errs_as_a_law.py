@@ -7,8 +7,8 @@ import pytest
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.errors_of_laws import Removing, share_of_numbers, temperature_of
-from hil.diagnosis.ranking.naming import Weighed, ranking
-from hil.diagnosis.ranking.weighing import Evidence
+from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking
+from hil.diagnosis.ranking.naming import weighed as weigh
 from hil.diagnosis.result import EffectAt
 
 ENTRIES, REMOVED = 17940.0, 993_000.0
@@ -34,8 +34,8 @@ def shares(known: EffectAt, more: float) -> tuple[float, float]:
 def test_what_a_viscous_friction_s_own_error_may_be_names_no_asymmetric_one():
     """5.5e-4 of its energy, at 16 % less friction at the highest speed (11202, spent): levels and slopes were equal both ways."""
     viscous, asymmetric = shares(VISCOUS, 5.5e-4 * REMOVED)
-    assert viscous > asymmetric
-    viscous, asymmetric = shares(VISCOUS, 0.05 * REMOVED)
+    assert viscous > 0.7 > 0.3 > asymmetric
+    viscous, asymmetric = shares(VISCOUS, 0.01 * REMOVED)
     assert asymmetric > 0.9 > 0.1 > viscous
 
 
@@ -44,8 +44,21 @@ def test_a_number_that_stands_for_no_law_errs_by_a_hundredth_of_that():
     assert asymmetric > 0.9 > 0.1 > constant
 
 
-@pytest.mark.parametrize(("known", "errs"), [((CONSTANT,), 1e-5), ((VISCOUS,), 1e-3), ((VISCOUS, CONSTANT), 1e-3)])
+@pytest.mark.parametrize(("known", "errs"), [((CONSTANT,), 1e-5), ((VISCOUS,), 2.08e-4), ((VISCOUS, CONSTANT), 2.08e-4)])
 def test_the_temper_beside_a_number_is_what_it_errs_by(known, errs):
     by_numbers = share_of_numbers(known) * REMOVED
     found = temperature_of([Removing(ENTRIES, by_numbers)], ENTRIES + REMOVED, ENTRIES)
     assert found - 1.0 == pytest.approx(errs * REMOVED, rel=0.03)
+
+
+def test_where_another_set_is_closest_in_one_motion_the_best_one_s_numbers_are_blamed_for_as_much_there():
+    """A gear's ratio leaves a little more held out than a lag, which leaves much more in training: its equation is exact all the same."""
+    base = Weighed(None, ENTRIES + 1e6, ENTRIES + 5e5)
+    ratio = Weighed(None, ENTRIES + 10.0, ENTRIES + 60.0, (1e6,), by_numbers=(999_990.0, 499_940.0), of_the_file=False)
+    lag = Weighed(None, ENTRIES + 300.0, ENTRIES + 20.0, (1e6,))
+
+    def share(*sets: Weighed) -> float:
+        ranked = weigh(sets, base, (ENTRIES, ENTRIES), 30)[0]
+        return next(h.share for h in ranked if h.misfit == ratio.misfit)
+
+    assert share(ratio, lag) > 0.95 * share(ratio)

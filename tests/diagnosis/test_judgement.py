@@ -12,8 +12,8 @@ import scipy.stats
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging import judgement as judging
-from hil.diagnosis.judging.errors_of_laws import form_variance
-from hil.diagnosis.judging.form_error import FormError
+from hil.diagnosis.judging.errors_of_laws import NUMBERS_ERROR, WEIGHTS, form_variance
+from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.judging.gate import HELD_OUT_FREEDOM, HELD_OUT_SCALE, TAIL_FREEDOM
 from hil.diagnosis.judging.held_out import Followed
 from hil.diagnosis.judging.judgement import Contender, Judgement
@@ -141,7 +141,17 @@ def test_of_a_number_of_the_machine_file_too_only_its_known_errors_are_taken_fro
 def test_a_number_of_the_machine_file_has_no_equation_of_its_own_that_errs_but_by_what_it_does_as_a_law():
     beside = judged((VISCOUS,), VISCOUS, LOAD, friction=60.0)
     assert beside.gate.passed
-    assert beside.by_numbers[0] == pytest.approx(0.9 * 3600.0)
+    assert beside.by_numbers[0] == pytest.approx(0.98 * 3600.0)
+
+
+def test_a_viscous_friction_s_error_as_a_law_is_not_counted_twice():
+    """What its error functions hold of it is not in the temper of sets beside it."""
+    judgement, fitted = bench(60.0, VISCOUS, errors=VISCOUS)
+    stand = judgement.after(judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), NEITHER, {})[0])
+    assert stand.known_energy[0] == pytest.approx(0.02 * 3600.0)
+    assert stand.erring(lambda gate: gate.gain, NO_ERROR) == pytest.approx(
+        WEIGHTS.form_error * 0.02 * 3600.0 + NUMBERS_ERROR * 0.98 * 3600.0
+    )
 
 
 def test_a_set_costs_the_logarithm_of_the_sets_there_were_to_choose_from():
@@ -277,7 +287,7 @@ def test_what_repeats_scatter_along_a_response_widens_what_chance_gains_in_both(
 def test_what_numbers_of_the_machine_file_remove_counts_in_both_motions():
     judgement, fitted = bench(found=VISCOUS, held_out=OtherMotion(viscous_friction=9.0))
     (found,) = judgement.contenders(judgement.nothing, [fitted(VISCOUS)], tried(), NEITHER, {})
-    assert found.by_numbers == pytest.approx((0.9 * 900.0, 0.9 * 81.0))
+    assert found.by_numbers == pytest.approx((0.98 * 900.0, 0.98 * 81.0))
 
 
 @pytest.mark.parametrize(("another", "form", "is_closer"), [(1.0, "", True), (-1.0, "", False), (1.0, "it hardly slides", False)])

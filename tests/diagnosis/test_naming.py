@@ -215,7 +215,7 @@ def test_a_parameter_that_the_recordings_do_not_see_costs_nothing():
 
 
 def test_what_a_number_of_the_machine_file_removes_tempers_nothing():
-    """A viscous friction a thousand times above noise, and with it a load that gains 200: the friction's equation is the machine's own."""
+    """A torque constant a thousand times above noise, and with it a load that gains 200: the constant's equation is the machine's own."""
 
     def share_of_both(by_numbers: float) -> float:
         one = Weighed(None, ENTRIES + 200.0, 0.0, (1e6,), by_numbers=(by_numbers, 0.0))

@@ -78,13 +78,15 @@ def test_where_nothing_is_left_or_nothing_is_closer_fits_stay(monkeypatch):
 def test_what_gains_nearly_as_much_is_asked_from_its_next_best_start(monkeypatch):
     """A stop stood in another valley, and a cogging was the closest meanwhile (11578, spent)."""
     closest, rival = fitted(6000.0, (FRICTION, np.array([2.0]))), fitted(6500.0, (HYSTERESIS, STARTS[-1]))
-    near = (STARTS[0], 0.8 * STARTS[-1], STARTS[-1])
+    near = (STARTS[0], 0.75 * STARTS[-1], 0.8 * STARTS[-1], STARTS[-1])
     begun, found = asked(monkeypatch, [closest, rival], starts=near)
     assert [values[-1][2] for _, values in begun] == pytest.approx([0.8 * 8e-3])
     assert [fit.cost for fit in found] == pytest.approx([6000.0, 6500.0])  # that start leads nowhere better
+    few = [fitted(NOISE + left, (FRICTION, np.array([2.0]))) for left in (200.0, 400.0)]  # 297 is half of what nobody tells from noise
+    assert [len(asked(monkeypatch, [one, rival], starts=near)[0]) for one in few] == [0, 1]
     begun, found = asked(monkeypatch, [closest, fitted(11500.0, (HYSTERESIS, STARTS[-1]))], starts=near)
     assert begun == []  # far behind
-    begun, found = asked(monkeypatch, [closest, rival], starts=(STARTS[-2], 0.5 * STARTS[-2], STARTS[-1]))
+    begun, found = asked(monkeypatch, [closest, rival], starts=(0.68 * STARTS[-1], STARTS[-1]))
     assert begun == []  # screening likes the others far less
 
 

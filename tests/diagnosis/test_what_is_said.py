@@ -251,7 +251,7 @@ def test_a_last_effect_does_not_stand_alone_where_it_moves_the_recordings_by_so_
 def test_two_effects_do_not_stand_alone_where_they_leave_more_than_one_of_them_gains():
     """A clipped current left 13 000 of nine million, of which a load at the other axis took 1450 (11761, spent)."""
     left = {"share": 0.92, "gained": 0.4 * NOISE, "retuned_misfit": 1e3 * NOISE}
-    assert said_of(THREE[:2], best_misfit=1.4 * NOISE, **left)[0] == "explained"  # noise may be 8 % of it
+    assert said_of(THREE[:2], best_misfit=1.45 * NOISE, **left)[0] == "explained"  # noise may be 8 % of it
     verdict, reason = said_of(THREE[:2], best_misfit=1.6 * NOISE, **left)
     assert verdict == "ambiguous" and "leave more above noise than one of them gains" in reason
     assert said_of(THREE[:1], best_misfit=1.6 * NOISE, **left)[0] == "explained"

@@ -34,7 +34,7 @@ def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> N
         rich = plan(machine, replace(case.training, kind="mixed"))
     if case.condition == "uncovered":
         rich = shop.held_out
-    chosen = _strengths(shop, rich)
+    chosen = strengths(shop, rich)
     setup = shop.setup(chosen)
     repeats = [shop.recorded(setup, shop.training, repeat) for repeat in range(case.repeats)]
     held_out = shop.recorded(setup, shop.held_out, case.repeats)
@@ -47,7 +47,7 @@ def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> N
 # ---- strengths --------------------------------------------------------------------------------------
 
 
-def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
+def strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     """Each effect's strength, found alone: as many detection limits as the case says."""
     if not shop.case.hidden:
         return ()

@@ -81,7 +81,7 @@ Efforts = list[np.ndarray]
 def can_err(effect: EffectAt) -> bool:
     """Whether it is known which functions an effect's equation may err by."""
     name, kind = effect.effect, effects()[effect.effect].kind
-    if name in EXACT and name not in NUMBERS:  # of `NUMBERS` the machine's own equations err, see `NUMBER_ERRS`
+    if name in EXACT and name not in NUMBERS:  # of `NUMBERS` those err that stand for a law, see `ERRS_AS_A_LAW`
         return False
     if _is_friction(name) or kind in (ELASTIC, COUPLING, DELAY, LAG, LIMIT, CALIBRATION, CLOCK):
         return True

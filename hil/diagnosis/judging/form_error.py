@@ -19,17 +19,13 @@ import scipy.linalg
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.error_functions import Function, can_err, error_functions
-from hil.diagnosis.judging.errors_of_laws import ERRS_AS_A_LAW, NUMBERS, WEIGHTS, is_a_whole_sign
+from hil.diagnosis.judging.errors_of_laws import ERRS_AS_A_LAW, WEIGHTS, is_a_whole_sign
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.through_the_loop import ThroughTheLoop
 from hil.diagnosis.tuning.free_run import FreeRuns, Trial
 from hil.diagnosis.tuning.retune import Tuning
 from virtual_bus.effects.effect import SIGN
 from virtual_bus.effects.registry import effects
-
-NUMBER_ERRS = 1e-4
-"""Share of its effort's mean square by which a number of the machine file may err as another law of what it depends on, 1 % of its size:
-beside a viscous friction, another friction of that size says nothing."""
 
 RIDGE = 1e-6
 """Share of its energy by which a function's response must differ from the others' to be told from them."""
@@ -87,7 +83,7 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
     """Of fitted effects in the groups of one set.
 
     Beforehand every function is as large as every other, and all together have the mean square that is WEIGHTS.form_error of the effect's
-    own effort's. That is what of the functions makes up the effect's own response.
+    own effort's, of a number that stands for a law ERRS_AS_A_LAW of that. That is what of the functions makes up the effect's own response.
 
     Parameters
     ----------
@@ -120,19 +116,13 @@ def form_error(runs: FreeRuns, name: str, tuning: Tuning, fitted: Fitted) -> For
         sizes, responses = [[group[k] for k in seen] for group in sizes], responses[seen]
         own = _mean_square(sizes, responses, whole - without)
         if own > 0.0:
-            share = _errs_by(effect) * own
+            share = WEIGHTS.form_error * ERRS_AS_A_LAW.get(effect.effect, 1.0)
             each = sum(float(np.sum(values**2)) for group in sizes for function in group for _, values in function)
-            rows.append(responses * np.sqrt(share / each))
+            rows.append(responses * np.sqrt(share * own / each))
             known.append(effect)
     if not known:
         return NO_ERROR
     return FormError(np.concatenate(rows) if rows else NO_ERROR.responses, tuple(known))
-
-
-def _errs_by(effect: EffectAt) -> float:
-    """Share of its effort's mean square by which an effect's equation errs."""
-    of_numbers = NUMBER_ERRS if effect.effect in NUMBERS else WEIGHTS.form_error
-    return ERRS_AS_A_LAW[effect.effect] * WEIGHTS.form_error if effect.effect in ERRS_AS_A_LAW else of_numbers
 
 
 def _responses(loop: ThroughTheLoop, functions: Sequence[Sequence[Function]]) -> np.ndarray:

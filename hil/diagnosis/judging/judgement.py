@@ -150,11 +150,15 @@ class Stand:
 
     @property
     def known_energy(self) -> tuple[float, float]:
-        """Energies that effects removed in training and held out of which it is known how they err, and more than numbers is unknown."""
-        by_numbers = numbers_of(self.fitted)
+        """Energies that effects removed in training and held out of which it is known how they err, as far as they err as laws do."""
+        numbers = numbers_of(self.fitted)
+
+        def as_law(effect: EffectAt, energy: float) -> float:
+            return energy * (1.0 - share_of_numbers((effect,))) if effect in numbers else energy
+
         each = [(self.errors, lambda gate: gate.gain), (self.held_out_errors, lambda gate: gate.held_out_gain or 0.0)]
         here, there = (
-            sum(energy for effect, energy in _each(self.effects, self.gates, of) if effect in errors.effects and effect not in by_numbers)
+            sum(as_law(effect, energy) for effect, energy in _each(self.effects, self.gates, of) if effect in errors.effects)
             for errors, of in each
         )
         return here, there

@@ -25,7 +25,7 @@ class Part(NamedTuple):
     left: float  # |residual|^2 beside the best set
     before: float  # without effects
     noise: float  # expected of a perfect simulation; 0 where there are no recordings
-    by_numbers: float = 0.0  # energy that effects removed of which numbers alone are unknown
+    by_numbers: float = 0.0  # energy removed by numbers alone, in the best set or one of the file's numbers that is not told from it
     by_signs: float = 0.0  # so much of it whole signs, which err by nothing
     is_known: bool = True  # the noise, by repeats: where it is taken to be what the closest set leaves, that set leaves it whatever errs
 

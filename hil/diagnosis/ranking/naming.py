@@ -85,7 +85,7 @@ class Weighed:
     searched: float = 0.0  # logarithm of the number of shapes that were searched for its effects
     passed: bool = True  # the gate
     share: float = 0.0  # of what has a name, before any cap: what `explained` rests on
-    by_numbers: tuple[float, float] = (0.0, 0.0)  # energy that those of its effects remove which are EXACT, in training and held out
+    by_numbers: tuple[float, float] = (0.0, 0.0)  # as in `Removing`, in training and held out
     by_signs: tuple[float, float] = (0.0, 0.0)  # so much of it those that are whole signs, which err by nothing
     of_the_file: bool = True  # whether these are all numbers of the machine file
     rarity: float = 0.0  # see rarity.py
@@ -270,8 +270,10 @@ def _shares(
     unknown = -0.5 * left + for_the_unknown(best, entries, of_signs) - price
     shares = _normalised([*evidence, unknown])[:-1]
     *exact, nothing = in_units_of_what_is_left([*hypotheses, base], entries)
-    blamed = [max(one.by_numbers for one in likely_of(*each, weights)) for each in _removing(hypotheses, base, entries, signs_err=False)]
-    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, blamed, strict=True)]
+    removing = _removing(hypotheses, base, entries, signs_err=False)
+    likely = [[one.by_numbers for one in likely_of(*each, weights) if one.of_the_file] for each in removing]
+    by_numbers = [max([own, *others]) for own, others in zip(best.by_numbers, likely, strict=True)]
+    parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, by_numbers, strict=True)]
     parts[0] = parts[0]._replace(is_known=is_noise_known)
     share = exactness(parts, weights.exact, weights.form_error)
     return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]

@@ -26,13 +26,13 @@ MOST_STARTS = 4
 """Of those that screening liked next best, that are fitted."""
 
 LEFT = 0.5
-"""Of what may be left for noise, from which other starts are tried: looking costs time and no name."""
+"""Of what may be left for noise, from which other starts are tried."""
 
-OF_RIVALS, ALIKE = 1, 0.7
+OF_RIVALS, AS_LIKED = 1, 0.7
 """So many of an effect that is not the closest, with at least this share of its best start's score."""
 
 NEARLY_AS_CLOSE = 0.5
-"""Share of the closest fit's gain from which one from another start is worth polishing."""
+"""Share of the closest fit's gain from which another set is a rival, and a fit from another start worth polishing."""
 
 
 def with_other_starts(
@@ -60,21 +60,22 @@ def with_other_starts(
         return list(fits)
     least = NEARLY_AS_CLOSE * (stand.cost - best.cost)
     candidates = {(*stand.effects, one.effect): one for one in found}
-    starts: list[Start] = []
+    more: list[Fitted] = []
     for fit in fits:
         candidate = candidates.get(fit.effects)
         if candidate is None or len(candidate.starts) < 2 or stand.cost - fit.cost < least:
             continue
         liked = _liked(runs, stand, measured, candidate)
-        most, least_score = (MOST_STARTS, 0.0) if fit is best else (OF_RIVALS, ALIKE * liked[0].score if liked else 0.0)
+        most, least_score = (MOST_STARTS, 0.0) if fit is best else (OF_RIVALS, AS_LIKED * liked[0].score if liked else 0.0)
         next_best = [one for one in liked[1 : 1 + most] if one.score > least_score]
-        starts += [((*fit.effects[:-1], one.effect), (*fit.values[:-1], one.values)) for one in next_best]
-    if not starts:
-        return list(fits)
-    more = [fit for fit in refit(runs, stand.tuning, measured, starts) if fit is not None and stand.cost - fit.cost > least]
+        starts: list[Start] = [((*fit.effects[:-1], one.effect), (*fit.values[:-1], one.values)) for one in next_best]
+        if starts:  # each set by itself: starts of several would be given up where one of another set gains more
+            more += [one for one in refit(runs, stand.tuning, measured, starts) if one is not None and stand.cost - one.cost > least]
     own = {fit.effects: fit for fit in fits}
     closest = {fit.effects: fit for fit in sorted(more, key=lambda fit: -fit.cost)}  # of each the one that leaves least
-    near = [fit for fit in closest.values() if fit.effects == best.effects or fit.cost < own[fit.effects].cost]
+    near = [fit for fit in closest.values() if fit.effects == best.effects or fit.cost < own[fit.effects].cost]  # polishing costs time
+    if not near:
+        return list(fits)
     closer = {fit.effects: fit for fit in polish(runs, tuning, measured, near) if fit.cost < own[fit.effects].cost - POLISHED_GAIN}
     return [closer.get(fit.effects, fit) for fit in fits]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.fitting.screening import UNLIKE, Screened, squared_cosine
 from hil.diagnosis.judging.errors_of_laws import Removing, are_of_the_file, numbers_of, share_of_numbers, temperature_of, whole_signs_of
 from hil.diagnosis.judging.gate import Gate
-from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same
+from hil.diagnosis.judging.judgement import Contender, Stand, are_added_to_the_same, steps_of
 from hil.diagnosis.judging.placebos import NO_PLACEBOS, Placebos
 from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import PLAUSIBLE, Weighed
@@ -231,16 +231,25 @@ def in_order(fits: Sequence[Fitted], base: float, noise_energy: float, tried: Tr
     if not fits:
         return []
 
-    def of(fit: Fitted, known: frozenset[EffectAt], before: float) -> float:
-        if set(fit.effects) <= known:
-            return base - fit.cost
-        return before if set(stand.effects) <= set(fit.effects) else 0.0
-
-    already = [sum(gate.gain for gate in stand.steps(known(stand.fitted))) for known in (numbers_of, whole_signs_of)]
-
     def removing(fit: Fitted) -> Removing:
-        by_numbers, by_signs = (of(fit, known(fit), before) for known, before in zip((numbers_of, whole_signs_of), already, strict=True))
-        return Removing(fit.cost, by_numbers * share_of_numbers(numbers_of(fit)), are_of_the_file(fit), by_signs)
+        by_numbers = _by_numbers(fit, base, stand, numbers_of, share_of_numbers)
+        return Removing(fit.cost, by_numbers, are_of_the_file(fit), _by_numbers(fit, base, stand, whole_signs_of, lambda _: 1.0))
 
     temper = temperature_of([removing(fit) for fit in fits], base, noise_energy)
     return sorted(fits, key=lambda fit: 0.5 * fit.cost / temper + price_in_training(fit, temper, tried.searched_for(fit)))
+
+
+def _by_numbers(
+    fit: Fitted,
+    base: float,
+    stand: Stand,
+    numbers_in: Callable[[Fitted | None], frozenset[EffectAt]],
+    share_of: Callable[[Collection[EffectAt]], float],
+) -> float:
+    """Energy that a set's numbers remove: those found before what they did, and what was added the rest, where that is numbers too."""
+    effects, own = frozenset(fit.effects), numbers_in(fit)
+    if not set(stand.effects) <= effects:
+        return share_of(effects) * (base - fit.cost) if effects <= own else 0.0
+    found = steps_of(stand.effects, stand.gates, numbers_in(stand.fitted))
+    before = sum(share_of(step) * gate.gain for step, gate in found.items())
+    return before + share_of(effects - set(stand.effects)) * (stand.cost - fit.cost) if effects <= own else before
