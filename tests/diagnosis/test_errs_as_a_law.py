@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.judging.errors_of_laws import Removing, share_of_numbers, temperature_of
+from hil.diagnosis.judging.tried import Tried
 from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking
 from hil.diagnosis.ranking.naming import weighed as weigh
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching.ways import in_order
+from hil.diagnosis.starting.candidates import Candidate
 
 ENTRIES, REMOVED = 17940.0, 993_000.0
 VISCOUS, CONSTANT = EffectAt("viscous_friction", "cart"), EffectAt("torque_constant", "cart")
@@ -62,3 +67,22 @@ def test_where_another_set_is_closest_in_one_motion_the_best_one_s_numbers_are_b
         return next(h.share for h in ranked if h.misfit == ratio.misfit)
 
     assert share(ratio, lag) > 0.95 * share(ratio)
+
+
+def test_what_another_number_removed_before_errs_no_more_for_a_viscous_friction_beside_it():
+    """A torque constant removed a billion; beside it a viscous friction of a million with seven searched numbers more leaves a million less
+    than a load. A hundred thousandth of the billion may err, not a ten thousandth.
+    """
+    noise, before = ENTRIES, 1e9
+    free = {"tuned": np.zeros(0), "predicted": np.zeros(1)}
+
+    def fitted(cost: float, parameters: int, *effects: EffectAt) -> Fitted:
+        values = (np.ones(1),) * (len(effects) - 1) + (np.ones(parameters),)
+        return Fitted(effects, values, free["tuned"], free["predicted"], cost, (), np.zeros((1, 0)), np.full(parameters, 1e8))
+
+    gate = SimpleNamespace(gain=before)
+    stand = SimpleNamespace(effects=(CONSTANT,), gates=(gate,), fitted=fitted(noise + 1e6, 1, CONSTANT), cost=noise + 1e6)
+    load = fitted(noise + 1e6 - 1.0, 1, CONSTANT, EffectAt("constant_load", "cart"))
+    close = fitted(noise, 8, CONSTANT, VISCOUS)
+    tried = Tried([Candidate(effect, ()) for effect in (CONSTANT, VISCOUS, load.effects[1])])
+    assert in_order([load, close], before + noise + 1e6, noise, tried, stand)[0] is close
