@@ -6,7 +6,7 @@
     python benchmarks/concealed all   --seeds sealed --jobs 2
     python benchmarks/concealed mutate --seeds development --cases 1,12
     python benchmarks/concealed calibrate --seeds development --cases 0-149
-    python benchmarks/concealed directions --seeds sealed --cases 11151-11270
+    python benchmarks/concealed directions --seeds sealed --strata single,pair --cases 11152-11217
     python benchmarks/concealed tables --scores benchmarks/results/concealed/scores_sealed_4a7f462.json
 
 Every step goes on where it was stopped. A case's folder holds recordings and the nominal machine file; truths lie apart and are opened by
