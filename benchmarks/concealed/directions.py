@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from concealed.making import Places, case_of, machines
-from concealed.truth.build import strengths
-from concealed.truth.oracle import NOTHING, NoiseUnits, coefficients
+from concealed.truth.build import hidden_in
+from concealed.truth.oracle import NoiseUnits, coefficients
 from concealed.truth.workshop import Workshop
 
 DRAWN_ANEW = range(1000, 1040)
@@ -27,7 +27,7 @@ def directions_of(places: Places, number: int) -> dict[str, Any]:
     case = case_of(places, number)
     machine = machines(places.models)[case.machine]
     shop = Workshop(case, machine)
-    chosen, drive = strengths(shop, shop.training), shop.training
+    chosen, drive = hidden_in(shop), shop.training
     setup = shop.setup(chosen)
     clean = shop.matrix(setup, drive)
     row: dict[str, Any] = {"number": number, "machine": case.machine, "colour": case.colour, "directions": []}
@@ -43,7 +43,7 @@ def directions_of(places: Places, number: int) -> dict[str, Any]:
         effect = units(clean - without)
         effect = effect - np.column_stack(numbers) @ coefficients(effect, numbers)
         distance = float(np.linalg.norm(effect))
-        if distance < max(LEAST, NOTHING):
+        if distance < LEAST:
             continue
         along = [float(effect @ units(noise)) / distance / np.sqrt(case.repeats) for noise in anew]
         row["directions"].append({"kind": one.hidden.kind.name, "distance": round(distance, 2), "scatter": round(float(np.std(along)), 3)})

@@ -6,15 +6,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from carriage import MACHINE, repeats
 
 from hil.diagnosis.fitting.refit import Fitted
-from hil.diagnosis.judging.errors_of_laws import Removing, share_of_numbers, temperature_of
+from hil.diagnosis.judging.errors_of_laws import ERRS_AS_A_LAW, Removing, share_of_numbers, temperature_of
+from hil.diagnosis.judging.form_error import form_error
 from hil.diagnosis.judging.tried import Tried
+from hil.diagnosis.ranking import naming
 from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking
-from hil.diagnosis.ranking.naming import weighed as weigh
+from hil.diagnosis.recorded.align import aligned
+from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching.ways import in_order
-from hil.diagnosis.starting.candidates import Candidate
+from hil.diagnosis.starting.candidates import Candidate, setting_of
+from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
+from hil.diagnosis.tuning.retune import retune
 
 ENTRIES, REMOVED = 17940.0, 993_000.0
 VISCOUS, CONSTANT = EffectAt("viscous_friction", "cart"), EffectAt("torque_constant", "cart")
@@ -56,17 +62,20 @@ def test_the_temper_beside_a_number_is_what_it_errs_by(known, errs):
     assert found - 1.0 == pytest.approx(errs * REMOVED, rel=0.03)
 
 
-def test_where_another_set_is_closest_in_one_motion_the_best_one_s_numbers_are_blamed_for_as_much_there():
+def test_where_another_set_is_closest_in_one_motion_the_best_one_s_numbers_count_for_exactness_there(monkeypatch):
     """A gear's ratio leaves a little more held out than a lag, which leaves much more in training: its equation is exact all the same."""
+    seen: list[tuple[float, ...]] = []
+
+    def exactness(parts, *weights):
+        seen.append(tuple(part.by_numbers for part in parts))
+        return 0.5
+
+    monkeypatch.setattr(naming, "exactness", exactness)
     base = Weighed(None, ENTRIES + 1e6, ENTRIES + 5e5)
     ratio = Weighed(None, ENTRIES + 10.0, ENTRIES + 60.0, (1e6,), by_numbers=(999_990.0, 499_940.0), of_the_file=False)
     lag = Weighed(None, ENTRIES + 300.0, ENTRIES + 20.0, (1e6,))
-
-    def share(*sets: Weighed) -> float:
-        ranked = weigh(sets, base, (ENTRIES, ENTRIES), 30)[0]
-        return next(h.share for h in ranked if h.misfit == ratio.misfit)
-
-    assert share(ratio, lag) > 0.95 * share(ratio)
+    naming.weighed([ratio, lag], base, (ENTRIES, ENTRIES), 30)
+    assert seen == [(999_990.0, 499_940.0)]
 
 
 def test_what_another_number_removed_before_errs_no_more_for_a_viscous_friction_beside_it():
@@ -74,11 +83,10 @@ def test_what_another_number_removed_before_errs_no_more_for_a_viscous_friction_
     than a load. A hundred thousandth of the billion may err, not a ten thousandth.
     """
     noise, before = ENTRIES, 1e9
-    free = {"tuned": np.zeros(0), "predicted": np.zeros(1)}
 
     def fitted(cost: float, parameters: int, *effects: EffectAt) -> Fitted:
         values = (np.ones(1),) * (len(effects) - 1) + (np.ones(parameters),)
-        return Fitted(effects, values, free["tuned"], free["predicted"], cost, (), np.zeros((1, 0)), np.full(parameters, 1e8))
+        return Fitted(effects, values, np.zeros(0), np.zeros(1), cost, (), np.zeros((1, 0)), np.full(parameters, 1e8))
 
     gate = SimpleNamespace(gain=before)
     stand = SimpleNamespace(effects=(CONSTANT,), gates=(gate,), fitted=fitted(noise + 1e6, 1, CONSTANT), cost=noise + 1e6)
@@ -86,3 +94,17 @@ def test_what_another_number_removed_before_errs_no_more_for_a_viscous_friction_
     close = fitted(noise, 8, CONSTANT, VISCOUS)
     tried = Tried([Candidate(effect, ()) for effect in (CONSTANT, VISCOUS, load.effects[1])])
     assert in_order([load, close], before + noise + 1e6, noise, tried, stand)[0] is close
+
+
+def test_a_viscous_friction_s_error_functions_have_a_fiftieth_of_the_energy_of_another_law_s(monkeypatch):
+    found = mismatch(MACHINE, aligned(MACHINE, repeats(3, duration_s=2.0)))
+    with FreeRuns({TRAIN: found}, found.noise) as runs:
+        tuning = retune(runs)
+        effect, values = EffectAt("viscous_friction", MACHINE.axes[0]), np.array([20.0])
+        predicted = runs.run_one(Trial(tuning.values, (setting_of(effect, values),)))
+        one = Fitted((effect,), (values,), tuning.offset, predicted, 0.0, (), np.zeros((len(predicted), 0)), np.zeros(0))
+        own = form_error(runs, TRAIN, tuning, one).responses
+        monkeypatch.setitem(ERRS_AS_A_LAW, effect.effect, 1.0)
+        another_law_s = form_error(runs, TRAIN, tuning, one).responses
+    assert len(own) > 5
+    assert np.sum(own**2) == pytest.approx(0.02 * np.sum(another_law_s**2))

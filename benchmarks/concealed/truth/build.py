@@ -24,17 +24,9 @@ SEARCH_STEPS = 4
 
 
 def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> None:
-    """Write the case's recordings and machine file to `folder` and its truth to `truth_path`.
-
-    Strengths come from the detection limit under the case's own experiment; a case with too little excitation takes it from a rich one.
-    """
+    """Write the case's recordings and machine file to `folder` and its truth to `truth_path`."""
     shop = Workshop(case, machine)
-    rich = shop.training
-    if case.condition == "little":
-        rich = plan(machine, replace(case.training, kind="mixed"))
-    if case.condition == "uncovered":
-        rich = shop.held_out
-    chosen = strengths(shop, rich)
+    chosen = hidden_in(shop)
     setup = shop.setup(chosen)
     repeats = [shop.recorded(setup, shop.training, repeat) for repeat in range(case.repeats)]
     held_out = shop.recorded(setup, shop.held_out, case.repeats)
@@ -47,7 +39,20 @@ def make_case(case: Case, machine: Machine, folder: Path, truth_path: Path) -> N
 # ---- strengths --------------------------------------------------------------------------------------
 
 
-def strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
+def hidden_in(shop: Workshop) -> tuple[Chosen, ...]:
+    """What a case hides, as strong as it is.
+
+    Strengths come from the detection limit under the case's own experiment; a case with too little excitation takes it from a rich one.
+    """
+    rich, case = shop.training, shop.case
+    if case.condition == "little":
+        rich = plan(shop.machine, replace(case.training, kind="mixed"))
+    if case.condition == "uncovered":
+        rich = shop.held_out
+    return _strengths(shop, rich)
+
+
+def _strengths(shop: Workshop, drive: Drive) -> tuple[Chosen, ...]:
     """Each effect's strength, found alone: as many detection limits as the case says."""
     if not shop.case.hidden:
         return ()
