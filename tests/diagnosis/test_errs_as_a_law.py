@@ -17,6 +17,7 @@ from hil.diagnosis.ranking.naming import Evidence, Weighed, ranking
 from hil.diagnosis.recorded.align import aligned
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt
+from hil.diagnosis.searching.surplus import needs_all
 from hil.diagnosis.searching.ways import in_order
 from hil.diagnosis.starting.candidates import Candidate, setting_of
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
@@ -94,6 +95,21 @@ def test_what_another_number_removed_before_errs_no_more_for_a_viscous_friction_
     close = fitted(noise, 8, CONSTANT, VISCOUS)
     tried = Tried([Candidate(effect, ()) for effect in (CONSTANT, VISCOUS, load.effects[1])])
     assert in_order([load, close], before + noise + 1e6, noise, tried, stand)[0] is close
+
+
+@pytest.mark.parametrize(("known", "needed"), [(VISCOUS, True), (CONSTANT, False)])
+def test_a_pair_must_gain_more_over_a_viscous_friction_than_over_another_number(known, needed):
+    """2000 beside one that removed a million: ten times what chance and 1e-5 of that allow, half of what a law's error does."""
+    mode = EffectAt("structural_mode", "cart")
+
+    def fitted(cost: float, *effects: EffectAt) -> Fitted:
+        nothing = np.zeros(1), np.zeros(0), cost, tuple((k, 0) for k in range(len(effects))), np.zeros((0, 0)), np.zeros(0)
+        return Fitted(effects, (np.ones(1),) * len(effects), *nothing)
+
+    single, pair = fitted(ENTRIES + 2000.0, known), fitted(ENTRIES, known, mode)
+    tried = Tried([Candidate(effect, ()) for effect in (known, mode)])
+    stand = SimpleNamespace(effects=())
+    assert needs_all(pair, stand, [single], ENTRIES + 1e6, tried, int(ENTRIES)) is not needed
 
 
 def test_a_viscous_friction_s_error_functions_have_a_fiftieth_of_the_energy_of_another_law_s(monkeypatch):

@@ -159,6 +159,13 @@ def test_what_a_number_removes_by_itself_counts_where_it_came_in_one_step_with_a
     assert weighed_together(*((gates, effects) for effects, gates in sets[:3]))[1].by_numbers == (0.0, 0.0)
 
 
+def test_a_number_that_stands_for_a_law_counts_without_its_share_however_it_came():
+    viscous, ripple = EffectAt("viscous_friction", "carriage"), EffectAt("cogging", "carriage")
+    alone, at_once = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)), gate(1060.0, 1060.0, 10.0, held_out=(310.0, 305.0))
+    for set_ in weighed_together(((alone,), (viscous,)), ((at_once, at_once), (ripple, viscous))):
+        assert set_.by_numbers == pytest.approx((980.0, 294.0))
+
+
 def test_a_sign_counts_where_it_came_in_one_step_with_another_effect():
     sign, ripple = EffectAt("rectified_sensor", "carriage"), EffectAt("cogging", "carriage")
     alone, at_once = gate(1000.0, 1000.0, 10.0, held_out=(300.0, 290.0)), gate(1060.0, 1060.0, 10.0, held_out=(310.0, 305.0))
