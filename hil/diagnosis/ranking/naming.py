@@ -263,7 +263,7 @@ def _shares(
     each = zip(hypotheses, tempered, own, strict=True)
     tempered = [beside_the_best(h, as_all, best, closest, (train, held_out), levels, weights) for h, as_all, levels in each]
     left = best.in_units(train, held_out, weights.form_error).misfit
-    evidence = _evidence(tempered, nothing, tried)
+    evidence = _evidence(tempered, nothing, tried, is_noise_known)
     as_often = float(_normalised(evidence[:-1]) @ np.exp([-h.rarity for h in tempered]))  # as one law does what is there, mean over sets
     price = price_of_a_parameter(nothing.misfit - left, 1.0) * weights.unknown_freedom - float(np.log(as_often))
     of_signs = tempers_of(hypotheses, base, entries, weights, signs_err=True)
@@ -276,7 +276,7 @@ def _shares(
     parts = [Part(*each) for each in zip((best.train, best.held_out), (base.train, base.held_out), entries, by_numbers, strict=True)]
     parts[0] = parts[0]._replace(is_known=is_noise_known)
     share = exactness(parts, weights.exact, weights.form_error)
-    return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried))]
+    return [float(s) for s in (1.0 - share) * shares + share * _normalised(_evidence(exact, nothing, tried, is_noise_known))]
 
 
 def tempers_of(
@@ -409,17 +409,21 @@ def standing_alone(confidence: float) -> float:
     return confidence * STANDS_ALONE / confidence_of(1.0)
 
 
-def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int) -> list[float]:
+def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int, is_noise_known: bool) -> list[float]:
     """Of every set and, last, of nothing.
 
     Among themselves sets of k effects are as likely beforehand as there are fewer of them: one in N over k of N candidates. Together they
-    are what they were, whatever their sizes: beside nothing and the unknown the gate has asked for every effect.
+    are what they were, whatever their sizes: beside nothing and the unknown the gate has asked for every effect. An assumed noise is a bound
+    from above, in units of which a further effect gains less than it does; there it does not pay for its company besides.
     """
+    nothing = -0.5 * base.misfit + float(np.log(max(tried, 1)))
     alone = np.array([-0.5 * h.misfit - h.price() for h in hypotheses])
+    if not is_noise_known:
+        return [*alone.tolist(), nothing]
     sizes = np.array([1 if h.fitted is None else max(len(h.fitted.effects), 1) for h in hypotheses])
     of_size = alone - np.log(scipy.special.binom(max(tried, int(sizes.max(initial=1))), sizes))
     among_sets = of_size + np.logaddexp.reduce(alone) - np.logaddexp.reduce(of_size)
-    return [*among_sets.tolist(), -0.5 * base.misfit + float(np.log(max(tried, 1)))]
+    return [*among_sets.tolist(), nothing]
 
 
 def _normalised(evidence: Sequence[float]) -> np.ndarray:
