@@ -8,8 +8,9 @@ held-out recordings have each its own T: an equation errs in one motion by a sha
 than the best one counts in units of what its own equations may err by, where that is less (`own_tempers`). The unknown is charged
 with `unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above
 noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does
-what they do (`rarity.py`), as such a set pays for how many there are. Two laws without a name at once are not among what is weighed, and no
-proof here has hidden them. An order or frequency that was searched costs the logarithm of how many were (`searched`).
+what they do (`rarity.py`); such a set pays, where noise is known, for how many there are of its size (`_evidence`). Two laws without a name
+at once are not among what is weighed, and no proof here has hidden them. An order or frequency that was searched costs the logarithm of
+how many were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
@@ -412,9 +413,10 @@ def standing_alone(confidence: float) -> float:
 def _evidence(hypotheses: Sequence[Weighed], base: Weighed, tried: int, is_noise_known: bool) -> list[float]:
     """Of every set and, last, of nothing.
 
-    Among themselves sets of k effects are as likely beforehand as there are fewer of them: one in N over k of N candidates. Together they
-    are what they were, whatever their sizes: beside nothing and the unknown the gate has asked for every effect. An assumed noise is a bound
-    from above, in units of which a further effect gains less than it does; there it does not pay for its company besides.
+    Where noise is known, among themselves sets of k effects are as likely beforehand as there are fewer of them: one in N over k of N
+    candidates. Together they are what they were, whatever their sizes: beside nothing and the unknown the gate has asked for every effect.
+    An assumed noise is a bound from above, so that what a further effect gains counts too little already: there sets of any size are as
+    likely.
     """
     nothing = -0.5 * base.misfit + float(np.log(max(tried, 1)))
     alone = np.array([-0.5 * h.misfit - h.price() for h in hypotheses])
