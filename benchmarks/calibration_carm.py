@@ -80,7 +80,7 @@ def once(path: Path, *arguments: object) -> Path:
 
 def rms(table: Path, calibration: Path | None) -> dict[str, float]:
     """True pose less calibrated: source, phantom [m], rotation [rad]."""
-    from hil.calibration.geometric_model import read_calibration
+    from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.imaging.nominal import nominal_beam
 
     true = read_calibration(table, CARM)

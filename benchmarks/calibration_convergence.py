@@ -15,9 +15,9 @@ import numpy as np
 from calibration_model import NOISE, NOMINAL, SPREAD, TRUE, angles
 from scipy.spatial.transform import Rotation
 
-from controllers.models.kinematics import DenavitHartenberg
-from hil.calibration.model_based import pose_difference
-from hil.cli.output import Answer
+from controllers.models.denavit_hartenberg import DenavitHartenberg
+from hil.calibration.kinematic.identify import pose_difference
+from hil.terminal.output import Answer
 
 IMAGES, DRAWS, INNER = 40, 20, 6
 

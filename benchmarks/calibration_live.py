@@ -26,17 +26,17 @@ from pathlib import Path
 import numpy as np
 from calibration_side_by_side import ASKEW, UNSEEN, command, machine_text, shaking_text
 
-from hil.calibration.data_file import read_data_file
-from hil.calibration.live import LiveCalibration
-from hil.calibration.live_file import SIGHTINGS, KeptSightings
-from hil.cli.output import Answer
-from hil.imaging.beam import SPOT
-from hil.imaging.emulated import true_beam, xray_side
+from hil.calibration.data_driven.data_file import read_data_file
+from hil.calibration.data_driven.live import LiveCalibration
+from hil.calibration.data_driven.live_file import SIGHTINGS, KeptSightings
+from hil.emulated.beam import SPOT
+from hil.emulated.images import true_beam, xray_side
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.observing import read_design
 from hil.recording import read_recording
+from hil.terminal.output import Answer
 
 HOT_SINCE_S, FROM_S, EVERY, LAST = 0.1, 3.0, 5, 20
 ISOCENTER = [sys.executable, "-m", "hil"]

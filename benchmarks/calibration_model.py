@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from controllers.models.kinematics import DenavitHartenberg
-from hil.calibration.model_based import Identified, PoseNoise, identify_kinematics, pose_difference
+from controllers.models.denavit_hartenberg import DenavitHartenberg
+from hil.calibration.kinematic.identify import Identified, PoseNoise, identify_kinematics, pose_difference
 
 HALF = np.pi / 2
 NOMINAL = DenavitHartenberg(

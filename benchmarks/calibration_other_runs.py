@@ -19,14 +19,15 @@ from pathlib import Path
 import numpy as np
 from calibration_side_by_side import FEW, UNSEEN, FEW_Hz, MODEL_Hz, RATE_Hz, Work, at, fitted, looked_at, plate, scored
 
-from hil.calibration.data_driven import Measurement, Parameters, calibrate_data
-from hil.calibration.geometric_model import read_calibration
-from hil.calibration.observed_beam import ObservedBeam, unobserved_beam
-from hil.calibration.quasi_static import QuasiStatic
-from hil.cli.output import Answer
+from hil.calibration.data_driven.calibrate import calibrate_data
+from hil.calibration.data_driven.observed_beam import ObservedBeam, unobserved_beam
+from hil.calibration.data_driven.quasi_static import QuasiStatic
+from hil.calibration.data_driven.values import Measurement, Parameters
+from hil.calibration.kinematic.geometric_model import read_calibration
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import nominal_beam
 from hil.observing import read_design
+from hil.terminal.output import Answer
 
 FIRST_SEED = 40
 """Of the disturbances and of the photons; the comparison's own are 11 to 13, and 0. Twice as many as scans are tried at most."""

@@ -21,35 +21,36 @@ from pathlib import Path
 import numpy as np
 
 import hil.machine
-from hil.calibration.data_driven import Calibration, Parameters, calibrate_data
-from hil.calibration.geometric_model import read_calibration
-from hil.calibration.image_measurements import from_marker, from_phantom
-from hil.calibration.levelled import levelled
-from hil.calibration.marker_scan import calibrate_marker, nominal_marker
-from hil.calibration.observed_beam import ObservedBeam, observed_beam, unobserved_beam
-from hil.calibration.phantom import calibrate_phantom
-from hil.calibration.quasi_static import QuasiStatic
-from hil.calibration.roadmap import overlay
+from hil.calibration.data_driven.calibrate import calibrate_data
+from hil.calibration.data_driven.image_measurements import from_marker, from_phantom
+from hil.calibration.data_driven.levelled import levelled
+from hil.calibration.data_driven.observed_beam import ObservedBeam, observed_beam, unobserved_beam
+from hil.calibration.data_driven.quasi_static import QuasiStatic
+from hil.calibration.data_driven.values import Calibration, Parameters
+from hil.calibration.kinematic.geometric_model import read_calibration
+from hil.calibration.marker.scan import calibrate_marker, nominal_marker
+from hil.calibration.phantom.phantom_calibration import calibrate_phantom
+from hil.calibration.use.roadmap import overlay
 from hil.cli import main as isocenter
-from hil.cli.output import Answer
+from hil.emulated.beam import SPOT
+from hil.emulated.images import true_beam, xray_side
+from hil.emulated.scenes import scene
 from hil.experiments import Static
 from hil.identification import read_frf, write_frf
-from hil.imaging.beam import SPOT
-from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import PLATES
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.phantoms import dodecahedron
 from hil.imaging.scan_folder import ImageScan, read_scan
-from hil.imaging.scenes import scene
 from hil.machine import Machine, load_machine
 from hil.observing import design_observer, observe, read_design, tune, write_design
-from hil.observing.design import COARSE_GRID, GRID, STANDING_s, axis_grid
-from hil.observing.emulated import emulated_recording, emulated_responses
-from hil.reconstruction.cone_beam import line_integrals, reconstruct
-from hil.reconstruction.quality import wire_quality
+from hil.observing.observer_design import COARSE_GRID, GRID, STANDING_s, axis_grid
+from hil.observing.simulated_recordings import emulated_recording, emulated_responses
+from hil.reconstruction.fdk import line_integrals, reconstruct
+from hil.reconstruction.wire_profiles import wire_quality
 from hil.recording import Channel, Recording, read_recording
 from hil.simulation import Simulator
+from hil.terminal.output import Answer
 
 HOT_SINCE_S = 0.1  # isocenter expose's first exposure
 ASKEW = {

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controllers.design import cascade, gain, lag, lead, notch
+from controllers.loop_shaping import cascade, gain, lag, lead, notch
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.simulation import Inputs, Simulator
 from virtual_bus.settings import EffectSetting

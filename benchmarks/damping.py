@@ -23,16 +23,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "observer
 from ring_down import rung_ratio
 
 from controllers.damping import DampingSettings, ModalDamping
-from hil.bench import BenchOptions, open_bench
-from hil.cli.output import Answer
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import UnusableInput
 from hil.experiments import Static
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, read_design, tune
 from hil.observing.damping import DampedLoop, accept_damping, examine_damping
-from hil.observing.emulated import emulated_recording
 from hil.observing.live import LiveObserver
+from hil.observing.simulated_recordings import emulated_recording
 from hil.recording import read_recording
+from hil.terminal.output import Answer
 from virtual_bus.physics import Physics
 from virtual_bus.settings import EffectSetting
 

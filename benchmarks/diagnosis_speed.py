@@ -20,9 +20,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.kept_memory import keep_memory
 from hil.diagnosis.starting import candidates
 from hil.machine import load_machine
+from hil.processes.kept_memory import keep_memory
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import simulate
 from virtual_bus.effects.registry import effects

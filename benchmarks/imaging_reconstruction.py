@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.cli.output import Answer
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
-from hil.reconstruction.cone_beam import reconstruct
-from hil.reconstruction.plane import fan_projections, fan_reconstruction, filtered_backprojection, parallel_projections
+from hil.reconstruction.fdk import reconstruct
+from hil.reconstruction.filtered_backprojection import fan_projections, fan_reconstruction, filtered_backprojection, parallel_projections
+from hil.terminal.output import Answer
 
 DISCS = np.array([[0.0, 0.0, 0.05, 20.0], [0.018, 0.006, 0.012, 10.0], [-0.02, -0.015, 0.008, -8.0]])
 SIZE, SPACING_m, SOURCE_m, DETECTOR_m = 129, 1e-3, 0.81, 1.16

@@ -17,11 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench import BenchOptions, open_bench
-from hil.cli.output import Answer
+from hil.bench.loop import PROGRESS_TICKS
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Static
-from hil.loop import PROGRESS_TICKS
 from hil.machine import load_machine
+from hil.terminal.output import Answer
 
 
 def marking(marks: list[tuple[float, float]]) -> Callable[[int], None]:

@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.residuals.noise import assumed_noise

@@ -32,10 +32,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "observer
 from observed_models import small_model, small_noise
 
 from controllers.damping import DampingSettings, ModalDamping
-from controllers.design import cascade, gain, lag, lead, notch
+from controllers.loop_shaping import cascade, gain, lag, lead, notch
 from controllers.observers.modal_observer import ModalObserver, filter_rows
 from controllers.shapers.filter import ReferenceShaper
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Scan
 from hil.machine import Machine, load_machine
 from hil.machine.load import machine_from_text

@@ -27,13 +27,13 @@ from scipy.spatial.transform import Rotation
 from controllers.feedback import Feedback
 from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
-from hil.cli.output import Answer
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import encoder_steps
 from hil.recording import Channel, Recording
+from hil.terminal.output import Answer
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import Drive, PlantSettings

@@ -17,11 +17,11 @@ import numpy as np
 from observer_scan import shaken_scan
 
 from controllers.models.modal import ModalModel
-from hil.cli.output import Answer
 from hil.experiments import Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe, read_design, tune
 from hil.recording import Recording
+from hil.terminal.output import Answer
 
 CHANGE = 1.1
 TRACKED = 0.01

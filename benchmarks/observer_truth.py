@@ -10,8 +10,8 @@ import scipy.linalg
 
 from controllers.models.modal import ModalModel, basis_size, basis_values
 from hil.machine import Machine
-from hil.observing.design import axis_grid
 from hil.observing.noise import effort_gain
+from hil.observing.observer_design import axis_grid
 from hil.observing.over_poses import harmonics_for
 from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix

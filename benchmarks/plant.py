@@ -21,10 +21,10 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from hil.cli.output import Answer
 from hil.machine import Machine, load_machine
 from hil.machine.mjcf import to_mjcf
 from hil.simulation import Inputs, Simulator
+from hil.terminal.output import Answer
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.settings import EffectSetting, PlantSettings

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from real_data import DATA, REAL_SETS, RealSet
 
-from hil.cli.output import plain
 from hil.diagnosis.diagnose import Outcome, diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
 from hil.simulation import Simulator, inputs_of
+from hil.terminal.output import plain
 
 RESULTS = Path(__file__).resolve().parent / "results" / "real_recordings.json"
 STAGES = ("nominal", "retuned", "extended")

@@ -23,16 +23,17 @@ from pathlib import Path
 import numpy as np
 import scipy.signal
 
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import ExperimentError
 from hil.experiments import Plan, Scan
 from hil.experiments.metadata import experiment_metadata
 from hil.machine import Machine, load_machine
 from hil.recording import read_recording
 from hil.shaping.aim import Aim, periodic, sweep
-from hil.shaping.design import Design, design_all, shaper_of
 from hil.shaping.plans import Shaped, shape_plan
 from hil.shaping.poses import scheduled_poses, subject_at
+from hil.shaping.shaper_design import Design, design_all, shaper_of
 from hil.shaping.shaper_file import ShaperFile
 from virtual_bus.physics import Physics
 

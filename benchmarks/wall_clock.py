@@ -30,10 +30,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.cli.output import Answer
-from hil.clock import WallClock
+from hil.bench.clock import WallClock
 from hil.machine import load_machine
-from hil.realtime import real_time
+from hil.processes.real_time import real_time
+from hil.terminal.output import Answer
 from virtual_bus.emulator import AWAKE_SHARE
 
 ISOCENTER = [sys.executable, "-m", "hil"]

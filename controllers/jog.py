@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from controllers.errors import DesignError
-from controllers.lines import GRID_TOLERANCE
+from controllers.excitation_lines import GRID_TOLERANCE
 
 FADE_SHARE = 0.25
 """Share of the first period over which the jog grows from standstill: short enough to settle within that period."""

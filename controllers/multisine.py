@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 
 from controllers.errors import DesignError
+from controllers.orthogonal_experiments import Mixing, mixing_matrix
 
-Mixing = Literal["orthogonal", "single"]
 Phases = Literal["random", "optimised"]
 
 DRAWS = 24
@@ -53,15 +52,6 @@ def crest_factor(signals: np.ndarray) -> np.ndarray:
     """Peak over rms along the last axis; 0 for a signal that is zero."""
     peak, rms = np.abs(signals).max(axis=-1), np.sqrt(np.mean(signals**2, axis=-1))
     return np.divide(peak, rms, out=np.zeros_like(peak), where=rms > 0.0)
-
-
-def mixing_matrix(inputs: int, mixing: Mixing) -> np.ndarray:
-    """T of (3.9), (n_u, n_u), unitary: Hadamard/sqrt(n_u) (errata) for powers of two, else DFT/sqrt(n_u); single inputs: identity."""
-    if mixing == "single":
-        return np.eye(inputs)
-    if inputs & (inputs - 1) == 0:
-        return scipy.linalg.hadamard(inputs) / np.sqrt(inputs)
-    return scipy.linalg.dft(inputs, scale="sqrtn")
 
 
 def multisine(

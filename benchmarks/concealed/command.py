@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from concealed import calibrating, directions, making, mutating, running, scoring, tables
 from hil.diagnosis.judging.errors_of_laws import WEIGHTS
-from hil.worker_processes import end_with_the_parent
+from hil.processes.workers import end_with_the_parent
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from concealed.making import Places, make, seal
 from concealed.preloaded import ROOT, isocenter
-from hil.recording.toml_text import toml_text
+from hil.files.toml_text import toml_text
 
 TIME_LIMIT_S = 900.0
 CHECKED = 3

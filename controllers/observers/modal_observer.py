@@ -11,8 +11,10 @@ from scipy.linalg import expm
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
 from controllers.observers.consistency import InnovationMonitor
+from controllers.observers.extended import linearised
+from controllers.observers.filter_step import filter_rows
+from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
 from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.modal_kernel import EXTENDED, KALMAN, UNSCENTED, Memory, filter_rows, linearised
 from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load, not_an_input
-from hil.cli.output import Answer, JsonOption
+from hil.terminal.output import Answer, JsonOption
 
 RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
 OptionalMachine = Annotated[

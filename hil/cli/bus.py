@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load
-from hil.cli.output import Answer, JsonOption
+from hil.terminal.output import Answer, JsonOption
 
 
 def register(app: typer.Typer) -> None:
@@ -26,7 +26,7 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
     """One line per node."""
     from drivers.bus_url import open_bus
     from drivers.canopen.scan import scan_bus as scan
-    from hil.clock import WallClock
+    from hil.bench.clock import WallClock
     from hil.errors import BadAnswer
 
     answer = Answer(json_to)
@@ -41,7 +41,8 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
 
 def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: IoOption = "", json_to: JsonOption = None) -> None:
     """Say what was checked, axis by axis."""
-    from hil.bench import BenchOptions, open_bench
+    from hil.bench.open import open_bench
+    from hil.bench.options import BenchOptions
 
     machine = load(machine_name)
     answer = Answer(json_to)

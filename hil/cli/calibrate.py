@@ -9,13 +9,13 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
-    from hil.calibration.lookup import LookUp
-    from hil.calibration.marker_scan import MarkerScan
-    from hil.calibration.phantom_pose import PoseFit
+    from hil.calibration.marker.scan import MarkerScan
+    from hil.calibration.phantom.pose import PoseFit
+    from hil.calibration.use.lookup_table import LookUp
     from hil.imaging.markers import MarkerPlate
 
 app = typer.Typer(
@@ -73,12 +73,12 @@ def expose(
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
-    from hil.imaging.beam import Beam
-    from hil.imaging.emulated import Exposures, xray_side
-    from hil.imaging.emulated import expose as render
-    from hil.imaging.markers.emulated import TubeMarker
+    from hil.emulated.beam import Beam
+    from hil.emulated.images import Exposures, xray_side
+    from hil.emulated.images import expose as render
+    from hil.emulated.marker_images import TubeMarker
+    from hil.emulated.scenes import scene
     from hil.imaging.nominal import nominal_detector, panel_in_tube
-    from hil.imaging.scenes import scene
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
 
@@ -126,11 +126,11 @@ def phantom(
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
-    from hil.calibration.lookup import look_up_of, sweep_speed, write_look_up
-    from hil.calibration.lookup import standing as where_it_stood
-    from hil.calibration.phantom import look_for_bullets
-    from hil.calibration.phantom_pose import fit_poses
-    from hil.calibration.pixels import fit_pixels
+    from hil.calibration.phantom.phantom_calibration import look_for_bullets
+    from hil.calibration.phantom.pixel_shape import fit_pixels
+    from hil.calibration.phantom.pose import fit_poses
+    from hil.calibration.use.lookup_table import look_up_of, sweep_speed, write_look_up
+    from hil.calibration.use.lookup_table import standing as where_it_stood
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.phantoms import dodecahedron
     from hil.imaging.scan_folder import read_scan
@@ -196,8 +196,8 @@ def marker(
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate, fit its pose, write."""
-    from hil.calibration.marker import NONLINEAR
-    from hil.calibration.marker_scan import calibrate_marker, nominal_marker, write_marker_scan
+    from hil.calibration.marker.scan import calibrate_marker, nominal_marker, write_marker_scan
+    from hil.calibration.marker.tube_to_panel import NONLINEAR
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
 

@@ -9,13 +9,13 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
-    from hil.calibration.data_driven import Calibration, Measurement
-    from hil.calibration.observed_beam import ObservedBeam
-    from hil.calibration.quasi_static import QuasiStatic
+    from hil.calibration.data_driven.observed_beam import ObservedBeam
+    from hil.calibration.data_driven.quasi_static import QuasiStatic
+    from hil.calibration.data_driven.values import Calibration, Measurement
     from hil.machine import Machine
     from hil.recording import Recording
 
@@ -64,9 +64,10 @@ def data(
     json_to: JsonOption = None,
 ) -> None:
     """Observe, look at images, filter, write."""
-    from hil.calibration.data_driven import Parameters, calibrate_data
-    from hil.calibration.data_file import read_data_file, write_data_file
-    from hil.calibration.quasi_static import QuasiStatic
+    from hil.calibration.data_driven.calibrate import calibrate_data
+    from hil.calibration.data_driven.data_file import read_data_file, write_data_file
+    from hil.calibration.data_driven.quasi_static import QuasiStatic
+    from hil.calibration.data_driven.values import Parameters
     from hil.recording import read_recording
 
     machine = load(machine_name)
@@ -111,9 +112,9 @@ def level(
     json_to: JsonOption = None,
 ) -> None:
     """Read, turn back, write."""
-    from hil.calibration.data_file import read_data_file
-    from hil.calibration.levelled import levelled
-    from hil.calibration.quasi_static import QuasiStatic
+    from hil.calibration.data_driven.data_file import read_data_file
+    from hil.calibration.data_driven.levelled import levelled
+    from hil.calibration.data_driven.quasi_static import QuasiStatic
     from hil.recording import read_recording, write_recording
 
     machine = load(machine_name)
@@ -128,8 +129,8 @@ def level(
 
 
 def _observed(machine: Machine, recording: Recording, model: QuasiStatic, known: Any, design: Path | None, answer: Answer) -> ObservedBeam:
-    from hil.calibration.levelled import levelled
-    from hil.calibration.observed_beam import observed_beam, unobserved_beam
+    from hil.calibration.data_driven.levelled import levelled
+    from hil.calibration.data_driven.observed_beam import observed_beam, unobserved_beam
 
     if design is None:
         if f"estimate_link_position_{machine.axes[0]}" in recording:
@@ -148,8 +149,8 @@ def _observed(machine: Machine, recording: Recording, model: QuasiStatic, known:
 
 
 def _phantom(machine: Machine, folder: Path, observed: ObservedBeam, jobs: int, answer: Answer) -> list[Measurement]:
-    from hil.calibration.image_measurements import from_phantom
-    from hil.calibration.phantom import calibrate_phantom
+    from hil.calibration.data_driven.image_measurements import from_phantom
+    from hil.calibration.phantom.phantom_calibration import calibrate_phantom
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.phantoms import dodecahedron
     from hil.imaging.scan_folder import read_scan
@@ -163,8 +164,8 @@ def _phantom(machine: Machine, folder: Path, observed: ObservedBeam, jobs: int, 
 
 
 def _marker(machine: Machine, folder: Path, jobs: int, answer: Answer) -> list[Measurement]:
-    from hil.calibration.image_measurements import from_marker
-    from hil.calibration.marker_scan import calibrate_marker, nominal_marker
+    from hil.calibration.data_driven.image_measurements import from_marker
+    from hil.calibration.marker.scan import calibrate_marker, nominal_marker
     from hil.imaging.markers import PLATES
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan

@@ -10,13 +10,13 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
-from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
-    from hil.calibration.flexible_fit import FlexibleFit
-    from hil.calibration.geometric_model import GeometricModel
-    from hil.calibration.lookup import LookUp
+    from hil.calibration.kinematic.flexible import FlexibleFit
+    from hil.calibration.kinematic.geometric_model import GeometricModel
+    from hil.calibration.use.lookup_table import LookUp
     from hil.machine import Machine
 
 
@@ -55,7 +55,7 @@ def grid(
     json_to: JsonOption = None,
 ) -> None:
     """Row by row, there and back."""
-    from hil.calibration.proposal import grid_tour
+    from hil.calibration.kinematic.scan_proposal import grid_tour
     from hil.experiments import write_experiment
 
     for option, value in (("--step", step), ("--dwell", dwell)):
@@ -81,8 +81,8 @@ def scan(
     json_to: JsonOption = None,
 ) -> None:
     """Choose, tell, write."""
-    from hil.calibration.nominal_chain import nominal_chain
-    from hil.calibration.proposal import propose_scan
+    from hil.calibration.kinematic.nominal_chain import nominal_chain
+    from hil.calibration.kinematic.scan_proposal import propose_scan
     from hil.experiments import write_experiment
 
     if not 0.0 < rate < np.inf:
@@ -141,9 +141,9 @@ def model(
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
-    from hil.calibration.flexible_fit import clock_lag, fit_flexible, joined
-    from hil.calibration.geometric_model import GeometricModel, write_model
-    from hil.calibration.nominal_chain import nominal_chain
+    from hil.calibration.kinematic.flexible import clock_lag, fit_flexible, joined
+    from hil.calibration.kinematic.geometric_model import GeometricModel, write_model
+    from hil.calibration.kinematic.nominal_chain import nominal_chain
     from hil.imaging.nominal import nominal_beam
 
     machine = load(machine_name)
@@ -219,8 +219,8 @@ def model(
 
 def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
     """A table from its file, or from the images of a folder."""
-    from hil.calibration.lookup import look_up_of, read_look_up
-    from hil.calibration.phantom import calibrate_phantom
+    from hil.calibration.phantom.phantom_calibration import calibrate_phantom
+    from hil.calibration.use.lookup_table import look_up_of, read_look_up
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.phantoms import dodecahedron
     from hil.imaging.scan_folder import read_scan

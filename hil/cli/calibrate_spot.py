@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.cli.output import Answer, JsonOption, follower, progress, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +32,7 @@ def spot(
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate twice, tell."""
-    from hil.calibration.focal_spot import spot_track
+    from hil.calibration.marker.focal_spot import spot_track
     from hil.imaging.markers import PLATES
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan

@@ -77,7 +77,7 @@ def designed(
 def _amplitude(responses: Sequence[FrequencyResponse], axes: Sequence[str]) -> tuple[dict[str, float] | None, str]:
     """By the frozen-pose check where the responses' poses differ in one direction."""
     from hil.identification import frozen_pose_check
-    from hil.identification.design import EXCITATION_RMS
+    from hil.identification.design.excitation import EXCITATION_RMS
 
     first = responses[0]
     measured_with = [first.settings.get(f"{EXCITATION_RMS} {name}") for name in first.input_names]

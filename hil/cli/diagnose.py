@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, folder_can_be_written, load
-from hil.cli.output import Answer, JsonOption, plain, progress
 from hil.errors import RecordingError
+from hil.terminal.output import Answer, JsonOption, plain, progress
 
 if TYPE_CHECKING:
     from hil.diagnosis.diagnose import Outcome
@@ -49,7 +49,7 @@ def diagnose(
     """Diagnose and write DIR."""
     from hil.diagnosis.diagnose import diagnose as run_diagnosis
     from hil.diagnosis.files import write_diagnosis
-    from hil.diagnosis.kept_memory import keep_memory
+    from hil.processes.kept_memory import keep_memory
 
     keep_memory()
     answer = Answer(json_to)

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.cli.output import Answer, JsonOption
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption
 
 if TYPE_CHECKING:
     from hil.imaging.detector import Detector
@@ -72,8 +72,8 @@ def convert(
 
 
 def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) -> _Geometry:
-    from hil.calibration.geometric_model import read_calibration
-    from hil.calibration.lookup import LookUp
+    from hil.calibration.kinematic.geometric_model import read_calibration
+    from hil.calibration.use.lookup_table import LookUp
     from hil.imaging.nominal import nominal_beam, nominal_detector
 
     if path.is_dir():
@@ -127,7 +127,7 @@ def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images:
     if images and (suffix != ".dcm" or read.images is None):
         raise UnusableInput("--images: is for a scan's folder and .dcm")
     if suffix == ".npz":
-        from hil.calibration.lookup import LookUp, write_look_up
+        from hil.calibration.use.lookup_table import LookUp, write_look_up
 
         if read.positions is None:
             raise UnusableInput(f"{path}: a table goes by axis positions, and the input has none; convert a scan's folder or a table")

@@ -10,8 +10,8 @@ import typer
 
 from hil.cli import exchange
 from hil.cli.options import MachineArgument, PoseOption, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
-from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, progress
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -64,7 +64,7 @@ def at(
     json_to: JsonOption = None,
 ) -> None:
     """Nominal, predicted, and how sure a model is."""
-    from hil.calibration.geometric_model import GeometricModel, read_calibration
+    from hil.calibration.kinematic.geometric_model import GeometricModel, read_calibration
     from hil.imaging.geometry import DEVIATIONS, NAMES
     from hil.imaging.nominal import nominal_beam
 
@@ -106,8 +106,8 @@ def truth(
     json_to: JsonOption = None,
 ) -> None:
     """Without what the focal spot does on the tube."""
-    from hil.calibration.lookup import LookUp, write_look_up
-    from hil.imaging.emulated import true_beam, xray_side
+    from hil.calibration.use.lookup_table import LookUp, write_look_up
+    from hil.emulated.images import true_beam, xray_side
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
     from virtual_bus.xray.motion import STILL
@@ -131,8 +131,8 @@ def standing(
     json_to: JsonOption = None,
 ) -> None:
     """As calibrate phantom --standing does with a scan's."""
-    from hil.calibration.lookup import read_look_up, write_look_up
-    from hil.calibration.lookup import standing as where_it_stood
+    from hil.calibration.use.lookup_table import read_look_up, write_look_up
+    from hil.calibration.use.lookup_table import standing as where_it_stood
 
     answer = Answer(json_to)
     can_be_written(out)
@@ -149,8 +149,8 @@ TRUTH_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 1e-6], 3) ** 2)
 
 def volume(machine_name: MachineArgument, scan_folder: ScanArgument, calibration: WithOption = None, json_to: JsonOption = None) -> None:
     """(2.1), exactly."""
-    from hil.calibration.geometric_model import read_calibration
-    from hil.calibration.volume import reconstruction_volume
+    from hil.calibration.kinematic.geometric_model import read_calibration
+    from hil.calibration.use.volume import reconstruction_volume
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
 
@@ -178,8 +178,8 @@ def compensate(
     json_to: JsonOption = None,
 ) -> None:
     """Turn and shift every image."""
-    from hil.calibration.compensation import compensated, compensation
-    from hil.calibration.geometric_model import read_calibration
+    from hil.calibration.kinematic.geometric_model import read_calibration
+    from hil.calibration.use.compensation import compensated, compensation
     from hil.imaging.extra import imaging_package
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import FRAMES, read_scan, write_description, write_exposures

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import can_be_written, load, not_an_input, parse_band
-from hil.cli.output import Answer, JsonOption, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
     from hil.identification import LocalModel, PoseModel, PoseSymmetry

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.cli.output import Answer, JsonOption
+from hil.terminal.output import Answer, JsonOption
 
 app = typer.Typer(
     help="Machine files: list the shipped ones, show, check, export.\n\nExample:  isocenter machine check carm", no_args_is_help=True

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.cli.output import Answer, JsonOption, progress, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, progress, save_figure
 
 if TYPE_CHECKING:
     from controllers.observers.modal_observer import ModalObserver
-    from hil.calibration.live import LiveCalibration
+    from hil.calibration.data_driven.live import LiveCalibration
     from hil.machine import Machine
     from hil.observing import Estimate, ObserverDesign
     from hil.observing.live import LiveObserver
@@ -190,9 +190,9 @@ def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, i
     """The calibration that ran along, with its images as they came then."""
     if data is None or images is None:
         return None
-    from hil.calibration.data_file import read_data_file
-    from hil.calibration.live import LiveCalibration
-    from hil.calibration.live_file import SIGHTINGS, KeptSightings
+    from hil.calibration.data_driven.data_file import read_data_file
+    from hil.calibration.data_driven.live import LiveCalibration
+    from hil.calibration.data_driven.live_file import SIGHTINGS, KeptSightings
 
     kept = KeptSightings(images / SIGHTINGS)
     return LiveCalibration(machine, read_data_file(data), observer, kept, kept.until_m, kept.poses)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.output import refuse_unwritable, refuse_unwritable_folder
 from hil.errors import ExperimentError, UnusableInput
+from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
 
 if TYPE_CHECKING:
     from hil.machine import Machine
@@ -178,3 +178,7 @@ def keep_earlier(path: Path) -> str:
     if path.with_suffix(".toml").exists() and path.suffix == ".csv":
         path.with_suffix(".toml").rename(aside.with_suffix(".toml"))
     return f"{path} was there already; it is now {aside.name}"
+
+
+FASTEST_Hz = 125.0
+"""Exposures of the emulated panels take 8 ms."""

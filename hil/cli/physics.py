@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption, load, parse_pose
-from hil.cli.output import Answer, JsonOption
+from hil.terminal.output import Answer, JsonOption
 
 PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu", "panel": "panel"}
 """What a person calls the entries of the ready line."""
@@ -66,7 +66,7 @@ def emulate(
     json_to: JsonOption = None,
 ) -> None:
     """Run until interrupted."""
-    from hil.emulation import emulate_eds, emulate_machine
+    from hil.emulated.machine import emulate_eds, emulate_machine
 
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, folder_can_be_written, load
-from hil.cli.output import Answer, JsonOption, progress
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, progress
 
 LARGE_BYTES = 2e9
 """Memory from which on a reconstruction says what it takes."""
@@ -40,16 +40,16 @@ def reconstruct(
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
-    from hil.calibration.data_file import read_data_file
-    from hil.calibration.geometric_model import read_calibration
-    from hil.calibration.lookup import LookUp, sweep_speed
+    from hil.calibration.data_driven.data_file import read_data_file
+    from hil.calibration.kinematic.geometric_model import read_calibration
+    from hil.calibration.use.lookup_table import LookUp, sweep_speed
+    from hil.emulated.scenes import scene
     from hil.figures.reconstruction import volume_figure, wires_figure
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
-    from hil.imaging.scenes import scene
-    from hil.reconstruction.cone_beam import line_integrals, write_volume
-    from hil.reconstruction.cone_beam import reconstruct as make
-    from hil.reconstruction.quality import wire_quality
+    from hil.reconstruction.fdk import line_integrals, write_volume
+    from hil.reconstruction.fdk import reconstruct as make
+    from hil.reconstruction.wire_profiles import wire_quality
     from virtual_bus.xray.objects import Rod
 
     if not 0.0 < spacing < np.inf:
@@ -126,7 +126,7 @@ def reconstruct(
 
 def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:
     """Refuse a volume that this computer cannot hold; say what a large one takes."""
-    from hil.reconstruction.cone_beam import bytes_needed
+    from hil.reconstruction.fdk import bytes_needed
 
     needed, there_is = bytes_needed(size, projections), np.inf
     if hasattr(os, "sysconf"):  # Windows does not say

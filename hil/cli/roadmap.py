@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.cli.output import Answer, JsonOption, save_figure
 from hil.errors import UnusableInput
+from hil.terminal.output import Answer, JsonOption, save_figure
 
 
 def register(parent: typer.Typer) -> None:
@@ -37,10 +37,10 @@ def roadmap(
     json_to: JsonOption = None,
 ) -> None:
     """Compare."""
-    from hil.calibration.geometric_model import read_calibration
-    from hil.calibration.lookup import LookUp
-    from hil.calibration.roadmap import PLACES, overlay
-    from hil.calibration.roadmap import registered as laid_over
+    from hil.calibration.kinematic.geometric_model import read_calibration
+    from hil.calibration.use.lookup_table import LookUp
+    from hil.calibration.use.roadmap import PLACES, overlay
+    from hil.calibration.use.roadmap import registered as laid_over
     from hil.imaging.nominal import nominal_beam, nominal_detector
 
     machine = load(machine_name)

@@ -219,6 +219,6 @@ def _one_of(value: str, allowed: tuple[str, ...], option: str) -> Any:
 
 
 def _lines(band: str, lines: str, every_line: bool) -> Any:
-    from controllers.lines import Band
+    from controllers.excitation_lines import Band
 
     return parse_whole_numbers("--lines", lines) if lines else Band(*parse_band("--band", band), odd=not every_line)

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from hil.cli.run_images import FASTEST_Hz
+from hil.cli.options import FASTEST_Hz
 from hil.errors import UnusableInput
 
 if TYPE_CHECKING:
     from controllers.observers.modal_observer import ModalObserver
-    from hil.calibration.data_file import DataFile
-    from hil.calibration.live import LiveCalibration
-    from hil.cli.output import Answer
+    from hil.calibration.data_driven.data_file import DataFile
+    from hil.calibration.data_driven.live import LiveCalibration
     from hil.experiments import Plan
     from hil.imaging.mailbox import LoopEnd, Mailbox
     from hil.machine import Machine
+    from hil.terminal.output import Answer
 
 DataOption = Annotated[
     Path | None,
@@ -52,7 +52,7 @@ class DataBeside:
 
     def behind(self, observer: ModalObserver) -> LiveCalibration:
         """The calibration, behind this observer."""
-        from hil.calibration.live import LiveCalibration
+        from hil.calibration.data_driven.live import LiveCalibration
 
         try:
             self.calibration = LiveCalibration(self.machine, self.start, observer, self.inbox, self.until_m, self.poses)
@@ -82,8 +82,8 @@ def data_beside(
         if until_mm:
             raise UnusableInput("--until: withdraws images from a live calibration; give --data FILE as well")
         return None
-    from hil.calibration.data_file import read_data_file
-    from hil.imaging.emulated import Exposures
+    from hil.calibration.data_driven.data_file import read_data_file
+    from hil.emulated.images import Exposures
     from hil.imaging.mailbox import LATE_S, LockstepEnd, LoopEnd, Mailbox
 
     if not has_observer or images is None:
@@ -102,7 +102,7 @@ def data_beside(
 
 def keep_sightings(beside: DataBeside, images: Path) -> None:
     """What a replay needs, into the images' folder: of a run that was aborted, too."""
-    from hil.calibration.live_file import SIGHTINGS, write_sightings
+    from hil.calibration.data_driven.live_file import SIGHTINGS, write_sightings
 
     if beside.calibration is not None and images.is_dir():
         write_sightings(beside.calibration, images / SIGHTINGS)
@@ -110,7 +110,7 @@ def keep_sightings(beside: DataBeside, images: Path) -> None:
 
 def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]:
     """Write the geometry into the images' folder, and say how it went."""
-    from hil.calibration.live_file import GEOMETRY, write_live_geometry
+    from hil.calibration.data_driven.live_file import GEOMETRY, write_live_geometry
     from hil.imaging.mailbox import POSES
 
     live = beside.calibration

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.options import FASTEST_Hz
+from hil.emulated.card import find
 from hil.errors import UnusableInput
-from hil.rendezvous import find
 
 if TYPE_CHECKING:
-    from hil.cli.output import Answer
     from hil.cli.run_data import DataBeside
-    from hil.imaging.panel_frames import RowSpan
     from hil.machine import Machine
+    from hil.receiving.panel_frames import RowSpan
+    from hil.terminal.output import Answer
 
 ImagesOption = Annotated[Path | None, typer.Option("--images", metavar="DIR", help="Receive the panel's frames too, as a scan folder.")]
 SceneOption = Annotated[
@@ -41,8 +42,6 @@ BinningOption = Annotated[
     int, typer.Option("--image-binning", metavar="N", min=1, help="With --images: pixels of the panel read as one, in each direction.")
 ]
 
-FASTEST_Hz = 125.0
-"""Exposures of the emulated panels take 8 ms."""
 
 MANY = 8
 """Lost frames that are named."""
@@ -76,16 +75,16 @@ def images_beside(
             raise UnusableInput(f"{'--panel' if panel_url else '--spool'}: says where images come from; give --images DIR as well")
         yield truth, None
         return
-    from hil.imaging.beam import beam_of
-    from hil.imaging.emulated import Exposures
-    from hil.imaging.emulated_panel import PanelOrder
-    from hil.imaging.frames_beside import finished_scan, frames_beside
+    from hil.emulated.beam import beam_of
+    from hil.emulated.images import Exposures
+    from hil.emulated.panel import PanelOrder
     from hil.imaging.mailbox import LockstepEnd
     from hil.imaging.marker_view import PLATE_M, watched_marker
     from hil.imaging.nominal import nominal_detector
-    from hil.imaging.panel_frames import RemotePanel, RowSpan
-    from hil.imaging.receiver import ReceiverOrder
-    from hil.imaging.watch import Live
+    from hil.receiving.frames_beside import finished_scan, frames_beside
+    from hil.receiving.panel_frames import RemotePanel, RowSpan
+    from hil.receiving.receiver import ReceiverOrder
+    from hil.receiving.watch import Live
     from hil.recording import read_recording
 
     if len(recordings) != 1:

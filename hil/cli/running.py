@@ -23,11 +23,11 @@ from hil.cli.options import (
     not_an_input,
     read_effects,
 )
-from hil.cli.output import Answer, JsonOption, follower, progress
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
+from hil.emulated.card import find
 from hil.errors import UnusableInput
-from hil.rendezvous import find
+from hil.terminal.output import Answer, JsonOption, follower, progress
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -81,8 +81,9 @@ class RunOptions:
 
 def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, notes: tuple[str, ...] = ()) -> None:
     """Plan an experiment, run it, record it, say how it went."""
-    from hil.bench import BenchOptions, open_bench, recording_paths
-    from hil.cli.bar import drawn_beside
+    from hil.bench.open import open_bench, recording_paths
+    from hil.bench.options import BenchOptions
+    from hil.terminal.bar import drawn_beside
 
     plans = experiment.plans(machine)
     answer = Answer(run.json_to)

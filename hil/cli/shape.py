@@ -20,12 +20,12 @@ from hil.cli.options import (
     parse_pose,
     parse_whole_numbers,
 )
-from hil.cli.output import Answer, JsonOption, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
     from hil.machine import Machine
     from hil.shaping.aim import Aim
-    from hil.shaping.design import Design
+    from hil.shaping.shaper_design import Design
     from hil.shaping.verdict import Subject
 
 
@@ -62,7 +62,7 @@ def shape(
 ) -> None:
     """One line per design, the recommended one first."""
     from hil.errors import UnusableInput
-    from hil.shaping.design import design_all, shaper_of
+    from hil.shaping.shaper_design import design_all, shaper_of
     from hil.shaping.shaper_file import ShaperFile, write_shaper
 
     machine = load(machine_name, effects)

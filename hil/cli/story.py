@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import folder_can_be_written
-from hil.cli.output import Answer, JsonOption
+from hil.terminal.output import Answer, JsonOption
 
 
 def register(app: typer.Typer) -> None:

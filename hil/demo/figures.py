@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from hil.demo.told import Story
 from hil.figures.frf import frf_figure
-
-if TYPE_CHECKING:
-    from hil.demo.story import Story
 
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey
 BLUE, VERMILION, ORANGE, GREY = "#0072B2", "#D55E00", "#E69F00", "#999999"

@@ -7,15 +7,12 @@ import html
 import io
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
 from hil.demo.figures import experiment_figure, friction_figure, nrmse_figure, response_figure
+from hil.demo.told import Story
 from hil.simulation import ChannelComparison
-
-if TYPE_CHECKING:
-    from hil.demo.story import Story
 
 _TEMPLATE = Path(__file__).with_name("page.html")
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.bench import BenchOptions, open_bench, recording_paths
-from hil.cli.output import Answer, follower, progress
+from hil.bench.open import open_bench, recording_paths
+from hil.bench.options import BenchOptions
 from hil.demo.page import write_page
+from hil.demo.told import Story
 from hil.experiments import Jog, Multisine
-from hil.identification import FrequencyResponse, identify, write_frf
+from hil.identification import identify, write_frf
 from hil.machine import Machine, load_machine
-from hil.recording import Recording, read_recording, write_recording
-from hil.simulation import Comparison, compare, simulate
+from hil.recording import read_recording, write_recording
+from hil.simulation import compare, simulate
 from hil.simulation.linear import sampled_response
+from hil.terminal.output import Answer, follower, progress
 from virtual_bus.settings import EffectSetting
 
 SECRET_FRICTION = EffectSetting("coulomb_friction", "roll", {"Fc": 12.0})
@@ -27,23 +28,6 @@ EXPERIMENT = Multisine(
     pose={"roll": np.radians(30.0)}, amplitude_A=0.8, periods=2, settle_periods=1, realisations=3, jog=Jog(line=1), seed=20
 )
 """Two experiments of three realisations, 20 s periods: the least that splits noise, nonlinear distortion and both inputs."""
-
-
-@dataclass(frozen=True)
-class Story:
-    """Everything the page shows."""
-
-    machine: Machine
-    recording: Recording
-    response: FrequencyResponse
-    linearisation: np.ndarray
-    nominal: Recording
-    with_friction: Recording
-    nominal_comparison: Comparison
-    friction_comparison: Comparison
-    effect: EffectSetting
-    recorded_s: float
-    lockstep_factor: float
 
 
 def run_demo(out: Path, answer: Answer) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from controllers.lines import Band
+from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
 from hil.experiments.file_tables import AxisTable, dimension_of, validated
 from hil.experiments.file_text import experiment_text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from controllers.lines import Band
+from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
 from hil.experiments.file_tables import FORMAT
 from hil.experiments.jog import Jog, JogOnly
@@ -15,9 +15,9 @@ from hil.experiments.plan import Experiment
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
 from hil.experiments.tour import Tour
+from hil.files.toml_text import toml_text
 from hil.machine import Machine
 from hil.machine.units import UNITS
-from hil.recording.toml_text import toml_text
 
 
 def experiment_text(experiment: Experiment, machine: Machine) -> str:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from controllers.errors import DesignError
+from controllers.excitation_lines import Band, checked_lines
 from controllers.jog import odd_even_split
-from controllers.lines import Band, checked_lines
-from controllers.multisine import Mixing, Phases, multisine
+from controllers.multisine import Phases, multisine
+from controllers.orthogonal_experiments import Mixing
 from hil.errors import ExperimentError
 from hil.experiments.jog import Jog
 from hil.experiments.metadata import experiment_metadata

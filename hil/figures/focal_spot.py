@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.calibration.focal_spot import SpotTrack
+from hil.calibration.marker.focal_spot import SpotTrack
 from hil.figures.geometry import COLOURS
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.calibration.marker_scan import MarkerScan
+from hil.calibration.marker.scan import MarkerScan
 from hil.imaging.markers.projection import PARAMETERS
 
 BLUE, GREY = "#0072B2", "#777777"

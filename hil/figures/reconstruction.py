@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.reconstruction.cone_beam import Volume
-from hil.reconstruction.quality import WireQuality
+from hil.reconstruction.fdk import Volume
+from hil.reconstruction.wire_profiles import WireQuality
 
 PLANES = (("z", 0, "x", "y"), ("y", 1, "x", "z"), ("x", 2, "y", "z"))
 """Direction looked along, its index in the array (z, y, x), and the picture's axes."""

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import Locator, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from hil.calibration.roadmap import PLACES, Overlay
+from hil.calibration.use.roadmap import PLACES, Overlay
 from hil.figures.geometry import COLOURS
 
 MANY_TIMES, FEW_TIMES = 50.0, 5.0

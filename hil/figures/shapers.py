@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from controllers.errors import DesignError
 from controllers.shapers.harmonic import harmonic_conditions
 from hil.shaping.aim import Aim
-from hil.shaping.design import Design, delay_map
+from hil.shaping.shaper_design import Design, delay_map
 from hil.shaping.verdict import Subject
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")

@@ -1,19 +1,21 @@
 """Identification of frequency responses from recordings: Chapters 3 and 4. Pure functions from arrays or recordings to result objects."""
 
-from hil.identification.arbitrary import ArbitraryRecords, arbitrary_local
-from hil.identification.bla import fast_bla, robust_bla
-from hil.identification.design import ExcitationDesign, design_excitation, frozen_pose_check
+from hil.identification.bla.best_linear_approximation import fast_bla, robust_bla
+from hil.identification.design.excitation import ExcitationDesign, design_excitation
+from hil.identification.design.frozen_pose import frozen_pose_check
 from hil.identification.errors import IdentificationError
 from hil.identification.frf_file import read_frf, write_frf
 from hil.identification.identify import ARBITRARY_METHODS, METHODS, POSE_METHODS, SELECTABLE, identify, identify_poses
-from hil.identification.local_fast import PoseModel, fast_local, nd_local
-from hil.identification.local_model import LocalModel
-from hil.identification.local_robust import robust_local
-from hil.identification.modal_model import ModalFrfModel, fit_modal_model
-from hil.identification.poses import PoseSymmetry
+from hil.identification.local.arbitrary_lpm_lrm import ArbitraryRecords, arbitrary_local
+from hil.identification.local.fast_lpm_lrm import fast_local
+from hil.identification.local.model import LocalModel
+from hil.identification.local.robust_lpm_lrm import robust_local
+from hil.identification.local.selection import Candidate, Selection, select_local_model
+from hil.identification.modal.lpv_model import ModalFrfModel, fit_modal_model
+from hil.identification.over_poses.nd_lpm_lrm import PoseModel, nd_local
+from hil.identification.over_poses.windows import PoseSymmetry
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.identification.result import Distortion, FrequencyResponse
-from hil.identification.selection import Candidate, Selection, select_local_model
 
 __all__ = [
     "ARBITRARY_METHODS",

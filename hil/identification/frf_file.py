@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.arrays import read_arrays, write_arrays
+from hil.files.arrays import read_arrays, write_arrays
 from hil.identification.errors import IdentificationError
 from hil.identification.result import Distortion, FrequencyResponse
 

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.identification.arbitrary import ArbitraryRecords
 from hil.identification.errors import IdentificationError
+from hil.identification.local.arbitrary_lpm_lrm import ArbitraryRecords
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.recording import Recording
 from hil.recording.ticks import on_every_tick

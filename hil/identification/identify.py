@@ -7,17 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.identification.arbitrary import arbitrary_local
-from hil.identification.bla import fast_bla, robust_bla
-from hil.identification.design import EXCITATION_RMS
+from hil.identification.bla.best_linear_approximation import fast_bla, robust_bla
+from hil.identification.design.excitation import EXCITATION_RMS
 from hil.identification.errors import IdentificationError
 from hil.identification.from_recordings import PlantInput, arbitrary_records, by_pose, records_from
-from hil.identification.local_fast import ONE_POSE, PoseModel, fast_local, nd_local
-from hil.identification.local_model import LocalModel
-from hil.identification.local_robust import robust_local
+from hil.identification.local.arbitrary_lpm_lrm import arbitrary_local
+from hil.identification.local.fast_lpm_lrm import fast_local
+from hil.identification.local.model import LocalModel
+from hil.identification.local.robust_lpm_lrm import robust_local
+from hil.identification.local.selection import default_candidates, select_local_model
+from hil.identification.over_poses.nd_lpm_lrm import ONE_POSE, PoseModel, nd_local
 from hil.identification.records import PeriodicRecords
 from hil.identification.result import FrequencyResponse
-from hil.identification.selection import default_candidates, select_local_model
 from hil.recording import Recording
 
 
@@ -140,7 +141,7 @@ def _estimate(records: PeriodicRecords, method: str, model: LocalModel | None) -
 
 
 def _with_amplitude(response: FrequencyResponse, records: PeriodicRecords) -> FrequencyResponse:
-    """Keeps each input's rms while it is excited, which `hil.identification.design.frozen_pose_check` asks for."""
+    """Keeps each input's rms while it is excited, which `hil.identification.design.frozen_pose.frozen_pose_check` asks for."""
     square = np.mean(records.excitation**2, axis=2).reshape(-1, records.n_inputs)  # (records, n_u)
     excited = np.maximum(np.sum(square > 0.0, axis=0), 1)
     rms = np.sqrt(square.sum(axis=0) / excited)

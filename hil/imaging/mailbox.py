@@ -45,7 +45,7 @@ class Sighting:
     positions : (axes,) array
         Of the axes then, that `values` are deviations at.
     values, covariance : (k,), (k, k) arrays
-        As `hil.calibration.data_driven.Measurement` has them.
+        As `hil.calibration.data_driven.parameter_filter.Measurement` has them.
     """
 
     exposure_id: int

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from hil.errors import UnusableInput
+from hil.files.toml_text import toml_text
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.machine import Machine
-from hil.recording.toml_text import toml_text
 
 FORMAT = 1
 FRAMES, EXPOSURES, DESCRIPTION = "frames.tif", "exposures.csv", "scan.toml"

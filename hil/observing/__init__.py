@@ -1,9 +1,9 @@
 """The observer's workshop: its model from frequency responses, its noise from records, its tuning, its replay over recordings."""
 
-from hil.observing.design import ObserverDesign, design_observer, emulated_design
 from hil.observing.design_file import read_design, write_design
 from hil.observing.estimate import Estimate, read_estimate, write_estimate
 from hil.observing.observability import Observability, observability
+from hil.observing.observer_design import ObserverDesign, design_observer, emulated_design
 from hil.observing.replay import observe
 from hil.observing.tuning import Tuning, tune
 

@@ -12,9 +12,9 @@ from controllers.errors import DesignError
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel
 from controllers.observers.settings import ObserverNoise
-from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
-from hil.observing.design import ObserverDesign
+from hil.files.arrays import read_arrays, write_arrays
+from hil.observing.observer_design import ObserverDesign
 
 FORMAT, WITHOUT_COUPLING = 3, 2
 """The format that is written, and the one before it, which is read as well: without coupling, steps of drives, places and low passes."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
+from hil.files.arrays import read_arrays, write_arrays
 from hil.recording import Channel, Recording, write_recording
 
 FORMAT = 1

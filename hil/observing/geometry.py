@@ -7,8 +7,8 @@ import numpy as np
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor
 from hil.errors import UnusableInput
-from hil.layout import imu_channels
 from hil.machine import Machine
+from hil.recording.channels import imu_channels
 from virtual_bus.settings import Body
 
 

@@ -12,12 +12,12 @@ from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
 from hil.errors import UnusableInput
-from hil.layout import imu_channels
 from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
+from hil.recording.channels import imu_channels
 
 if TYPE_CHECKING:
-    from hil.calibration.live import LiveCalibration
+    from hil.calibration.data_driven.live import LiveCalibration
 
 IMU_GAP_ROWS = 8
 """Rows without an IMU that the estimate is acted upon all the same: 31 ms at 256 Hz, a quarter of an 8 Hz period."""

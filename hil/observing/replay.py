@@ -14,7 +14,7 @@ from hil.observing.tuning import rows_of
 from hil.recording import Recording
 
 if TYPE_CHECKING:
-    from hil.calibration.live import LiveCalibration
+    from hil.calibration.data_driven.live import LiveCalibration
 
 
 def observe(

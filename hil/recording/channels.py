@@ -104,3 +104,9 @@ def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
         wanted = " or ".join(f"[{known}]" for known in kind.units) if kind.units is not NUMBER else "no unit"
         raise RecordingError(f"channel {name}: {f'unknown unit [{unit}]' if unit else 'no unit'}; {wanted} would be right")
     return SI_OF.get(unit, unit), kind.units[unit]
+
+
+def imu_channels(name: str) -> tuple[str, ...]:
+    """A recording's six channels of an IMU: imu_x ... gyro_z for the one called `imu`, else its name in front."""
+    gyro = "gyro" if name == "imu" else f"{name}_gyro"
+    return tuple(f"{name}_{axis}" for axis in "xyz") + tuple(f"{gyro}_{axis}" for axis in "xyz")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.recording.atomic import write_atomically
+from hil.files.atomic import write_atomically
 from hil.recording.channels import check_name, is_whole, unit_and_factor
 from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording

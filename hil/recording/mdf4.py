@@ -32,7 +32,7 @@ from asammdf import MDF, Signal
 from asammdf.blocks.v4_constants import CompressionAlgorithm
 
 from hil.errors import RecordingError
-from hil.recording.atomic import write_atomically
+from hil.files.atomic import write_atomically
 from hil.recording.channels import is_whole
 from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
 from hil.recording.model import UNEQUAL_STEP, Channel, Recording

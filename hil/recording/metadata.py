@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol
 
 from hil.errors import RecordingError
-from hil.recording.toml_text import plain, toml_text
+from hil.files.toml_text import plain, toml_text
 
 RECORDING_FORMAT = 1
 """Key `recording_format`: marks a TOML text as a recording's metadata, so that a machine file of the same name is not taken for it."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.files.toml_text import plain
 from hil.recording.channels import check_name, unit_and_factor
-from hil.recording.toml_text import plain
 
 UNEQUAL_STEP = 0.01
 """Largest deviation of a time step from the mean, as a share of it, that still counts as equal sampling: clocks of real recorders jitter by

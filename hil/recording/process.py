@@ -15,11 +15,11 @@ from typing import Any, Self
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.files.toml_text import plain
 from hil.recording.formats import check_writable
 from hil.recording.journal import ChannelTable, Journal, part_path
 from hil.recording.recorder import finish_from_ring
 from hil.recording.ring import CONSUMED, LOST, PRODUCED, RECORDER, Ring
-from hil.recording.toml_text import plain
 
 CAPACITY_ROWS = 32768
 """Rows the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. So long may the disk be full or the recorder be away."""

@@ -12,9 +12,9 @@ from controllers.sections import response as sections_response
 from controllers.shapers.dynamics import FORGOTTEN, Dynamics
 from hil.identification.result import FrequencyResponse
 from hil.machine import Machine
-from hil.shaping.design import subject
 from hil.shaping.plants import loops_around, unit_gain
 from hil.shaping.rational import fit
+from hil.shaping.shaper_design import subject
 from hil.shaping.verdict import Subject
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import numpy as np
 
 from controllers.errors import DesignError
 from hil.machine import Machine
-from hil.shaping.design import subject
 from hil.shaping.plants import closed_loop, detector_paths
+from hil.shaping.shaper_design import subject
 from hil.shaping.verdict import Subject
 from virtual_bus.physics import Physics
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
+from hil.files.arrays import read_arrays, write_arrays
 
 FORMAT = 1
 _ARRAYS = ("delays", "gains", "positions", "tail", "static_gain", "name", "schedule_axis")

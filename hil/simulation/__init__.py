@@ -1,7 +1,8 @@
 """Simulating recordings on the plant of the machine file, and holding both against each other."""
 
 from hil.simulation.compare import ChannelComparison, Comparison, compare
+from hil.simulation.inputs import Inputs
 from hil.simulation.simulate import inputs_of, simulate
-from hil.simulation.simulator import Inputs, Outputs, Simulator
+from hil.simulation.simulator import Outputs, Simulator
 
 __all__ = ["ChannelComparison", "Comparison", "Inputs", "Outputs", "Simulator", "compare", "inputs_of", "simulate"]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hil.simulation.inputs import Inputs
 from hil.simulation.kernel import Loop
 from hil.simulation.lane_kernel import Acting, Given, lane_kernel, loop_record
 from virtual_bus.plant import side_by_side
@@ -15,9 +16,6 @@ from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.sensors.effects import ANY, SensorEffects, SensorMemory, new_memory
 from virtual_bus.sensors.measure import SensorModel, compiled_sensors, new_readings
-
-if TYPE_CHECKING:
-    from hil.simulation.simulator import Inputs
 
 
 class Taken(NamedTuple):

@@ -12,7 +12,8 @@ from hil.errors import RecordingError
 from hil.machine import AxisUnits, Machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.recording.ticks import on_every_tick
-from hil.simulation.simulator import Inputs, Outputs, Simulator
+from hil.simulation.inputs import Inputs
+from hil.simulation.simulator import Outputs, Simulator
 from virtual_bus.settings import EffectSetting
 
 RATE_TOLERANCE = 1e-3

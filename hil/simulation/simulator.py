@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby, islice
 from typing import Any
@@ -14,6 +14,7 @@ from controllers.errors import ControlError, DesignError
 from controllers.feedback import Feedback
 from hil.errors import BadAnswer, BenchError, ExperimentError
 from hil.machine import Machine
+from hil.simulation.inputs import Inputs
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
 from hil.simulation.several import Prepared, SideBySide, Taken, can_be_side_by_side
 from virtual_bus.errors import EmulatorError
@@ -23,50 +24,6 @@ from virtual_bus.plant.statics import held_effort, holding_effort, resting_state
 from virtual_bus.sensors.effects import new_memory
 from virtual_bus.sensors.measure import SensorModel, new_readings, sensor_model, with_effects
 from virtual_bus.settings import EffectSetting
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What a simulation is driven by; arrays (N, n_axes) in axis order.
-
-    Attributes
-    ----------
-    reference : array or None
-        [rad or m]; None for a machine without controllers.
-    excitation : array
-        w, in the drives' units.
-    feedforward : array
-        In the drives' units.
-    command : array or None
-        Given instead of a reference to a machine without controllers.
-    start_pose : (n_axes,) array
-        The pose that was asked for at row 0.
-    deviation : (n_axes,) array or None
-        How far from it the axes stood, in elastic equilibrium [rad or m]; None: not at all.
-    start_speed : (n_axes,) array or None
-        Of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
-    controller_states : mapping or None
-        As `Feedback.states`; None: integrators at the holding effort.
-    """
-
-    reference: np.ndarray | None
-    excitation: np.ndarray
-    feedforward: np.ndarray
-    command: np.ndarray | None
-    start_pose: np.ndarray
-    controller_states: Mapping[str, Any] | None = None
-    start_speed: np.ndarray | None = None
-    deviation: np.ndarray | None = None
-
-    @property
-    def standing_pose(self) -> np.ndarray:
-        """(n_axes,) where the axes stood at row 0."""
-        return self.start_pose if self.deviation is None else self.start_pose + self.deviation
-
-    @property
-    def settled(self) -> Inputs:
-        """With controllers that hold whatever machine is simulated, where it stands at row 0: recorded states hold the recorded one."""
-        return self if self.start_speed is not None else replace(self, controller_states=None)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,10 @@ from pathlib import Path
 import can
 import numpy as np
 
-from controllers import design
-from hil.bench import Bench, BenchOptions, open_bench
+from controllers import loop_shaping
+from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Plan
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.recording import Recording, read_recording
@@ -31,11 +33,17 @@ def carm_at_1_kHz() -> Machine:
     """The C-arm sampled at 1 kHz: the controllers of docs/carm.md discretised anew, answers awaited for half a period."""
     rate = 1000.0
     controllers = {
-        "propeller": design.cascade(
-            design.gain(1140.0), design.lag(0.0, 0.1, rate), design.lead(3.7, 76.0, rate), design.notch(9.0, 0.375, 0.8, rate)
+        "propeller": loop_shaping.cascade(
+            loop_shaping.gain(1140.0),
+            loop_shaping.lag(0.0, 0.1, rate),
+            loop_shaping.lead(3.7, 76.0, rate),
+            loop_shaping.notch(9.0, 0.375, 0.8, rate),
         ),
-        "roll": design.cascade(
-            design.gain(820.0), design.lag(0.0, 0.12, rate), design.lead(2.2, 70.0, rate), design.notch(22.0, 0.2, 1.0, rate)
+        "roll": loop_shaping.cascade(
+            loop_shaping.gain(820.0),
+            loop_shaping.lag(0.0, 0.12, rate),
+            loop_shaping.lead(2.2, 70.0, rate),
+            loop_shaping.notch(22.0, 0.2, 1.0, rate),
         ),
     }
     text = edited(r"^sample_rate_Hz = 256.0", "sample_rate_Hz = 1000.0")

@@ -10,8 +10,8 @@ import numpy as np
 from controllers.feedback import Feedback
 from controllers.settings import AxisController, AxisLimits
 from drivers.interface import Sample
-from hil.layout import AxisColumns, RowLayout
-from hil.loop import SampleLoop
+from hil.bench.loop import SampleLoop
+from hil.bench.row_layout import AxisColumns, RowLayout
 
 PERIOD_S = 1 / 256
 AXES = ("propeller", "roll")

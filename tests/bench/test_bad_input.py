@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM, LosingBus, edited
 
-import hil.wiring
+import hil.bench.wiring
 from hil.cli import main
 from hil.recording import read_recording
 
@@ -148,8 +148,8 @@ def emulated_bus(monkeypatch):
     """Change what hangs on the emulated machine's bus, behind the machine file's back."""
 
     def change(how):
-        honest = hil.emulation.emulated_bus
-        monkeypatch.setattr("hil.emulation.emulated_bus", lambda machine, physics: how(honest(machine, physics)))
+        honest = hil.emulated.machine.emulated_bus
+        monkeypatch.setattr("hil.emulated.machine.emulated_bus", lambda machine, physics: how(honest(machine, physics)))
 
     return change
 
@@ -174,7 +174,7 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
             )
             return super().recv(timeout)
 
-    monkeypatch.setattr("hil.wiring.LockstepBus", Failing)
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
     assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
     kept = int(re.search(r"(\d+) rows are kept", stopped.line)[1])
@@ -193,7 +193,7 @@ def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_i
                 raise can.CanOperationError("the interface went down")
             super().send(message, timeout)
 
-    monkeypatch.setattr("hil.wiring.LockstepBus", Breaking)
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Breaking)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
     assert stopped.status == 1 and stopped.line.count("the interface went down") == 2
     assert "stopping the motors ran into quick stop" in stopped.line
@@ -212,7 +212,7 @@ def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch
             self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
             return super().recv(timeout)
 
-    monkeypatch.setattr("hil.wiring.LockstepBus", Failing)
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
     assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
     assert "rows are kept in run.mf4.part" in stopped.line and read_recording(part).rows > 256
@@ -228,7 +228,7 @@ OUTS = {
 
 @pytest.mark.parametrize("name, says", OUTS.values(), ids=OUTS.keys())
 def test_a_recording_that_could_not_be_written_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, name, says):
-    monkeypatch.setattr("hil.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+    monkeypatch.setattr("hil.bench.bench.Bench._session", lambda bench: pytest.fail("it moved"))
     refused = isocenter(*STATIC, "--machine", "carm", "-o", tmp_path / name)
     assert refused.status == 2 and all(word in refused.line for word in says), refused.line
 
@@ -243,7 +243,7 @@ def taken(monkeypatch, out):
                 out.mkdir(exist_ok=True)
             return super().recv(timeout)
 
-    monkeypatch.setattr("hil.wiring.LockstepBus", Taking)
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Taking)
     return out
 
 
@@ -263,7 +263,7 @@ def test_an_unfinished_recording_is_not_overwritten(isocenter, tmp_path, taken):
 
 @pytest.mark.parametrize("option", ["--truth", "--frame-log", "--json"])
 def test_a_side_file_without_a_folder_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, out, option):
-    monkeypatch.setattr("hil.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+    monkeypatch.setattr("hil.bench.bench.Bench._session", lambda bench: pytest.fail("it moved"))
     refused = isocenter(*STATIC, "--machine", "carm", "-o", out, option, tmp_path / "nowhere" / "file")
     assert refused.status == 2 and "nowhere" in refused.line
 

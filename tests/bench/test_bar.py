@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.cli.bar import drawn_beside
 from hil.recording import RecorderProcess, read_recording
+from hil.terminal.bar import drawn_beside
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a pseudo-terminal, and the list of children in /proc")
 
@@ -58,9 +58,9 @@ def test_it_follows_the_rows_and_ends_with_the_run(monkeypatch, tmp_path):
             assert "run.csv" in shown(" 50 %")
             put(recorder, ROWS // 2, ROWS)
             shown("100 %")
-            drawers = [pid for pid in children() if "hil.cli.bar" in pid[1]]
+            drawers = [pid for pid in children() if "hil.terminal.bar" in pid[1]]
             assert len(drawers) == 1
-        assert not [pid for pid in children() if "hil.cli.bar" in pid[1]]
+        assert not [pid for pid in children() if "hil.terminal.bar" in pid[1]]
     assert read_recording(tmp_path / "run.csv").rows == ROWS
 
 

@@ -11,7 +11,8 @@ import pytest
 from bench_machines import CARM, STOPWATCH, LosingBus, carm_at_1_kHz, read_truth, run_in_lockstep
 
 from drivers.errors import DeviceFault
-from hil.bench import BenchOptions, open_bench, recording_paths
+from hil.bench.open import open_bench, recording_paths
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAborted, UnusableInput
 from hil.experiments import Jog, JogOnly, Multisine, Static
 from hil.machine import load_machine
@@ -195,7 +196,7 @@ def test_a_machine_without_bus_cannot_be_run_and_is_told_so():
 @pytest.fixture
 def losing(monkeypatch):
     """The lockstep bus loses frames when `LosingBus.lost_ids` says so."""
-    monkeypatch.setattr("hil.wiring.LockstepBus", LosingBus)
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", LosingBus)
     monkeypatch.setattr(LosingBus, "lost_ids", ())
     return LosingBus
 

@@ -8,9 +8,9 @@ import pytest
 from bench_machines import CARM
 
 from drivers.errors import BusError
-from hil.bench import BenchOptions
-from hil.loop import StopRequest
-from hil.wiring import wall_wiring
+from hil.bench.options import BenchOptions
+from hil.bench.signals import StopRequest
+from hil.bench.wiring import wall_wiring
 
 BUS = "udp:239.74.163.62"
 TROUBLE = "io on tcp:127.0.0.1:502: no answer; the brakes may be open"
@@ -33,7 +33,7 @@ class SilentAtTheEnd:
 
 @pytest.fixture
 def options(monkeypatch):
-    monkeypatch.setattr("hil.wiring.IoProcess", SilentAtTheEnd)
+    monkeypatch.setattr("hil.bench.wiring.IoProcess", SilentAtTheEnd)
     return BenchOptions(BUS, io_url="tcp:127.0.0.1:502")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.clock import SPIN_S, LockstepClock, WallClock
+from hil.bench.clock import SPIN_S, LockstepClock, WallClock
 
 PERIOD_S = 1 / 256
 
@@ -15,7 +15,7 @@ class Watch:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s, self.oversleep_s = 1000.0, 0.0
         self.slept: list[float] = []
-        monkeypatch.setattr("hil.clock.time", self)
+        monkeypatch.setattr("hil.bench.clock.time", self)
 
     def perf_counter(self) -> float:
         self.now_s += 1e-6

@@ -17,9 +17,9 @@ from bench_machines import edited
 
 from hil.cli import register
 from hil.cli.app import app
-from hil.cli.output import plain
 from hil.machine import list_shipped
 from hil.recording import read_recording
+from hil.terminal.output import plain
 from virtual_bus.canopen.bare import BareMachine
 
 EDS_FILES = Path(__file__).resolve().parents[2] / "drivers" / "canopen" / "eds_files"

@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 
 from hil.cli.running import RunOptions, stepped_over
-from hil.realtime import real_time
-from hil.rendezvous import EmulatorCard, find, published
+from hil.emulated.card import EmulatorCard, find, published
+from hil.processes.real_time import real_time
 
 BUS = "udp:239.74.163.77"
 

@@ -10,7 +10,8 @@ from bench_machines import edited
 from numba.core.dispatcher import Dispatcher
 
 from controllers.feedback import Feedback
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Static
 from hil.machine import machine_from_text
 

@@ -226,7 +226,7 @@ def test_what_did_not_arrive_is_missing_in_the_row():
 def test_lateness_work_time_and_answer_time_of_every_tick_are_recorded(monkeypatch):
     """A tick by the watch: SYNC at 10 ms, answers at 11 ms, hand-over at 12 ms, waiting again at 12.5 ms, and so on every 10 ms."""
     now_s = [0.0]
-    monkeypatch.setattr("hil.loop.time.perf_counter", lambda: now_s[0])
+    monkeypatch.setattr("hil.bench.loop.time.perf_counter", lambda: now_s[0])
     clock = ScriptedClock()
 
     def tick(link):

@@ -10,9 +10,10 @@ import can
 import pytest
 from bench_machines import CARM
 
-import hil.wiring
+import hil.bench.wiring
 from drivers.errors import DuplicateNode
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 
 CHANNEL = "second bench"
 
@@ -43,7 +44,7 @@ class Watching:
 def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_an_estimate(running_bench, monkeypatch):
     touched = []
     for device in ("IoProcess", "open_stream"):
-        monkeypatch.setattr(hil.wiring, device, lambda *arguments, device=device: touched.append(device))
+        monkeypatch.setattr(hil.bench.wiring, device, lambda *arguments, device=device: touched.append(device))
     options = BenchOptions(f"virtual:{CHANNEL}", imu_device="/dev/ttyS0", io_url="tcp:127.0.0.1:1", real_time=False)
     with (
         pytest.raises(DuplicateNode, match=r"node id 127, the bench's own, is already on .*another bench is running there"),

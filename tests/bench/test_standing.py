@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from bench_machines import CARM
 
-import hil.bench
-from hil.bench import BenchOptions, open_bench
+import hil.bench.bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
+from hil.bench.timing import LoopTiming
 from hil.experiments import Static
-from hil.loop import LoopTiming
 from hil.recording import Recording, read_recording
 
 POSE = np.array([0.1, -0.2])
@@ -35,7 +36,7 @@ def test_a_machine_that_stands_says_how_well(tmp_path):
 
 def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path, monkeypatch):
     """No axis stands to a hundredth of a count, however long one waits."""
-    monkeypatch.setattr(hil.bench, "STANDING_COUNTS", 0.01)
+    monkeypatch.setattr(hil.bench.bench, "STANDING_COUNTS", 0.01)
     timing, recording = run(tmp_path)
     assert [note.split(" rad/s after")[1] for note in timing.notes] == [
         f" 16 s of standstill, {0.01 * count:.1e} is standing; recorded all the same (initial.standing)" for count in COUNTS

@@ -11,7 +11,9 @@ import pytest
 from bench_machines import CARM
 
 from drivers.errors import MotionRefused
-from hil.bench import Bench, BenchOptions, open_bench
+from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAborted
 from hil.experiments import Static
 from virtual_bus.canopen.power_state import PowerState

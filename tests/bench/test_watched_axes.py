@@ -15,7 +15,9 @@ import pytest
 from bench_machines import CARM, edited
 
 from drivers.errors import MotionRefused
-from hil.bench import Bench, BenchOptions, open_bench
+from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAborted
 from hil.experiments import Static
 from hil.machine import Machine, machine_from_text

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from controllers.models.kinematics import DenavitHartenberg
+from controllers.models.denavit_hartenberg import DenavitHartenberg
 
 JOINTS = ("j1", "j2", "j3", "j4")
 HALF = np.pi / 2

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from calibration.phantom_images import PHANTOM
 
-from hil.calibration.phantom_pose import fit_poses
+from hil.calibration.phantom.pose import fit_poses
 from hil.imaging import ConeBeam, Detector
 
 matplotlib.use("agg")

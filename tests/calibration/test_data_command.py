@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from calibration.commands import exposed_scan, isocenter
 
-from hil.calibration.data_file import read_data_file
-from hil.imaging.emulated import true_beam, xray_side
+from hil.calibration.data_driven.data_file import read_data_file
+from hil.emulated.images import true_beam, xray_side
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.data_driven import Measurement, Parameters, calibrate_data
-from hil.calibration.observed_beam import ObservedBeam
-from hil.calibration.quasi_static import QuasiStatic
+from hil.calibration.data_driven.calibrate import calibrate_data
+from hil.calibration.data_driven.observed_beam import ObservedBeam
+from hil.calibration.data_driven.quasi_static import QuasiStatic
+from hil.calibration.data_driven.values import Measurement, Parameters
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import nominal_beam
 from hil.machine import load_machine

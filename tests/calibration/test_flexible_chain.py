@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from calibration.flexible_machine import Statics, soft_machine
 
-from hil.calibration.flexible_fit import beam_of
-from hil.calibration.nominal_chain import nominal_chain
+from hil.calibration.kinematic.flexible import beam_of
+from hil.calibration.kinematic.nominal_chain import nominal_chain
 from hil.errors import UnusableInput
 from hil.imaging import ConeBeam
 from hil.imaging.nominal import nominal_beam

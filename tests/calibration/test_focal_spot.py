@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from calibration.commands import isocenter
 
-from hil.calibration.focal_spot import SpotTrack, spot_track
-from hil.calibration.image_quality import ImageQuality
+from hil.calibration.marker.focal_spot import SpotTrack, spot_track
+from hil.calibration.marker.image_quality import ImageQuality
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam

@@ -7,7 +7,7 @@ import pytest
 from calibration.chains import IDENTIFIED, NOMINAL, poses
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.model_based import PoseNoise, identify_kinematics, pose_difference
+from hil.calibration.kinematic.identify import PoseNoise, identify_kinematics, pose_difference
 from hil.errors import UnusableInput
 
 NOISE = PoseNoise(position_m=0.05e-3, angle_rad=0.2e-3)

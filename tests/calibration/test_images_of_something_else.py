@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from calibration.phantom_images import PHANTOM, nominal
 
-from hil.calibration.lookup import look_up_of
-from hil.calibration.phantom_pose import fit_poses
+from hil.calibration.phantom.pose import fit_poses
+from hil.calibration.use.lookup_table import look_up_of
 from hil.errors import UnusableInput
 
 

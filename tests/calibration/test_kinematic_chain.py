@@ -5,7 +5,7 @@ import numpy as np
 from calibration.chains import IDENTIFIED, NOMINAL
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.model_based import pose_difference
+from hil.calibration.kinematic.identify import pose_difference
 
 
 def quaternion(*turns):

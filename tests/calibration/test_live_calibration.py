@@ -8,14 +8,15 @@ import pytest
 from calibration.commands import isocenter
 
 from controllers.observers.publish import estimate_channels
-from hil.calibration.data_driven import Calibration, Measurement, Parameters, calibrate_data
-from hil.calibration.data_file import DataFile, read_data_file, write_data_file
-from hil.calibration.levelled import levelled
-from hil.calibration.live import LiveCalibration
-from hil.calibration.live_file import KeptSightings, write_live_geometry, write_sightings
-from hil.calibration.live_kernel import chain_of, pose_rows
-from hil.calibration.observed_beam import FLOOR_M, FLOOR_RAD, ObservedBeam, SLOW_Hz
-from hil.calibration.quasi_static import QuasiStatic
+from hil.calibration.data_driven.calibrate import calibrate_data
+from hil.calibration.data_driven.data_file import DataFile, read_data_file, write_data_file
+from hil.calibration.data_driven.levelled import levelled
+from hil.calibration.data_driven.live import LiveCalibration
+from hil.calibration.data_driven.live_file import KeptSightings, write_live_geometry, write_sightings
+from hil.calibration.data_driven.live_kernel import chain_of, pose_rows
+from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, ObservedBeam, SLOW_Hz
+from hil.calibration.data_driven.quasi_static import QuasiStatic
+from hil.calibration.data_driven.values import Calibration, Measurement, Parameters
 from hil.errors import UnusableInput
 from hil.imaging.mailbox import Sighting
 from hil.imaging.nominal import nominal_beam

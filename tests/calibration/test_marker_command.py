@@ -7,7 +7,7 @@ import pytest
 from calibration.commands import exposed_scan, isocenter
 from scipy.spatial.transform import Rotation
 
-from hil.imaging.emulated import true_beam, xray_side
+from hil.emulated.images import true_beam, xray_side
 from hil.imaging.nominal import panel_in_tube
 from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine

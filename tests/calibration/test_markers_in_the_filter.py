@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from hil.calibration.data_driven import STRAYS_S, Measurement, Parameters, calibrate_data
-from hil.calibration.observed_beam import ObservedBeam
-from hil.calibration.quasi_static import QuasiStatic, marker_view
+from hil.calibration.data_driven.calibrate import calibrate_data
+from hil.calibration.data_driven.observed_beam import ObservedBeam
+from hil.calibration.data_driven.parameter_filter import STRAYS_S
+from hil.calibration.data_driven.quasi_static import QuasiStatic, marker_view
+from hil.calibration.data_driven.values import Measurement, Parameters
 from hil.machine import load_machine
 
 CARM = load_machine("carm")

@@ -8,8 +8,8 @@ import pytest
 from calibration.commands import isocenter
 from calibration.flexible_machine import OFF, Statics, machine_file
 
-from hil.calibration.geometric_model import read_calibration
-from hil.calibration.lookup import LookUp, read_look_up, write_look_up
+from hil.calibration.kinematic.geometric_model import read_calibration
+from hil.calibration.use.lookup_table import LookUp, read_look_up, write_look_up
 from hil.experiments import read_experiment
 from hil.imaging import ConeBeam
 from hil.imaging.nominal import nominal_beam

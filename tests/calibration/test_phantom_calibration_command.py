@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from calibration.commands import exposed_scan, isocenter
 
-from hil.calibration.lookup import LookUp, read_look_up, sweep_speed, write_look_up
+from hil.calibration.use.lookup_table import LookUp, read_look_up, sweep_speed, write_look_up
+from hil.emulated.images import true_beam, xray_side
 from hil.errors import UnusableInput
-from hil.imaging.emulated import true_beam, xray_side
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine

@@ -5,8 +5,8 @@ import pytest
 from calibration.phantom_images import DETECTOR, PHANTOM, RADIUS_PIXELS, image_of, nominal, scan
 from scipy import stats
 
-from hil.calibration.bullets import find_bullets
-from hil.calibration.phantom_pose import fit_poses, match_bullets, observe
+from hil.calibration.phantom.bullets import find_bullets
+from hil.calibration.phantom.pose import fit_poses, match_bullets, observe
 from hil.errors import UnusableInput
 from virtual_bus.xray.imaging import Optics
 

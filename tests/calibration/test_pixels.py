@@ -9,7 +9,7 @@ from calibration.flexible_machine import machine_file
 from calibration.phantom_images import PHANTOM, nominal
 from scipy.linalg import rq
 
-from hil.calibration.pixels import fit_pixels
+from hil.calibration.phantom.pixel_shape import fit_pixels
 from hil.errors import UnusableInput
 from hil.imaging import Detector
 

@@ -7,11 +7,11 @@ import pytest
 from calibration.phantom_images import DETECTOR, PHANTOM, RADIUS_PIXELS, image_of, nominal
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.bullets import find_bullets
-from hil.calibration.compensation import compensated, compensation
-from hil.calibration.lookup import LookUp, standing
-from hil.calibration.roadmap import PLACES, Overlay, overlay, registered
-from hil.calibration.volume import reconstruction_volume
+from hil.calibration.phantom.bullets import find_bullets
+from hil.calibration.use.compensation import compensated, compensation
+from hil.calibration.use.lookup_table import LookUp, standing
+from hil.calibration.use.roadmap import PLACES, Overlay, overlay, registered
+from hil.calibration.use.volume import reconstruction_volume
 from hil.errors import BadAnswer, UnusableInput
 from hil.figures.roadmap import roadmap_figure
 from hil.imaging import ConeBeam, Detector

@@ -8,8 +8,8 @@ import pytest
 from calibration.commands import exposed_scan, isocenter
 from calibration.flexible_machine import OFF, machine_file
 
-from hil.calibration.geometric_model import read_calibration
-from hil.calibration.lookup import LookUp, write_look_up
+from hil.calibration.kinematic.geometric_model import read_calibration
+from hil.calibration.use.lookup_table import LookUp, write_look_up
 from hil.experiments import read_experiment
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.scan_folder import read_scan

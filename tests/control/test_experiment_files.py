@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.lines import Band
+from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
 from hil.experiments import Jog, JogOnly, Move, Multisine, Scan, Static, experiment_from_text, read_experiment, write_experiment
 from hil.experiments.file_text import experiment_text

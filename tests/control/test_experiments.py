@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from controllers.lines import Band
+from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
 from hil.experiments import Jog, JogOnly, Move, Multisine, Scan, Static
 from hil.experiments.safety import COMMAND_SHARE

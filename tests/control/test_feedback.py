@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from controllers import design
+from controllers import loop_shaping
 from controllers.errors import DesignError
 from controllers.feedback import Feedback
 from controllers.settings import AxisController
 
 RATE_HZ = 256.0
-ERROR_FILTER = design.cascade(design.gain(200.0), design.lead(4.0, 50.0, RATE_HZ), design.lag(0.0, 0.4, RATE_HZ))
-FROM_POSITION = design.pid(100.0, 30.0, 4.0, 40.0, RATE_HZ)
-FROM_REFERENCE = design.pid(80.0, 30.0, 0.0, 40.0, RATE_HZ)
+ERROR_FILTER = loop_shaping.cascade(loop_shaping.gain(200.0), loop_shaping.lead(4.0, 50.0, RATE_HZ), loop_shaping.lag(0.0, 0.4, RATE_HZ))
+FROM_POSITION = loop_shaping.pid(100.0, 30.0, 4.0, 40.0, RATE_HZ)
+FROM_REFERENCE = loop_shaping.pid(80.0, 30.0, 0.0, 40.0, RATE_HZ)
 
 
 def make(limit=8.0):
@@ -69,7 +69,7 @@ def test_a_position_missing_in_the_very_first_sample_is_answered_with_the_holdin
 
 
 def test_feedforward_brings_its_part_of_the_holding_effort():
-    feedback = Feedback([AxisController("propeller", design.gain(50.0), None, 8.0, True)])
+    feedback = Feedback([AxisController("propeller", loop_shaping.gain(50.0), None, 8.0, True)])
     feedback.preload(np.array([1.7]), np.array([0.3]), feedforward=np.array([1.7]))
     held = run(feedback, np.full((3, 1), 0.3), np.full((3, 1), 0.3), feedforward=np.full((3, 1), 1.7))
     assert held[:, 0] == pytest.approx(1.7)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.errors import DesignError
-from controllers.lines import Band, checked_lines
+from controllers.excitation_lines import Band, checked_lines
 
 RATE_HZ, PERIOD = 256.0, 5120
 SPACING_HZ = RATE_HZ / PERIOD

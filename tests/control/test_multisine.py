@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.errors import DesignError
-from controllers.multisine import crest_factor, mixing_matrix, multisine
+from controllers.multisine import crest_factor, multisine
+from controllers.orthogonal_experiments import mixing_matrix
 
 PERIOD = 1024
 LINES = np.arange(3, 160, 2)

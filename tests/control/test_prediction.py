@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from controllers import design
+from controllers import loop_shaping
 from controllers.feedback import Feedback
 from controllers.multisine import multisine
 from hil.errors import ExperimentError
@@ -69,6 +69,6 @@ def test_two_coupled_axes_answer_as_their_linearisation_stepped_in_time():
 
 def test_a_controller_that_destabilises_is_refused():
     machine = load_machine("carm")
-    wild = tuple(dataclasses.replace(each, position_sections=design.gain(1e5)) for each in machine.controllers)
+    wild = tuple(dataclasses.replace(each, position_sections=loop_shaping.gain(1e5)) for each in machine.controllers)
     with pytest.raises(ExperimentError, match=r"carm.*not stable.*lower the controller's gain"):
         closed_loop(dataclasses.replace(machine, controllers=wild), np.zeros(2))

@@ -11,17 +11,17 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers import design
+from controllers import loop_shaping
 from controllers.errors import DesignError
 from controllers.sections import preload_state, response, sections_step, standstill_states
 
 RATE_HZ = 256.0
-CONTROLLER = design.cascade(
-    design.gain(300.0),
-    design.lead(4.0, 55.0, RATE_HZ),
-    design.lag(0.0, 0.5, RATE_HZ),
-    design.notch(14.0, 0.2, 0.5, RATE_HZ),
-    design.lowpass(60.0, 0.7, RATE_HZ),
+CONTROLLER = loop_shaping.cascade(
+    loop_shaping.gain(300.0),
+    loop_shaping.lead(4.0, 55.0, RATE_HZ),
+    loop_shaping.lag(0.0, 0.5, RATE_HZ),
+    loop_shaping.notch(14.0, 0.2, 0.5, RATE_HZ),
+    loop_shaping.lowpass(60.0, 0.7, RATE_HZ),
 )
 
 
@@ -69,15 +69,15 @@ def test_the_response_is_scipys():
 @pytest.mark.parametrize(
     ("term", "continuous", "match_Hz"),
     [
-        (design.lead(5.0, 50.0, RATE_HZ), None, 5.0),
-        (design.lag(0.1, 1.0, RATE_HZ), control.tf([1, 2 * np.pi], [1, 0.2 * np.pi]), 1.0),
+        (loop_shaping.lead(5.0, 50.0, RATE_HZ), None, 5.0),
+        (loop_shaping.lag(0.1, 1.0, RATE_HZ), control.tf([1, 2 * np.pi], [1, 0.2 * np.pi]), 1.0),
         (
-            design.notch(14.0, 0.1, 0.4, RATE_HZ),
+            loop_shaping.notch(14.0, 0.1, 0.4, RATE_HZ),
             control.tf([1, 2 * 0.04 * 28 * np.pi, (28 * np.pi) ** 2], [1, 0.8 * 28 * np.pi, (28 * np.pi) ** 2]),
             14.0,
         ),
-        (design.lowpass(60.0, 0.7, RATE_HZ), control.tf([(120 * np.pi) ** 2], [1, 1.4 * 120 * np.pi, (120 * np.pi) ** 2]), 60.0),
-        (design.pid(3.0, 2.0, 0.5, 40.0, RATE_HZ), 3 + control.tf([2], [1, 0]) + control.tf([0.5, 0], [1 / (80 * np.pi), 1]), 40.0),
+        (loop_shaping.lowpass(60.0, 0.7, RATE_HZ), control.tf([(120 * np.pi) ** 2], [1, 1.4 * 120 * np.pi, (120 * np.pi) ** 2]), 60.0),
+        (loop_shaping.pid(3.0, 2.0, 0.5, 40.0, RATE_HZ), 3 + control.tf([2], [1, 0]) + control.tf([0.5, 0], [1 / (80 * np.pi), 1]), 40.0),
     ],
     ids=["lead", "lag", "notch", "lowpass", "pid"],
 )
@@ -93,14 +93,18 @@ def test_a_term_is_tustin_with_prewarping_as_in_python_control(term, continuous,
 
 
 def test_a_lead_gives_its_phase_and_unit_gain_where_it_says():
-    value = response(design.lead(6.0, 50.0, RATE_HZ), [6.0], RATE_HZ)[0]
+    value = response(loop_shaping.lead(6.0, 50.0, RATE_HZ), [6.0], RATE_HZ)[0]
     assert abs(value) == pytest.approx(1.0)
     assert np.degrees(np.angle(value)) == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: design.lead(6.0, 95.0, RATE_HZ), lambda: design.lag(2.0, 1.0, RATE_HZ), lambda: design.notch(130.0, 0.1, 0.5, RATE_HZ)],
+    [
+        lambda: loop_shaping.lead(6.0, 95.0, RATE_HZ),
+        lambda: loop_shaping.lag(2.0, 1.0, RATE_HZ),
+        lambda: loop_shaping.notch(130.0, 0.1, 0.5, RATE_HZ),
+    ],
 )
 def test_a_term_that_cannot_be_is_refused(make):
     with pytest.raises(DesignError):
@@ -116,7 +120,7 @@ def test_a_preloaded_cascade_holds_its_output_wherever_the_integrator_stands(out
 
 
 def test_without_an_integrator_only_zero_can_be_held():
-    sections = design.lowpass(30.0, 0.7, RATE_HZ)
+    sections = loop_shaping.lowpass(30.0, 0.7, RATE_HZ)
     assert not preload_state(sections, 0.0).any()
     with pytest.raises(DesignError, match=r"2\.5.*no integrator"):
         preload_state(sections, 2.5)
@@ -125,8 +129,8 @@ def test_without_an_integrator_only_zero_can_be_held():
 @given(position=st.floats(-2.0, 2.0), output=st.floats(-8.0, 8.0))
 @settings(max_examples=30, deadline=None)
 def test_separate_filters_with_integrators_hold_together(position, output):
-    from_reference = design.cascade(design.pid(80.0, 40.0, 0.0, 30.0, RATE_HZ), design.lowpass(50.0, 0.8, RATE_HZ))
-    from_position = design.cascade(design.pid(80.0, 40.0, 5.0, 30.0, RATE_HZ), design.lowpass(50.0, 0.8, RATE_HZ))
+    from_reference = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 0.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))
+    from_position = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 5.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))
     state_r, state_y = standstill_states(from_reference, from_position, position, output)
     held = run(from_reference, state_r, np.full(2000, position)) - run(from_position, state_y, np.full(2000, position))
     np.testing.assert_allclose(held, output, atol=1e-8)
@@ -134,6 +138,6 @@ def test_separate_filters_with_integrators_hold_together(position, output):
 
 def test_separate_filters_that_differ_at_standstill_are_refused():
     with pytest.raises(DesignError, match="integrator"):
-        standstill_states(design.gain(2.0), design.gain(1.0), 0.5, 0.0)
-    state_r, state_y = standstill_states(design.gain(2.0), design.gain(1.0), 0.5, 0.5)
-    assert run(design.gain(2.0), state_r, [0.5])[0] - run(design.gain(1.0), state_y, [0.5])[0] == pytest.approx(0.5)
+        standstill_states(loop_shaping.gain(2.0), loop_shaping.gain(1.0), 0.5, 0.0)
+    state_r, state_y = standstill_states(loop_shaping.gain(2.0), loop_shaping.gain(1.0), 0.5, 0.5)
+    assert run(loop_shaping.gain(2.0), state_r, [0.5])[0] - run(loop_shaping.gain(1.0), state_y, [0.5])[0] == pytest.approx(0.5)

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.rendezvous import MAX_PID, EmulatorCard, card_from_text
+from hil.emulated.card import MAX_PID, EmulatorCard, card_from_text
 
 cards = st.builds(EmulatorCard, **{name: st.text() for name in EmulatorCard.__annotations__} | {"pid": st.integers(1, MAX_PID)})
 WHOLE = asdict(EmulatorCard("b", os.getpid(), "", ""))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from device_wires import PERIOD_S
 
-from hil.emulation import emulated_bus
+from hil.emulated.machine import emulated_bus
 from hil.machine import load_machine
 from virtual_bus.idle_time import ANSWER_SHARE, QUIET_SHARE, SILENCE_S, IdleTime
 from virtual_bus.physics import Physics

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Static
 from hil.machine import Machine, load_machine
 from hil.machine.effects_file import effects_from_text

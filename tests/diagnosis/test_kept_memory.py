@@ -12,7 +12,7 @@ TAKEN = """
 import ctypes
 import resource
 import numpy as np
-from hil.diagnosis.kept_memory import keep_memory
+from hil.processes.kept_memory import keep_memory
 ctypes.CDLL(None).prctl(41, 1, 0, 0, 0)  # PR_SET_THP_DISABLE: of huge pages few would do
 if {keep}:
     keep_memory()

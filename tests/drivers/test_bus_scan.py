@@ -10,7 +10,7 @@ from scripted_nodes import EDS, BusClock, ScriptedBus, ScriptedDrive, ScriptedEn
 from drivers.canopen.scan import scan_bus
 from drivers.errors import DuplicateNode
 from drivers.settings import Identity
-from hil.clock import WallClock
+from hil.bench.clock import WallClock
 
 
 def scan(*nodes: ScriptedNode):

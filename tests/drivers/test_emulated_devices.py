@@ -8,8 +8,8 @@ import pytest
 from drivers.canopen.scan import scan_bus
 from drivers.errors import DeviceFault
 from drivers.machine_link import CanMachine
-from hil.clock import LockstepClock
-from hil.emulation import build_emulated
+from hil.bench.clock import LockstepClock
+from hil.emulated.machine import build_emulated
 from hil.machine.load import load_machine
 from virtual_bus.lockstep import LockstepBus
 

@@ -13,7 +13,7 @@ from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.sdo import RESPONSE_TIMEOUT_S, SdoNode
 from drivers.errors import BusError, ConfigurationRefused, DuplicateNode, NodeAbsent
-from hil.clock import WallClock
+from hil.bench.clock import WallClock
 
 
 def connected(*nodes: ScriptedNode) -> tuple[ScriptedBus, SdoNode]:

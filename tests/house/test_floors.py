@@ -57,7 +57,7 @@ def test_every_import_stays_on_its_floor_or_goes_down():
     ("file", "text"),
     [
         ("controllers/observer.py", "from virtual_bus.plant import compile_plant\n"),
-        ("drivers/imu.py", "import hil.loop\n"),
+        ("drivers/imu.py", "import hil.bench.loop\n"),
         ("virtual_bus/node.py", "from drivers.machine_link import CanMachine\n"),
         ("virtual_bus/node.py", "def late():\n    from controllers import feedback\n"),
         ("controllers/models/modal.py", "from virtual_bus.physics import Physics\n"),

@@ -22,7 +22,7 @@ STEPS = (
 )
 """Folders of `hil/diagnosis`; `report` and the files beside them but LEAVES stand on all."""
 
-LEAVES = ("__init__", "result", "kept_memory")
+LEAVES = ("__init__", "result")
 """Files of `hil/diagnosis` that know nothing of it."""
 
 HERE = "hil.diagnosis"

@@ -5,7 +5,8 @@ import pytest
 from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
 
 from hil.identification import IdentificationError, periodic_records, robust_bla
-from hil.identification.design import design_excitation, frozen_pose_check
+from hil.identification.design.excitation import design_excitation
+from hil.identification.design.frozen_pose import frozen_pose_check
 
 PERIOD, SETTLE = 512, 5
 BAND_HZ = (0.5, 20.0)

@@ -18,7 +18,7 @@ from hil.identification import (
     robust_bla,
     robust_local,
 )
-from hil.identification.local_fit import local_fits
+from hil.identification.local.least_squares import local_fits
 
 PERIOD = 1024
 LINES = np.arange(1, 200)

@@ -10,10 +10,10 @@ from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_
 
 from hil.figures.modes import modes_figure
 from hil.identification import IdentificationError, periodic_records, robust_bla
-from hil.identification.modal_blocks import Block, block_responses
-from hil.identification.modal_joint import JointProblem
-from hil.identification.modal_model import fit_modal_model
-from hil.identification.modal_pose import choose_pairs
+from hil.identification.modal.all_poses import JointProblem
+from hil.identification.modal.lpv_model import fit_modal_model
+from hil.identification.modal.one_pose import choose_pairs
+from hil.identification.modal.pole_blocks import Block, block_responses
 
 PERIOD, SETTLE, LINES = 512, 4, np.arange(5, 160)
 DAMPING = (0.03, 0.02)

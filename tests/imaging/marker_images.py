@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 
+from hil.emulated.marker_images import expected_image
 from hil.imaging import Detector
 from hil.imaging.markers import PLATES, MarkerProjection
-from hil.imaging.markers.emulated import expected_image
 from virtual_bus.xray.imaging import Optics, exposed
 
 DETECTOR = Detector(columns=640, rows=512, pitch_m=0.5e-3)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hil.calibration.lookup import LookUp, read_look_up, write_look_up
+from hil.calibration.use.lookup_table import LookUp, read_look_up, write_look_up
 from hil.cli import main
 from hil.imaging import ConeBeam
 from hil.imaging.nominal import nominal_beam

@@ -10,12 +10,12 @@ from calibration.commands import isocenter
 from drivers.imaging import ClocksDisagree, Frame, FrameSpool, PanelClock, SpoolError, write_frame
 from hil.errors import BadAnswer
 from hil.imaging.detector import Detector
-from hil.imaging.frames_beside import finished_scan, frames_beside
 from hil.imaging.markers import MarkerProjection
-from hil.imaging.panel_frames import RemotePanel, RowSpan
-from hil.imaging.receiver import STAMPS, ReceiverOrder
 from hil.imaging.scan_folder import EXPOSURES, read_scan
 from hil.machine import load_machine
+from hil.receiving.frames_beside import finished_scan, frames_beside
+from hil.receiving.panel_frames import RemotePanel, RowSpan
+from hil.receiving.receiver import STAMPS, ReceiverOrder
 from hil.recording import Channel, Recording
 
 PERIOD = 1.0 / 256.0

@@ -5,7 +5,7 @@ import os
 import pytest
 from calibration.commands import isocenter
 
-from hil.rendezvous import EmulatorCard, published
+from hil.emulated.card import EmulatorCard, published
 
 
 def refused(folder, capsys, *arguments):

@@ -8,8 +8,8 @@ import pytest
 from drivers.imaging import Frame
 from hil.imaging.detector import Detector
 from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
-from hil.imaging.watch import Live, Watch
 from hil.machine import load_machine
+from hil.receiving.watch import Live, Watch
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 

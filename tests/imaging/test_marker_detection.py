@@ -9,7 +9,7 @@ from scipy.special import erf
 from hil.errors import UnusableInput
 from hil.imaging.markers import PLATES, MarkerProjection, experimental_plate, find_marker
 from hil.imaging.markers.detect import coarse_points
-from hil.imaging.markers.filters import hybrid_median
+from hil.imaging.markers.hybrid_median import hybrid_median
 from hil.imaging.markers.lines import CoarseLine
 from hil.imaging.markers.profile import fit_profile
 from virtual_bus.xray.imaging import exposed

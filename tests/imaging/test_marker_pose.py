@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from marker_images import DETECTOR, NOMINAL, TRUE, image
 
-from hil.calibration.marker import LINEAR, NONLINEAR, fit_marker, fit_marker_linear
+from hil.calibration.marker.tube_to_panel import LINEAR, NONLINEAR, fit_marker, fit_marker_linear
 from hil.errors import UnusableInput
 from hil.imaging import ConeBeam, Detector
 from hil.imaging.markers import MarkerPoints, MarkerProjection, experimental_plate, find_marker

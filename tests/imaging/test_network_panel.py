@@ -13,17 +13,17 @@ import pytest
 from drivers.errors import BusUnavailable
 from drivers.imaging import PanelClock, PanelError, PanelLink, panel_link
 from drivers.imaging.panel_link import end_bytes, frame_bytes, read_command
+from hil.emulated import network_panel
+from hil.emulated.beam import beam_of
+from hil.emulated.network_panel import ServedPanel, serve
+from hil.emulated.pose_board import KEPT, PoseBoard
 from hil.errors import BadAnswer
-from hil.imaging import network_panel
-from hil.imaging.beam import beam_of
 from hil.imaging.detector import Detector
-from hil.imaging.frames_beside import frames_beside
-from hil.imaging.network_panel import ServedPanel, serve
 from hil.imaging.nominal import body_frame, imaging_geometry, nominal_detector
-from hil.imaging.panel_frames import PanelFrames, RemotePanel, RowSpan
-from hil.imaging.pose_board import KEPT, PoseBoard
-from hil.imaging.receiver import ReceiverOrder, received
 from hil.machine import load_machine
+from hil.receiving.frames_beside import frames_beside
+from hil.receiving.panel_frames import PanelFrames, RemotePanel, RowSpan
+from hil.receiving.receiver import ReceiverOrder, received
 from virtual_bus.xray.motion import PoseTrack, XraySide
 
 CARM = load_machine("carm")

@@ -9,7 +9,7 @@ from calibration.commands import isocenter
 from hil.errors import UnusableInput
 from hil.imaging.extra import DISTRIBUTIONS
 from hil.imaging.markers.lines import edges_of
-from hil.reconstruction.plane import parallel_projections
+from hil.reconstruction.filtered_backprojection import parallel_projections
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.errors import MachineFileError
+from hil.files.toml_text import toml_text
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.machine.load import parse_toml
-from hil.recording.toml_text import toml_text
 
 CARM = load_machine("carm").text
 FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)

@@ -10,7 +10,7 @@ import pytest
 from hil.experiments import Scan, Static
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, design_observer, tune
-from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.simulation import Simulator
 
 POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)

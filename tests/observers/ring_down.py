@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg
 
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Static
 from hil.machine import Machine
 from hil.observing.live import LiveObserver

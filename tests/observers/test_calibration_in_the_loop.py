@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.calibration.data_driven import Calibration, Parameters
-from hil.calibration.data_file import read_data_file, write_data_file
-from hil.calibration.observed_beam import ObservedBeam
-from hil.calibration.quasi_static import QuasiStatic
+from hil.calibration.data_driven.data_file import read_data_file, write_data_file
+from hil.calibration.data_driven.observed_beam import ObservedBeam
+from hil.calibration.data_driven.quasi_static import QuasiStatic
+from hil.calibration.data_driven.values import Calibration, Parameters
 from hil.cli import main
-from hil.imaging.beam import SPOT
-from hil.imaging.emulated import true_beam, xray_side
+from hil.emulated.beam import SPOT
+from hil.emulated.images import true_beam, xray_side
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine

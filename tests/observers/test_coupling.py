@@ -10,7 +10,7 @@ from observed_models import DenseModel, drawn_rows, small_model, small_noise
 from scipy.linalg import expm
 
 from controllers.errors import DesignError
-from controllers.observers.modal_kernel import linearised
+from controllers.observers.extended import linearised
 from controllers.observers.modal_observer import ModalObserver
 
 SPEEDS = np.array([0.7, -0.4])

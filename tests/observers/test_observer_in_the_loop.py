@@ -14,7 +14,8 @@ import pytest
 
 from drivers.errors import BusUnavailable
 from drivers.interface import Sample
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.cli import main
 from hil.errors import LoopAborted, UnusableInput
 from hil.experiments import Scan
@@ -161,7 +162,7 @@ class Cable(PipeEnd):
 @pytest.fixture
 def cable(monkeypatch: pytest.MonkeyPatch) -> Cable:
     cable = Cable()
-    monkeypatch.setattr("hil.wiring.imu_line", lambda emulated: cable.to(imu_line(emulated)))
+    monkeypatch.setattr("hil.bench.wiring.imu_line", lambda emulated: cable.to(imu_line(emulated)))
     return cable
 
 

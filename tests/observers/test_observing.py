@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from controllers.models.modal import basis_values
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.cli import main
 from hil.errors import BadAnswer, RecordingError, UnusableInput
 from hil.experiments import Scan, Static
@@ -23,8 +24,8 @@ from hil.observing import (
     write_estimate,
 )
 from hil.observing.directions import shapes_at
-from hil.observing.emulated import emulated_recording, emulated_responses
 from hil.observing.live import LiveObserver
+from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.recording import Channel, Recording, read_recording
 from hil.simulation import Simulator
 from virtual_bus.physics import Physics
@@ -259,7 +260,7 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
 
 
 def test_the_command_designs_from_multisines_and_standing_records(machine: Machine, scan: Recording, tmp_path, capsys) -> None:
-    from controllers.lines import Band
+    from controllers.excitation_lines import Band
     from hil.experiments import Multisine
     from hil.recording import write_recording
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.errors import UnusableInput
-from hil.reconstruction.plane import fan_projections, fan_reconstruction, filtered_backprojection, parallel_projections
+from hil.reconstruction.filtered_backprojection import fan_projections, fan_reconstruction, filtered_backprojection, parallel_projections
 
 DISCS = np.array([[0.0, 0.0, 0.05, 20.0], [0.018, 0.006, 0.012, 10.0], [-0.02, -0.015, 0.008, -8.0]])
 SIZE, SPACING, SOURCE = 129, 1e-3, 0.81

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.calibration.lookup import LookUp, write_look_up
+from hil.calibration.use.lookup_table import LookUp, write_look_up
 from hil.cli import main
 from hil.imaging import Detector
 from hil.imaging.scan_folder import FRAMES, read_scan, write_description, write_exposures

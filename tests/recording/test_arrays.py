@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.arrays import read_arrays, write_arrays
 from hil.errors import UnusableInput
+from hil.files.arrays import read_arrays, write_arrays
 
 
 def test_what_was_written_is_read_again(tmp_path) -> None:

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.errors import RecordingError
+from hil.files.toml_text import plain, toml_text
 from hil.recording import Channel, Recording, convert, read_recording, write_recording
-from hil.recording.toml_text import plain, toml_text
 
 FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

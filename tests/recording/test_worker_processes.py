@@ -11,7 +11,7 @@ import pytest
 POOL = """
 import multiprocessing, sys
 from concurrent.futures import ProcessPoolExecutor
-from hil.worker_processes import end_with_the_parent
+from hil.processes.workers import end_with_the_parent
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2, multiprocessing.get_context(sys.argv[1]), end_with_the_parent) as pool:

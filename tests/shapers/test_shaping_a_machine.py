@@ -12,7 +12,8 @@ import scipy.signal
 from controllers.errors import DesignError
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.filter import ReferenceShaper
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.cli import main
 from hil.errors import ExperimentError, UnusableInput
 from hil.experiments import Scan
@@ -21,11 +22,11 @@ from hil.identification.result import FrequencyResponse
 from hil.machine import load_machine
 from hil.recording import read_recording
 from hil.shaping.aim import periodic, sweep
-from hil.shaping.design import choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
 from hil.shaping.identified import subject_from_frf, subject_from_model
 from hil.shaping.plans import BeyondLimits, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at
+from hil.shaping.shaper_design import choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
 from hil.shaping.shaper_file import ShaperFile, read_shaper, write_shaper
 from hil.shaping.verdict import judge, tracking_error, vibration_left
 from hil.simulation import Inputs, Simulator

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench import BenchOptions, open_bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.experiments import Multisine
 from hil.machine import load_machine
 from hil.machine.mjcf import to_mjcf

@@ -11,7 +11,7 @@ import numpy as np
 from hil.experiments import Static
 from hil.machine import load_machine
 from hil.observing import design_observer, observe, write_design
-from hil.observing.emulated import emulated_recording, emulated_responses
+from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 
 DESIGN, SHAPER = "carm.observer.npz", "roll.shaper.npz"
 

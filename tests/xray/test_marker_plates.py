@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hil.emulated.marker_images import steel
 from hil.imaging.markers import PLATES
-from hil.imaging.markers.emulated import steel
 from virtual_bus.xray.markers import Mounted, plate_attenuation, ray_shifts
 from virtual_bus.xray.render import Panel, View
 

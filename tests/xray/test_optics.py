@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.imaging.scenes import scene
+from hil.emulated.scenes import scene
 from virtual_bus.xray.imaging import Optics, expected, exposed
 from virtual_bus.xray.motion import FocalSpot
 from virtual_bus.xray.objects import BLOOD_WITH_CONTRAST_1_M, Ball, Rod

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from typing import TYPE_CHECKING
 
 from virtual_bus.canopen import abort, cob_id
 from virtual_bus.canopen.abort import SdoAbort
 from virtual_bus.canopen.objects import Value, key_of
-
-if TYPE_CHECKING:
-    from virtual_bus.canopen.node import Node
+from virtual_bus.canopen.port import Port
 
 GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x80
 _REGISTER_OF_CLASS = {0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x8: COMMUNICATION}
@@ -31,7 +28,7 @@ def register_bit(code: int) -> int:
 class Emergency:
     """Raises and clears errors, tells the bus once of each, and keeps 1001h and 1003h."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Port) -> None:
         self._node = node
         self._active: dict[int, int] = {}  # code -> register bits
         self._queue: deque[bytes] = deque()  # held back by the inhibit time

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbort
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR
 from virtual_bus.canopen.objects import Value, key_of
-
-if TYPE_CHECKING:
-    from virtual_bus.canopen.node import Node
+from virtual_bus.canopen.port import Port
 
 
 class HeartbeatProducer:
     """Tells the NMT state every 1017h milliseconds: at once when the time is written, one period after a boot-up."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Port) -> None:
         self._node = node
         self.deadline_s = math.inf
         node.objects.effects[key_of(0x1017)] = lambda value: self.start(at_once=True)
@@ -55,7 +52,7 @@ class _Watch:
 class HeartbeatConsumer:
     """Supervises the nodes in 1016h. A node that falls silent raises EMCY 8130h and the node's loss-of-connection reaction."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Port) -> None:
         self._node = node
         self._watches: dict[int, _Watch] = {}
         self.deadline_s = math.inf

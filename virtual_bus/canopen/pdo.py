@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from canopen.objectdictionary import ODVariable
 
 from virtual_bus.canopen.objects import Entry, Objects, Value
-
-if TYPE_CHECKING:
-    from virtual_bus.canopen.node import Node
+from virtual_bus.canopen.port import Port
 
 MAX_SYNCHRONOUS = 240  # transmission types up to this one follow the SYNC
 EVENT_DRIVEN = (254, 255)
@@ -80,7 +77,7 @@ def dummy_entry(data_type: int) -> Entry:
 class Rpdo:
     """A receive PDO: applied at the next SYNC, or at once for transmission types 254 and 255."""
 
-    def __init__(self, node: Node, number: int) -> None:
+    def __init__(self, node: Port, number: int) -> None:
         self._node = node
         self.communication, self.mapping = 0x1400 + number, 0x1600 + number
         self.cob_id = 0
@@ -160,7 +157,7 @@ class Rpdo:
 class Tpdo:
     """A transmit PDO: every n-th SYNC, at the next SYNC after an event (0), or on events (254, 255) within inhibit and event time."""
 
-    def __init__(self, node: Node, number: int) -> None:
+    def __init__(self, node: Port, number: int) -> None:
         self._node = node
         self.communication, self.mapping = 0x1800 + number, 0x1A00 + number
         self.cob_id = 0

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from virtual_bus.canopen.cob_id import CAN_ID
 from virtual_bus.canopen.communication import GENERATES_SYNC
 from virtual_bus.canopen.objects import key_of
-
-if TYPE_CHECKING:
-    from virtual_bus.canopen.node import Node
+from virtual_bus.canopen.port import Port
 
 
 class SyncProducer:
     """Sends SYNC every 1006h microseconds, with a counter from 1 to 1019h where that is set, and follows it itself."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Port) -> None:
         self._node = node
         self._counter = 0
         self.deadline_s = math.inf

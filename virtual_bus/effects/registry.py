@@ -7,9 +7,9 @@ import inspect
 import math
 import pkgutil
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 
-import virtual_bus.effects
 from virtual_bus.effects.effect import MAX_PARAMETERS, Effect
 from virtual_bus.effects.residual import Residual
 
@@ -17,8 +17,8 @@ from virtual_bus.effects.residual import Residual
 @cache
 def _modules() -> dict[str, ModuleType]:
     found = {}
-    for entry in sorted(pkgutil.iter_modules(virtual_bus.effects.__path__), key=lambda entry: entry.name):
-        module = importlib.import_module(f"{virtual_bus.effects.__name__}.{entry.name}")
+    for entry in sorted(pkgutil.iter_modules([str(Path(__file__).parent)]), key=lambda entry: entry.name):
+        module = importlib.import_module(f"{__package__}.{entry.name}")
         effect = getattr(module, "EFFECT", None)
         if isinstance(effect, Effect):
             complete = hasattr(module, effect.kind.function) and hasattr(module, "guess")

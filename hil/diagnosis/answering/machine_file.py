@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from hil.errors import BadAnswer
+from hil.files.toml_text import toml_text
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
-from hil.recording.toml_text import toml_text
 from virtual_bus.plant.parameters import AXES, INERTIA_ENTRIES, PlantParameter, plant_parameters
 
 ENTRIES = {"center_of_mass": AXES, "inertia": tuple(label for label, _, _ in INERTIA_ENTRIES)}

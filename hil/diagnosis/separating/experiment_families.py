@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from controllers.lines import Band
+from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
 from hil.experiments import Experiment, Jog, JogOnly, Multisine, Scan
 from hil.machine import Machine

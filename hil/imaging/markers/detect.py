@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.errors import UnusableInput
 from hil.imaging.detector import Detector
-from hil.imaging.markers.filters import hybrid_median
+from hil.imaging.markers.hybrid_median import hybrid_median
 from hil.imaging.markers.lines import CoarseLine, Edges, edges_of, fit_edges, hough_lines, matched
 from hil.imaging.markers.plane import refused_lines
 from hil.imaging.markers.plates import MarkerPlate

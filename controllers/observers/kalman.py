@@ -1,0 +1,51 @@
+"""Kalman filter (thesis Sec. 5.3.1): output rows about the rigid machine.
+
+The rows stand about the rigid machine, unbent, at the predicted pose and speeds: what its motion makes the sensors read is a known
+input, all else is linear. Its time update (5.7) is that of `filter_step` with a linear model.
+"""
+
+from __future__ import annotations
+
+from controllers.compiled import exactly_called
+from controllers.observers.linear_part import signals
+from controllers.observers.modal_equations import first_bias, readings
+
+SLOPE_STEP = 1e-4
+"""Difference step of the KF's output rows, in units of the states: the outputs are at most sines of a pose, so the error is 1e-9."""
+
+
+@exactly_called
+def look_at_rigid(constants, scheduled, memory):
+    """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both about the rigid machine as it moves.
+
+    Gravity, centripetal and Coriolis accelerations, and rates seen from a tilted sensor, are those of the axes' pose and speeds.
+    """
+    n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
+    x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.command
+    rigid, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
+    biases = first_bias(constants)
+    rigid[:] = 0.0
+    for k in range(2 * n):
+        rigid[k] = x[k]
+    signals(constants, scheduled, rigid, u, sensed)
+    readings(constants, scheduled, sensed, mean)
+    for i in range(states):
+        for j in range(measurements):
+            seen[i, j] = factor[i, biases + j - 2 * n] if j >= 2 * n else 0.0
+    for j in range(2 * n, measurements):
+        mean[j] += x[biases + j - 2 * n]
+    for k in range(biases):
+        kept = rigid[k]
+        rigid[k] = kept + SLOPE_STEP
+        signals(constants, scheduled, rigid, u, sensed)
+        readings(constants, scheduled, sensed, upper)
+        rigid[k] = kept - SLOPE_STEP
+        signals(constants, scheduled, rigid, u, sensed)
+        readings(constants, scheduled, sensed, lower)
+        rigid[k] = kept
+        for j in range(measurements):
+            slopes[j] = (upper[j] - lower[j]) / (2.0 * SLOPE_STEP)
+            mean[j] += slopes[j] * (x[k] - kept)
+        for i in range(k + 1):
+            for j in range(measurements):
+                seen[i, j] += factor[i, k] * slopes[j]

@@ -1,0 +1,21 @@
+"""What a compiled observer changes while it runs, and which filter it is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+KALMAN, EXTENDED, UNSCENTED = 0, 1, 2
+
+
+class Memory(NamedTuple):
+    """What a compiled observer changes. Preallocated."""
+
+    x: np.ndarray  # (states,)
+    factor: np.ndarray  # (states, states) U, P = UᵀU
+    innovation: np.ndarray  # (measurements,) z - ẑ; NaN where nothing was measured
+    bends: np.ndarray  # (states, 2 adapted): how the mean of a pair of sigma points strays, one sample on
+    seen: np.ndarray  # (2 states, measurements)
+    array: np.ndarray  # (2 states + measurements + noise sources, measurements + states)
+    lines: np.ndarray  # (6, states, signals or columns of `steps`, whichever are most): scratch

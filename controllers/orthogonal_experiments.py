@@ -1,0 +1,19 @@
+"""Orthogonal experiments for several inputs: Hadamard and DFT matrices (thesis Sec. 3.3, (3.9)), or one input at a time."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import scipy.linalg
+
+Mixing = Literal["orthogonal", "single"]
+
+
+def mixing_matrix(inputs: int, mixing: Mixing) -> np.ndarray:
+    """T of (3.9), (n_u, n_u), unitary: Hadamard/sqrt(n_u) (errata) for powers of two, else DFT/sqrt(n_u); single inputs: identity."""
+    if mixing == "single":
+        return np.eye(inputs)
+    if inputs & (inputs - 1) == 0:
+        return scipy.linalg.hadamard(inputs) / np.sqrt(inputs)
+    return scipy.linalg.dft(inputs, scale="sqrtn")

@@ -1,0 +1,291 @@
+"""The bench: a machine on a bus, commissioned, brought to its start pose, run in closed loop and recorded.
+
+with open_bench(machine, BenchOptions("lockstep:"), start_pose) as bench:
+    bench.run(plan, Path("run.mf4"))
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from drivers.errors import MotionRefused
+from drivers.interface import Sample
+from hil.bench.loop import SampleLoop
+from hil.bench.options import BenchOptions
+from hil.bench.start_pose import standing
+from hil.bench.timing import LoopTiming
+from hil.bench.wiring import Wiring
+from hil.errors import RecordingError
+from hil.experiments import Move, Plan, Static
+from hil.experiments.safety import gravity_feedforward
+from hil.machine import Machine
+from hil.processes.real_time import Scheduling, real_time
+from hil.recording import JournalSink, RecorderProcess, recording_metadata
+from virtual_bus.physics import Physics
+
+if TYPE_CHECKING:
+    from hil.observing.live import LiveObserver
+
+SETTLE_S = 4
+"""Whole seconds of standstill before row 0, in which what the way there has set swinging dies out."""
+
+SETTLE_AT_MOST_S = 16
+"""It goes on while the integrators still bring the machine closer, on the C-arm by e in 1.6 s; an axis that hunts about its stiction never
+stands."""
+
+STANDING_COUNTS = 2.0
+"""So near to its pose an axis stands there: encoder counts."""
+
+ARRIVED_COUNTS = 20.0
+"""Closer than so many encoder counts to a pose no move is made to reach it: two tenths of a milliradian on the C-arm."""
+
+BRIDGE_S = 1.0
+BRIDGED_SHARE = 0.05
+"""Of the tracking error that stops the motors: commissioning moves an axis by half a milliradian, a twentieth is 2.6 on the C-arm."""
+
+
+Beside = contextlib.AbstractContextManager[None]
+
+
+class Rows(Protocol):
+    """Who wants to know which SYNCs a recording's rows are: counts since the nodes were started."""
+
+    def begin(self, syncs: int) -> None:
+        """Row 0 is the next, after so many."""
+
+    def end(self, syncs: int) -> None:
+        """The last row was the last of so many."""
+
+
+@dataclass
+class Bench:
+    """A machine at rest: drives disabled, brakes closed, nodes reset and silent; made by `open_bench`.
+
+    Every recording is a session of its own: boot, configuration, homing, hold, way, plan, brakes. Whatever takes time (planning, starting a
+    recorder, writing a file) is done between sessions, when nobody waits for a heartbeat.
+    """
+
+    machine: Machine
+    options: BenchOptions
+    wiring: Wiring
+    loop: SampleLoop
+    model: Physics  # of the machine file: what holds it where
+    scheduling: Scheduling
+    pose: np.ndarray  # (n_axes,) where the machine stands
+    commissioning: tuple[str, ...] = ()
+    observer: LiveObserver | None = None
+
+    def __post_init__(self) -> None:
+        self._still = np.zeros(len(self.machine.axes))
+
+    def commission(self) -> tuple[str, ...]:
+        """Boot, first-move check, homing and encoder agreement of every axis; what was found, a line each.
+
+        Raises
+        ------
+        DriverError
+            A device is absent, wrong or at fault, or a check failed; the motors were stopped.
+        """
+        with self._session():
+            self._see_pose()
+            return self.commissioning
+
+    def run(
+        self,
+        plan: Plan,
+        path: Path,
+        progress: Callable[[int], None] | None = None,
+        beside: Callable[[RecorderProcess], Beside] | None = None,
+        rows: Rows | None = None,
+    ) -> LoopTiming:
+        """Go to the plan's start pose, settle, run it and record every row into `path`.
+
+        Parameters
+        ----------
+        plan : Plan
+        path : Path
+        progress : callable, optional
+            Told the row now and then, in the loop's own process.
+        beside : callable, optional
+            On the wall clock, what is done in another process from before the session to its end; it is given the recorder.
+        rows : Rows, optional
+            Told when the plan begins and when it has ended.
+
+        The way is planned from where the machine stood before the session; the first-move check pushes each axis a little, and a second's
+        smooth bridge leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
+
+        Raises
+        ------
+        LoopAborted, DriverError
+            The motors were stopped; the rows up to then are in `path`.
+        """
+        way, stay = self._way_to(plan.start_pose)
+        sink = self._sink(plan, path)
+        tables: dict[str, Any] = {}
+        watched = contextlib.nullcontext() if beside is None or isinstance(sink, JournalSink) else beside(sink)
+        try:
+            with watched, self._session():
+                self._take_hold()
+                self.wiring.link.watch.lead()
+                for leg in (self._bridge_to(way[0] if way else stay), *way):
+                    self.loop.run(leg)
+                residual, notes = self._settle(stay)
+                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": residual}
+                self.wiring.start_truth()
+                if rows is not None:
+                    rows.begin(self.wiring.link.syncs)
+                timing = self.loop.run(plan, sink, progress)
+                if rows is not None:
+                    rows.end(self.wiring.link.syncs)
+                self.wiring.pause_truth()
+                self.pose = plan.reference[-1].copy()
+                self.wiring.link.close_brakes(self._holding())
+                self._see_pose()
+            if not self.wiring.lockstep:
+                tables["timing"] = timing.summary()
+            tables["bench"] = self._circumstances()
+        except BaseException as error:
+            self.wiring.pause_truth()
+            tables["ended"] = {"error": str(error) or type(error).__name__, "stopping": self.wiring.link.troubles}
+            try:
+                sink.close(tables)
+            except RecordingError as problem:
+                error.add_note(str(problem))
+            raise
+        sink.close(tables)
+        return dataclasses.replace(timing, notes=notes + timing.notes)
+
+    @contextlib.contextmanager
+    def _session(self) -> Iterator[None]:
+        """Commissioned nodes, drives disabled, brakes closed; stopped and reset on the way out, whatever happens."""
+        link = self.wiring.link
+        with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
+            self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
+            stack.callback(link.close)
+            try:
+                link.start()
+                pose, windup = standing(self.machine, self.model, link.exchange(self._still))
+                found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
+                self.commissioning = self.commissioning or tuple(found)
+                yield
+            except Exception as error:
+                if link.troubles:
+                    more = f" and {len(link.troubles) - 1} more" if len(link.troubles) > 1 else ""
+                    error.add_note(f"stopping the motors ran into {link.troubles[0]}{more}")
+                raise
+
+    def _take_hold(self) -> None:
+        """Let the feedback hold where the machine stands, enable the drives under it, open the brakes.
+
+        A drive that works its own brake opens it when it is enabled: from then on the axis hangs on the command.
+        """
+        link = self.wiring.link
+        self._see_pose()
+        effort = self.model.holding_effort(self.pose)
+        self.loop.feedback.preload(effort, self.pose, self._feedforward())
+        self.loop.command[:] = effort
+        link.enable(self._holding())
+        link.release_brakes(self._holding())
+
+    def _see_pose(self) -> None:
+        """Where the homed machine stands."""
+        measured = self.wiring.link.exchange(self._still).position
+        self.pose = np.where(np.isfinite(measured), measured, self.pose)
+
+    def _bridge_to(self, first: Plan) -> Plan:
+        """A second from where the machine stands to where its way was planned from: half a cosine, slow enough for any axis.
+
+        Raises
+        ------
+        MotionRefused
+            It has moved further than commissioning moves it.
+        """
+        for axis, limit in enumerate(self.machine.limits):
+            stands, begins = self.pose[axis], first.reference[0, axis]
+            allowed = BRIDGED_SHARE * limit.tracking_error
+            if not abs(stands - begins) <= allowed:
+                raise MotionRefused(
+                    f"{limit.axis}: stands at {stands:+.5f} {limit.unit}, its way was planned from {begins:+.5f}: it moved by "
+                    f"{abs(stands - begins):.1e} since, {allowed:.1e} is allowed; run again to plan from here"
+                )
+        rows = round(BRIDGE_S * self.machine.sample_rate_Hz)
+        ease = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows + 1) / rows)[:, None]
+        reference = self.pose + ease * (first.reference[0] - self.pose)
+        feedforward = None if first.feedforward is None else np.tile(first.feedforward[0], (rows, 1))
+        return Plan(first.axes, reference, reference, np.zeros_like(reference), feedforward, self.pose.copy(), first.metadata)
+
+    def _holding(self) -> Callable[[Sample], np.ndarray]:
+        """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
+        loop, pose, feedforward = self.loop, self.pose.copy(), self._feedforward()
+        position = pose.copy()
+
+        def hold(sample: Sample) -> np.ndarray:
+            known = np.isfinite(sample.position)
+            position[known] = sample.position[known]
+            loop.feedback.step(pose, position, self._still, feedforward, loop.command)
+            return loop.command
+
+        return hold
+
+    def _feedforward(self) -> np.ndarray:
+        """What gravity feedforward brings at the present pose (n_axes,), zero where no axis asks for it."""
+        brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
+        return np.zeros(len(self.pose)) if brought is None else brought[0]
+
+    def _settle(self, stay: Plan) -> tuple[dict[str, list[float]], tuple[str, ...]]:
+        """Hold still until every axis stands where it should, or it takes too long.
+
+        Returns
+        -------
+        dict
+            In axis order, `deviation` from the pose at the end [rad or m] and mean `speed` over the last second [rad/s or m/s].
+        tuple of str
+            A line for every axis that does not stand.
+        """
+        link = self.wiring.link
+        near = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in link.scalings])
+        deviation = speed = link.sample.position - stay.start_pose
+        for second in range(SETTLE_AT_MOST_S):
+            if second >= SETTLE_S and (np.abs(deviation) <= near).all():
+                break
+            self.loop.run(stay)
+            before, deviation = deviation, link.sample.position - stay.start_pose
+            speed = deviation - before  # over one second
+        notes = tuple(
+            f"{limit.axis}: does not stand: {off:+.1e} {limit.unit} from its pose and moving by {drift:+.1e} {limit.unit}/s after "
+            f"{SETTLE_AT_MOST_S} s of standstill, {most:.1e} is standing; recorded all the same (initial.standing)"
+            for limit, off, drift, most in zip(self.machine.limits, deviation, speed, near, strict=True)
+            if not abs(off) <= most
+        )
+        return {"deviation": deviation.tolist(), "speed": speed.tolist()}, notes
+
+    def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
+        """From where the machine stands to `pose`, within the limits, and a second of standstill there."""
+        axes = self.machine.axes
+        start = dict(zip(axes, map(float, self.pose), strict=True))
+        goal = dict(zip(axes, map(float, pose), strict=True))
+        tolerance = np.array([ARRIVED_COUNTS * scaling.position_resolution for scaling in self.wiring.link.scalings])
+        legs = Move(start, goal).plans(self.machine) if (np.abs(pose - self.pose) > tolerance).any() else []
+        (stay,) = Static(1.0, goal).plans(self.machine)
+        return legs, stay
+
+    def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
+        """Where the plan's rows go, ready to take them."""
+        observer = None if self.observer is None else self.observer.metadata
+        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer)
+        return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)
+
+    def _initial(self) -> dict[str, Any]:
+        link = self.wiring.link
+        brakes = {axis: "open" if link.has_brake(index) else "none" for index, axis in enumerate(self.machine.axes)}
+        return {"brakes": brakes, "seed": self.options.seed}
+
+    def _circumstances(self) -> dict[str, Any]:
+        return {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": list(self.commissioning)}

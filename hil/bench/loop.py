@@ -1,0 +1,231 @@
+"""The sample loop: one row per SYNC, feedback and excitation from precomputed plans, limits held, motors stopped on the way out.
+
+Nothing in a tick allocates what grows, logs, prints or waits for anything but the next tick and the devices' answers; rows leave through
+a sink that only copies.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from controllers.feedback import Feedback
+from controllers.settings import AxisLimits
+from drivers.interface import MachineLink, Sample
+from hil.bench.row_layout import RowLayout
+from hil.bench.signals import Signals, StopRequest
+from hil.bench.timing import LoopTiming
+from hil.errors import LoopAborted
+
+PROGRESS_TICKS = 128
+"""How often the progress callback is told: twice a second at 256 Hz."""
+
+
+class Sink(Protocol):
+    """Where rows go."""
+
+    def put(self, row: np.ndarray) -> None:
+        """Copy one row; never blocks."""
+
+
+class TickClock(Protocol):
+    """What the loop asks a clock beside `drivers.interface.Clock`: when the last tick's work was done, and how many ticks were lost."""
+
+    idle_began_s: float
+    tick_began_s: float
+
+    @property
+    def missed(self) -> int:
+        """Ticks skipped so far."""
+
+
+class Observer(Protocol):
+    """What watches every recorded row, and may add to the command (`hil.observing.live.LiveObserver`)."""
+
+    estimate: np.ndarray  # (channels,) overwritten by every step; goes into the row
+    effort: np.ndarray  # (n_axes,) overwritten by every step; is added to the command before saturation
+
+    def restart(self, rows: int) -> None:
+        """Row 0 of a plan of this many ticks follows."""
+
+    def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
+        """One row: what was latched, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
+
+
+_UNTIMED = (0.0, math.nan, math.nan)
+
+
+@dataclass
+class SampleLoop:
+    """One machine, one feedback, one row layout.
+
+    Parameters
+    ----------
+    link : MachineLink
+        The machine, real or emulated.
+    clock : TickClock
+        The clock the link ticks by.
+    feedback : Feedback
+        All axes' controllers.
+    limits : sequence of AxisLimits
+        Held against every sample.
+    layout : RowLayout
+        Which value goes to which column.
+    guard_io : bool
+        Hold-to-run, door and the age of the I/O are watched (False for a machine without I/O).
+    io_stale_s : float
+        Age of the I/O's state at which the motors are stopped.
+    overrun_ticks, stale_ticks : int
+        Ticks lost at once, and ticks in a row without a position, that are bridged; more stop the motors.
+    braked : sequence of bool
+        Which axes have a brake that the I/O reports: open throughout a run.
+    timed : bool
+        False in lockstep: work and answer times are those of the host, and are left out of the rows so that runs repeat bit for bit.
+    watch : callable, optional
+        What the link's own watch over its encoders finds wrong with a sample, in words; '' when nothing is.
+    observer : Observer, optional
+        Steps once per recorded row, between the sample and the feedback; runs without a sink are not watched.
+    """
+
+    link: MachineLink
+    clock: TickClock
+    feedback: Feedback
+    limits: Sequence[AxisLimits]
+    layout: RowLayout
+    guard_io: bool
+    io_stale_s: float
+    overrun_ticks: int
+    stale_ticks: int
+    braked: Sequence[bool] = ()
+    timed: bool = True
+    stop_request: StopRequest = field(default_factory=StopRequest)
+    watch: Callable[[Sample], str] | None = None
+    observer: Observer | None = None
+
+    def __post_init__(self) -> None:
+        axes = len(self.limits)
+        self.command = np.zeros(axes)
+        self._position = np.full(axes, np.nan)  # the newest there is; none yet
+        self._stale = [0] * axes  # ticks since
+        self._row = np.full(self.layout.width, np.nan)
+        self._zeros = np.zeros(axes)
+        self._added = np.zeros(axes)  # excitation and what the observer adds
+
+    def run(self, plan: Signals, sink: Sink | None = None, progress: Callable[[int], None] | None = None) -> LoopTiming:
+        """Walk through a plan, a row per tick; what it holds for ticks that are lost is left out.
+
+        Raises
+        ------
+        LoopAborted
+            A limit, a stale position, the I/O, an overrun or a stop request ended the run; the motors are stopped before it leaves.
+        DriverError
+            The link lost a device; it has stopped the motors.
+        """
+        rows = len(plan.reference)
+        k = -1  # tick of the plan: those that are lost are lost to it, too
+        observer = self.observer if sink is not None else None
+        if observer is not None:
+            observer.restart(rows)
+        lateness, work, answer = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+        missed_before = missed_seen = self.clock.missed
+        handed_over_s = 0.0
+        done = 0
+        notes: tuple[str, ...] = ()
+        try:
+            while k + 1 < rows:
+                sample = self.link.exchange(self.command)
+                lost = self.clock.missed - missed_seen
+                missed_seen += lost
+                k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
+                overrun = ""
+                if lost > self.overrun_ticks:
+                    overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
+                if k >= rows:  # the plan ended within what was lost; what happened meanwhile is looked at all the same
+                    self._see(sample)
+                    if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
+                        raise LoopAborted(_in_words(f"after row {done - 1}", reason, done, sink))
+                    break
+                tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
+                excitation = plan.excitation[k]
+                if observer is not None:
+                    observer.step(sample, self.command, k)
+                    excitation = np.add(excitation, observer.effort, out=self._added)
+                    if sample.imu_fault and not notes:
+                        notes = (f"row {done}: {sample.imu_fault}; the observer goes on with encoders and model",)
+                reason = self._step(sample, plan, k, excitation) or overrun
+                handed_over_s = time.perf_counter()
+                lateness[done] = sample.lateness_s
+                work[done] = handed_over_s - self.clock.tick_began_s + tail_s
+                answer[done] = sample.arrived_s - self.clock.tick_began_s
+                done += 1
+                if sink is not None:
+                    timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
+                    self.layout.fill(self._row, k, sample, plan, self.command, timing_s)
+                    if observer is not None:
+                        self._row[self.layout.observed] = observer.estimate
+                    sink.put(self._row)
+                if reason:
+                    raise LoopAborted(_in_words(f"row {done - 1}", reason, done, sink))
+                if progress is not None and k % PROGRESS_TICKS == 0:
+                    progress(k)
+        except BaseException:
+            self.link.stop()
+            raise
+        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done], notes)
+
+    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray) -> str:
+        """Compute the next command; return why the motors must be stopped, or ''."""
+        self._see(sample)
+        reference = plan.reference[k]
+        feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
+        self.feedback.step(reference, self._position, excitation, feedforward, self.command)
+        return self.stop_request.reason or self._violation(sample, reference)
+
+    def _see(self, sample: Sample) -> None:
+        """Take over the positions there are, count the ticks without."""
+        for axis, position in enumerate(sample.position.tolist()):
+            if position == position:
+                self._position[axis] = position
+                self._stale[axis] = 0
+            else:
+                self._stale[axis] += 1
+
+    def _violation(self, sample: Sample, reference: np.ndarray) -> str:
+        if sample.fault:
+            return sample.fault
+        if sample.imu_fault and self.observer is None:  # an observer goes on without
+            return sample.imu_fault
+        for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
+            if stale > self.stale_ticks:
+                return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
+            if position != position:  # bridged from the first tick on: the feedback holds its last command
+                continue
+            if not limit.lower <= position <= limit.upper:
+                return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
+            error = abs(wanted - position)
+            if not error <= limit.tracking_error:
+                return f"{limit.axis}: tracking error {error:.4f} {limit.unit} exceeds {limit.tracking_error:.4f} {limit.unit}"
+        if self.watch is not None and (reason := self.watch(sample)):
+            return reason
+        if self.guard_io:
+            if not sample.hold_to_run:
+                return "hold-to-run was released"
+            for axis, is_open in enumerate(sample.brakes_open.tolist()):
+                if not is_open and self.braked and self.braked[axis]:
+                    return f"{self.limits[axis].axis}: its brake closed during the run"
+            if not sample.door_closed:
+                return "the door was opened"
+            if not sample.io_age_s <= self.io_stale_s:
+                return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
+        return ""
+
+
+def _in_words(where: str, reason: str, done: int, sink: Sink | None) -> str:
+    if sink is None:
+        return f"{reason}; the motors were stopped before anything was recorded"
+    return f"{where}: {reason}; the motors were stopped and {done} rows are kept"

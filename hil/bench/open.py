@@ -1,0 +1,127 @@
+"""The composition root: from a machine and a bus URL to a bench at rest."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from controllers.feedback import Feedback
+from hil.bench.bench import Bench
+from hil.bench.clock import WallClock
+from hil.bench.loop import SampleLoop
+from hil.bench.options import BenchOptions
+from hil.bench.row_layout import AxisColumns, RowLayout
+from hil.bench.signals import StopRequest
+from hil.bench.start_pose import standing
+from hil.bench.stop_signals import stopping_on_signals
+from hil.bench.wiring import HeedingMachine, Wiring, lockstep_wiring, wall_wiring
+from hil.errors import UnusableInput
+from hil.experiments import Plan
+from hil.machine import Machine
+from hil.observing.live import LiveObserver
+from hil.processes.real_time import Scheduling
+from virtual_bus.physics import Physics
+
+
+@contextlib.contextmanager
+def open_bench(
+    machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, observer: LiveObserver | None = None
+) -> Iterator[Bench]:
+    """A machine found on its bus, at rest.
+
+    Parameters
+    ----------
+    machine : Machine
+    options : BenchOptions
+    start_pose : (n_axes,) array, optional
+        In lockstep, where the emulated machine stands when it is switched on.
+    observer : LiveObserver, optional
+        Watches every recorded row.
+
+    Raises
+    ------
+    UnusableInput
+        The machine file has no bus or no controller.
+    DriverError
+        The bus is missing, or a device is absent, wrong or at fault.
+    """
+    if machine.bus is None:
+        raise UnusableInput(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
+    if not machine.controllers:
+        raise UnusableInput(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
+    model = Physics(machine.plant, noise=False)
+    feedback = _warm(Feedback(machine.controllers))
+    lockstep = options.bus_url.startswith("lockstep:")
+    stop_request = StopRequest()
+    links: list[HeedingMachine] = []
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(stopping_on_signals(stop_request, lambda: any(link.stopping for link in links)))
+        wiring = stack.enter_context(
+            lockstep_wiring(machine, options, start_pose, stop_request) if lockstep else wall_wiring(machine, options, stop_request)
+        )
+        links.append(wiring.link)
+        io = machine.bus.io
+        loop = SampleLoop(
+            wiring.link,
+            wiring.clock,
+            feedback,
+            machine.limits,
+            row_layout(machine, () if observer is None else observer.channels),
+            guard_io=io is not None,
+            io_stale_s=io.stale_after_s if io is not None else np.inf,
+            overrun_ticks=machine.overrun_ticks,
+            stale_ticks=machine.stale_ticks,
+            braked=[wiring.link.has_brake(axis) for axis in range(len(machine.axes))],
+            timed=not lockstep,
+            stop_request=stop_request,
+            watch=wiring.link.watch.check,
+            observer=observer,
+        )
+        pose = _look(machine, model, wiring)
+        if observer is not None and isinstance(wiring.clock, WallClock):
+            if options.real_time:
+                wiring.clock.rehearsals.append(observer.rehearse)
+            stack.enter_context(observer.shown(options.bus_url))  # only now: a second bench has been refused
+        yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
+
+
+def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
+    """Where the machine stands (n_axes,), before anything is planned: the nodes are started, asked, and reset."""
+    try:
+        wiring.link.start()
+        return standing(machine, model, wiring.link.exchange(np.zeros(len(machine.axes))))[0]
+    finally:
+        wiring.link.close()
+
+
+def _warm(feedback: Feedback) -> Feedback:
+    """The feedback compiled: the first step of a machine must not wait for that."""
+    nothing = np.zeros(len(feedback.controllers))
+    feedback.step(nothing, nothing, nothing, nothing, nothing.copy())
+    feedback.reset()
+    return feedback
+
+
+def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> RowLayout:
+    """Columns of this machine's recordings, and of an observer's."""
+    plant = machine.plant
+    return RowLayout(
+        [AxisColumns(units.axis, units.position, units.effort) for units in machine.units],
+        1.0 / machine.sample_rate_Hz,
+        imu=machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else "",
+        link=any(encoder.channel.startswith("link_") for encoder in plant.encoders),
+        temperature=machine.bus is not None and machine.bus.io is not None and bool(machine.bus.io.temperature_registers),
+        observed=observed,
+    )
+
+
+def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
+    """One path per plan: `out` itself for one, `<stem>_r1_e2<suffix>` by realisation and experiment for more (counted from 1)."""
+    if len(plans) == 1:
+        return [out]
+    return [
+        out.with_name(f"{out.stem}_r{plan.metadata['realisation'] + 1}_e{plan.metadata['experiment'] + 1}{out.suffix}") for plan in plans
+    ]

@@ -1,0 +1,34 @@
+"""Signals that end a run, motors stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+from hil.bench.signals import StopRequest
+from hil.errors import LoopAborted
+
+
+@contextlib.contextmanager
+def stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> Iterator[None]:
+    """SIGINT, SIGTERM, SIGHUP and SIGQUIT end the run at the next tick, motors stopped; a second one at once, unless the motors are being
+    stopped already: a stop that is broken off may take the voltage from a drive before its brake has closed."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if request.reason and not stopping():
+            raise LoopAborted("interrupted twice; the motors were stopped")
+        request.ask(f"asked to stop by {signal.Signals(number).name}")
+
+    asking = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]  # not all everywhere
+    before = {number: signal.signal(number, ask) for number in asking}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,30 @@
+"""How well a sample loop kept its time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class LoopTiming:
+    """How well the loop kept its time over one run."""
+
+    ticks: int
+    missed: int
+    lateness_s: np.ndarray
+    work_time_s: np.ndarray
+    answer_time_s: np.ndarray
+    notes: tuple[str, ...] = ()  # what happened that the run could go on with
+
+    def summary(self) -> dict[str, float]:
+        """Percentiles in microseconds of lateness, work time, the answers' share of it, and the rest, our own; and the ticks missed."""
+        table: dict[str, float] = {"ticks": self.ticks, "missed": self.missed}
+        measured = {"lateness": self.lateness_s, "work_time": self.work_time_s, "answer_time": self.answer_time_s}
+        measured["own_work_time"] = self.work_time_s - self.answer_time_s
+        for name, values in measured.items():
+            if values.size:
+                p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
+                table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
+        return table

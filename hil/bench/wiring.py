@@ -1,0 +1,189 @@
+"""From a bus URL to a machine link: the same drivers on an emulated machine in this process, or on a bus outside it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import can
+import numpy as np
+
+from drivers.canopen.network import PolledNetwork
+from drivers.canopen.supervision import refuse_second_bench
+from drivers.errors import BusError, BusUnavailable
+from drivers.interface import Clock, Sample
+from drivers.machine_link import CanMachine
+from drivers.modbus.io import Io, IoDriver
+from drivers.modbus.io_process import IoProcess
+from drivers.modbus.transport import InProcessTransport
+from drivers.serial.imu import ImuDriver
+from drivers.serial.stream import open_stream
+from drivers.settings import BusSettings
+from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
+from hil.bench.options import BenchOptions
+from hil.bench.signals import StopRequest
+from hil.emulated.card import find
+from hil.emulated.machine import build_emulated, opened_bus
+from hil.emulated.truth import TruthLog
+from hil.errors import LoopAborted, UnusableInput
+from hil.machine import Machine
+from virtual_bus.lockstep import LockstepBus, imu_line, io_line
+
+
+class HeedingMachine(CanMachine):
+    """A machine that heeds a stop request in the ticks it makes by itself, too: booting, homing, brakes."""
+
+    def __init__(
+        self, stop_request: StopRequest, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None, io: Io | None
+    ) -> None:
+        super().__init__(settings, bus, clock, imu, io)
+        self.troubles: list[str] = []  # what stopping ran into since the last start: a second stop has none with what is stopped by then
+        self._stop_request = stop_request
+
+    def start(self) -> None:
+        """See `CanMachine`."""
+        self.troubles = []
+        super().start()
+
+    def stop(self) -> None:
+        """See `CanMachine`; what goes wrong is kept in `troubles`."""
+        super().stop()
+        self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
+
+    def exchange(self, command: np.ndarray) -> Sample:
+        """One tick, unless somebody has asked to stop: then the motors are, and LoopAborted says who asked."""
+        if self._stop_request.reason:
+            self.stop()
+            raise LoopAborted(f"{self._stop_request.reason}; the motors were stopped")
+        return super().exchange(command)
+
+
+@dataclass
+class Wiring:
+    """A machine link and the clock it ticks by."""
+
+    link: HeedingMachine
+    clock: LockstepClock | WallClock
+    lockstep: bool
+    truth: TruthLog | None = None
+
+    def start_truth(self) -> None:
+        """Truth rows begin with the next SYNC."""
+        if self.truth is not None:
+            self.truth.recording = True
+
+    def pause_truth(self) -> None:
+        """Truth rows end here."""
+        if self.truth is not None:
+            self.truth.recording = False
+
+
+@contextlib.contextmanager
+def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None, stop_request: StopRequest) -> Iterator[Wiring]:
+    """The emulated machine in this process, standing at `start_pose` (n_axes,), and its drivers on virtual time."""
+    settings = machine.bus
+    assert settings is not None
+    with contextlib.ExitStack() as stack:
+        truth = None
+        if options.truth is not None:
+            truth = stack.enter_context(contextlib.closing(TruthLog(options.truth, (options.emulated or machine).plant.tree.joints)))
+            truth.recording = False
+        emulated = build_emulated(options.emulated or machine, start_pose, seed=options.seed, noise=options.noise, truth=truth)
+        log = stack.enter_context(options.frame_log.open("w", encoding="utf-8")) if options.frame_log is not None else None
+        bus = LockstepBus(emulated, log)
+        stack.callback(bus.shutdown)
+        imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
+        io: Io | None = None
+        if settings.io is not None:
+            line = io_line(emulated)
+
+            def serve(request: bytes) -> bytes:
+                line.write(request)
+                return line.read()
+
+            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
+        clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
+        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, True, truth)
+
+
+@contextlib.contextmanager
+def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopRequest) -> Iterator[Wiring]:
+    """A machine on a bus outside this process, real or emulated, on wall time.
+
+    Raises
+    ------
+    BusUnavailable
+        No such bus, serial port or I/O.
+    DuplicateNode
+        Another bench runs on that bus; neither its IMU nor its I/O was touched.
+    UnusableInput
+        The machine has an IMU or I/O and nobody says where.
+    """
+    settings = machine.bus
+    assert settings is not None
+    if options.emulated is not None or not options.noise:
+        what = "--effects" if options.emulated is not None else "--no-noise"
+        raise UnusableInput(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
+    if options.truth is not None:
+        raise UnusableInput("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
+    if options.frame_log is not None:
+        raise UnusableInput(
+            f"--frame-log: the loop writes none on a real bus; record {options.bus_url} beside it: candump -l, python -m can.logger"
+        )
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(opened_bus(options.bus_url, settings.bitrate_bit_s))
+        settings = _with_ports(machine, settings, options)
+        clock = WallClock(waits=machine.waits_on_overrun, awake_s=ANSWERS_AWAKE_S if options.real_time else 0.0)
+        refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
+        imu = None
+        if settings.imu is not None:
+            stream = stack.enter_context(contextlib.closing(open_stream(settings.imu.device, settings.imu.baud)))
+            imu = ImuDriver(settings.imu, stream)
+        io = None
+        if settings.io is not None:
+            io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io)
+        if options.real_time:
+            clock.rehearsals.append(link.rehearse)
+        yield Wiring(link, clock, False)
+
+
+@contextlib.contextmanager
+def _polling(io: IoProcess) -> Iterator[IoProcess]:
+    """The I/O polled; on the way out, that its brakes may still be open is an error of its own or a note to the one there is."""
+    try:
+        io.start()
+        yield io
+    except BaseException as error:
+        io.close()
+        if io.trouble:
+            error.add_note(io.trouble)
+        raise
+    io.close()
+    if io.trouble:
+        raise BusError(io.trouble)
+
+
+def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) -> BusSettings:
+    """Settings with the IMU's device and the I/O's URL filled in: from the command line, the machine file, or an emulator on this host."""
+    card = find(options.bus_url)
+    if settings.imu is not None:
+        device = options.imu_device or settings.imu.device or (card.imu_device if card else "")
+        if not device:
+            raise _nowhere(machine, options, "IMU", "[bus.imu] device", "--imu DEVICE")
+        settings = dataclasses.replace(settings, imu=dataclasses.replace(settings.imu, device=device))
+    if settings.io is not None:
+        url = options.io_url or settings.io.url or (card.io_url if card else "")
+        if not url:
+            raise _nowhere(machine, options, "I/O", "[bus.io] url", "--io URL")
+        settings = dataclasses.replace(settings, io=dataclasses.replace(settings.io, url=url))
+    return settings
+
+
+def _nowhere(machine: Machine, options: BenchOptions, what: str, key: str, option: str) -> BusUnavailable:
+    return BusUnavailable(
+        f"{machine.name} on {options.bus_url}: nobody says where its {what} is; "
+        f"start `isocenter emulate` on this bus, set {key} or give {option}"
+    )

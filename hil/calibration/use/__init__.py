@@ -1,0 +1,1 @@
+"""A calibration in use: look-up tables, the reconstruction volume, overlay errors, image compensation."""

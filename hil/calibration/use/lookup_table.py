@@ -1,0 +1,239 @@
+"""Look-up tables: deviations from the nominal geometry over the axis positions at which they were measured (thesis Fig. 2.4)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
+
+from hil.calibration.phantom.pose import PoseFit
+from hil.errors import UnusableInput
+from hil.files.arrays import read_arrays, write_arrays
+from hil.imaging.geometry import ConeBeam
+from hil.machine import Machine
+
+FORMAT = 1
+
+SAME_POSE = 2e-3
+"""Exposures in a row whose positions differ by less [rad or m] are of one pose: a loop that still settles, not a way."""
+
+FEWEST_SHARE = 0.5
+"""Share of a scan's exposures that must fit the phantom."""
+
+STANDS = 0.02
+"""An axis whose positions spread by less [rad or m] did not move in the calibration, though the other's drive may have shaken it by
+milliradians; a pose farther than this from where it stood is another scan type."""
+
+SAME_SPEED = 0.1
+"""What bends with speed differs by less than a fifth between scans whose speeds differ by this share."""
+
+
+def sweep_speed(time_s: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """(axes,) median speed [rad/s or m/s] while each axis was on its way, signed by where it went.
+
+    0 where it stood; NaN where no one number says it: the axis went both ways, or there are fewer than two exposures.
+
+    Parameters
+    ----------
+    time_s : (N,) array
+        Rising.
+    positions : (N, axes) array
+    """
+    if len(time_s) < 2:
+        return np.full(positions.shape[1], np.nan)
+    speed = np.diff(positions, axis=0) / np.diff(time_s)[:, None]
+    speed[:, np.ptp(positions, axis=0) < STANDS] = 0.0
+    result = np.full(positions.shape[1], np.nan)
+    for k, column in enumerate(speed.T):
+        moving = column[np.abs(column) >= 0.5 * np.abs(column).max()]
+        if len(moving) and np.ptp(np.sign(moving)) == 0.0:
+            result[k] = np.median(moving)
+    return result
+
+
+@dataclass(frozen=True)
+class LookUp:
+    """Calibrated deviations of one scan type, or of a grid of poses.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    positions : (N, axes) array
+        Where each exposure was taken [rad or m].
+    deviation : (N, 9) array
+        From the nominal geometry there, as `ConeBeam.moved` takes it.
+    covariance : (N, 9, 9) array
+    notes : mapping
+        Machine, its hash, scan type; `speed`, that of each axis (`sweep_speed`).
+    """
+
+    axes: tuple[str, ...]
+    positions: np.ndarray
+    deviation: np.ndarray
+    covariance: np.ndarray
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def require(self, machine: Machine) -> None:
+        """Refuse a table whose deviations are from another machine's geometry, or over other axes.
+
+        Raises
+        ------
+        UnusableInput
+            Another machine's name, other axes, or another order of them.
+        """
+        made_for = self.notes.get("machine", machine.name)
+        if made_for != machine.name or self.axes != machine.axes:
+            raise UnusableInput(
+                f"the look-up table is of {made_for} with axes {', '.join(self.axes)};"
+                f" {machine.name} has {', '.join(machine.axes)}: calibrate this machine"
+            )
+
+    def other_speed(self, speed: np.ndarray) -> str:
+        """How a scan at this speed (axes,) differs from what the table was made at; "" where it does not, or nobody knows."""
+        own = np.asarray(self.notes.get("speed") or [np.nan] * len(self.axes), dtype=float)
+        differs = np.abs(speed - own) > SAME_SPEED * np.maximum(np.abs(own), np.abs(speed))
+        named = [f"{self.axes[k]} went at {own[k]:+.3g} in the calibration and goes at {speed[k]:+.3g}" for k in np.flatnonzero(differs)]
+        return f"{', '.join(named)} (rad/s, m/s): what bends with speed is not this scan's; calibrate this scan type" if named else ""
+
+    def at(self, positions: np.ndarray) -> np.ndarray:
+        """(M, 9) deviations at positions (M, axes), linear between calibrated exposures.
+
+        Raises
+        ------
+        UnusableInput
+            A position is outside of what was calibrated.
+        """
+        positions = np.atleast_2d(positions)
+        moved = np.flatnonzero(np.ptp(self.positions, axis=0) > STANDS)
+        for k in range(len(self.axes)):
+            off = np.abs(positions[:, k] - np.median(self.positions[:, k])).max()
+            if k not in moved and off > STANDS:
+                raise UnusableInput(
+                    f"{self.axes[k]} stood at {np.median(self.positions[:, k]):.3f} in the calibration; the scan is {off:.3f} away."
+                    " Calibrate this scan type"
+                )
+        if len(moved) == 0:
+            return np.repeat(self.deviation.mean(axis=0)[None], len(positions), axis=0)
+        if len(moved) == 1:
+            return self._along(int(moved[0]), positions)
+        try:
+            found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
+        except QhullError:
+            named = " and ".join(self.axes[k] for k in moved)
+            raise UnusableInput(f"{len(self.positions)} poses that span no area of {named}; calibrate a grid of both") from None
+        if np.isnan(found).any():
+            worst = positions[np.flatnonzero(np.isnan(found).any(axis=1))[0]]
+            raise UnusableInput(f"pose {np.round(worst, 3)} is outside of the calibrated grid; calibrate farther out")
+        return found
+
+    def _along(self, axis: int, positions: np.ndarray) -> np.ndarray:
+        order = np.argsort(self.positions[:, axis])
+        known, wanted = self.positions[order, axis], positions[:, axis]
+        step = np.max(np.diff(known), initial=0.0)
+        if wanted.min() < known[0] - step or wanted.max() > known[-1] + step:
+            raise UnusableInput(
+                f"{self.axes[axis]} goes from {wanted.min():.3f} to {wanted.max():.3f}; calibrated from {known[0]:.3f} to {known[-1]:.3f}"
+            )
+        return np.column_stack([np.interp(wanted, known, self.deviation[order, k]) for k in range(9)])
+
+
+def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions: np.ndarray, notes: Mapping[str, Any]) -> LookUp:
+    """The table that a phantom calibration makes; exposures that could not be used are left out.
+
+    Raises
+    ------
+    UnusableInput
+        The scan's axis positions are not known, or most exposures do not fit the phantom.
+    """
+    if np.isnan(positions).any():
+        raise UnusableInput("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
+    good = fit.good
+    if good.sum() < FEWEST_SHARE * len(good):
+        raise UnusableInput(
+            f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected: is it this phantom, are the images those of"
+            " these positions, in their order and not mirrored?"
+        )
+    return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
+
+
+def standing(table: LookUp) -> LookUp:
+    """The poses at which the machine stood: a roadmapping grid, the exposures of each pose averaged; of no speed.
+
+    Raises
+    ------
+    UnusableInput
+        No two exposures in a row at one pose.
+    """
+    moved = np.abs(np.diff(table.positions, axis=0)).max(axis=1, initial=0.0) > SAME_POSE
+    runs = [run for run in np.split(np.arange(len(table.positions)), np.flatnonzero(moved) + 1) if len(run) >= 2]
+    if not runs:
+        raise UnusableInput(f"no two exposures in a row within {SAME_POSE:g} rad (m): the machine never stood; use a tour with dwell_s")
+    names = ("positions", "deviation", "covariance")
+    positions, deviation, covariance = ([getattr(table, name)[run].mean(axis=0) for run in runs] for name in names)
+    covariance = [each / len(run) for each, run in zip(covariance, runs, strict=True)]
+    notes = {name: value for name, value in table.notes.items() if name != "speed"}
+    return replace(table, positions=np.array(positions), deviation=np.array(deviation), covariance=np.array(covariance), notes=notes)
+
+
+def write_look_up(table: LookUp, path: Path) -> None:
+    """To its file; RecordingError where it cannot be written."""
+    arrays = {
+        "format": FORMAT,
+        "axes": table.axes,
+        "positions": table.positions,
+        "deviation": table.deviation,
+        "covariance": table.covariance,
+        "notes": json.dumps(dict(table.notes)),
+    }
+    write_arrays(path, arrays)
+
+
+def read_look_up(path: Path) -> LookUp:
+    """A look-up table from its file.
+
+    Raises
+    ------
+    UnusableInput
+        Missing, or no look-up table.
+    """
+    return look_up_from(path, read_arrays(path, "a look-up table"))
+
+
+def _is_speed(value: object) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
+    """A look-up table from the arrays of its file.
+
+    Raises
+    ------
+    UnusableInput
+        An array is missing or of another shape, or of another version.
+    """
+    try:
+        if int(arrays["format"]) != FORMAT:
+            raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+        axes, notes = tuple(str(axis) for axis in arrays["axes"]), json.loads(str(arrays["notes"]))
+        numbers = [np.asarray(arrays[name], dtype=float) for name in ("positions", "deviation", "covariance")]
+        table = LookUp(axes, numbers[0], numbers[1], numbers[2], notes)
+    except UnusableInput:
+        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnusableInput(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None
+    count = len(table.positions) if table.positions.ndim else 0
+    shapes = (table.positions.shape, table.deviation.shape, table.covariance.shape)
+    if not count or shapes != ((count, len(axes)), (count, 9), (count, 9, 9)) or not isinstance(notes, dict):
+        raise UnusableInput(f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance")
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise UnusableInput(f"{path}: a number is not finite; take the table as isocenter calibrate phantom wrote it")
+    speed = notes.get("speed")
+    if speed is not None and (not isinstance(speed, list) or len(speed) != len(axes) or not all(map(_is_speed, speed))):
+        raise UnusableInput(f"{path}: notes: speed = {speed!r}; it is a list of {len(axes)} numbers, null where none is known")
+    return table

@@ -1,0 +1,30 @@
+"""Everything the demo found, for its page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.identification import FrequencyResponse
+from hil.machine import Machine
+from hil.recording import Recording
+from hil.simulation import Comparison
+from virtual_bus.settings import EffectSetting
+
+
+@dataclass(frozen=True)
+class Story:
+    """Everything the page shows."""
+
+    machine: Machine
+    recording: Recording
+    response: FrequencyResponse
+    linearisation: np.ndarray
+    nominal: Recording
+    with_friction: Recording
+    nominal_comparison: Comparison
+    friction_comparison: Comparison
+    effect: EffectSetting
+    recorded_s: float
+    lockstep_factor: float

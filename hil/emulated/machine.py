@@ -1,0 +1,262 @@
+"""The emulated machine of a machine file: its physics, and every device that hangs on its wires."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import can
+import numpy as np
+
+from drivers.bus_url import open_bus
+from drivers.errors import ProtocolError
+from drivers.serial.stream import SerialStream
+from hil.emulated.card import EmulatorCard, published
+from hil.emulated.truth import TruthLog
+from hil.errors import UnusableInput
+from hil.machine import Machine
+from hil.processes.real_time import real_time
+from virtual_bus.canopen.bare import BareMachine
+from virtual_bus.emulator import Ports, run_device, run_emulator
+from virtual_bus.idle_time import SILENCE_S
+from virtual_bus.machine import EmulatedMachine
+from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
+from virtual_bus.physics import Physics
+from virtual_bus.plant.linearise import inertia_matrix
+from virtual_bus.serial.pty import Pty
+from virtual_bus.serial.xsens_imu import EmulatedImu
+from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
+
+if TYPE_CHECKING:
+    from hil.emulated.pose_board import PoseBoard
+
+OWN_LOOP_BANDWIDTH_Hz = 0.5
+"""The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
+
+LONGEST_SILENCE_S = 0.5
+"""Where heartbeats are slow, a bench may stand still for so long before the machine's time goes on without it: each real wait takes that
+much longer."""
+
+STANDARD_BITRATE = 1_000_000
+PTY_BAUD = 115_200  # a pseudo terminal keeps any; this one is what the bench is told
+
+
+def build_emulated(
+    machine: Machine,
+    pose: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    truth: TruthLog | None = None,
+    board: PoseBoard | None = None,
+) -> EmulatedMachine:
+    """The whole machine behind its wires, placed at `pose` (n_axes,), not yet powered on; the panel's process looks at the `board`.
+
+    Raises
+    ------
+    UnusableInput
+        The machine file has no bus.
+    """
+    if machine.bus is None:
+        raise UnusableInput(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
+    physics = Physics(machine.plant, seed, noise)
+    physics.advance()  # compiles what has to be compiled before somebody waits for an answer; `place` undoes the step
+    io_map = machine.bus.io
+    io = None
+    if io_map is not None:
+        layout = IoLayout(
+            io_map.unit_id,
+            io_map.brake_coils,
+            io_map.brake_feedback_inputs,
+            io_map.hold_to_run_input,
+            io_map.door_input,
+            io_map.temperature_registers,
+        )
+        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes)
+        io.set_hold_to_run(True)
+        io.set_door(True)
+    geometry = machine.geometry
+
+    def witness(time_s: float) -> None:
+        true = physics.truth()
+        if truth is not None:
+            truth.add(time_s, true)
+        if board is not None and geometry is not None:
+            board.put(emulated.syncs, time_s, true[f"pose_{geometry.source_body}"], true[f"pose_{geometry.detector_body}"])
+
+    emulated = EmulatedMachine(
+        physics,
+        emulated_bus(machine, physics),
+        machine.plant.sample_period_s,
+        imu=EmulatedImu() if machine.bus.imu is not None else None,
+        io=io,
+        witness=None if truth is None and board is None else witness,
+    )
+    emulated.place(np.zeros(len(machine.axes)) if pose is None else pose)
+    return emulated
+
+
+def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
+    """The CANopen devices, as the machine file describes them."""
+    bus = machine.bus
+    assert bus is not None
+    gains = _velocity_gains(machine, physics)
+    drives, encoders = [], []
+    for node in bus.nodes:
+        scaling = bus.scalings[machine.axis_index(node.axis)]
+        if node.role == "drive":
+            drives.append(
+                EmulatedDrive(
+                    node.name,
+                    node.axis,
+                    node.node_id,
+                    node.eds,
+                    scaling.rated,
+                    scaling.rated_current_mA,
+                    scaling.rated_torque_mNm,
+                    scaling.limit,
+                    scaling.position_resolution,
+                    counts_per_turn=_counts_per_motor_turn(machine, node.axis, scaling.position_resolution),
+                    velocity_gain=gains[node.axis],
+                    velocity_integral_gain=gains[node.axis] * 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz / 4.0,
+                    sign=scaling.sign,
+                )
+            )
+        else:
+            turn = 2.0 * math.pi if machine.units[machine.axis_index(node.axis)].position == "rad" else 1.0
+            encoders.append(
+                EmulatedEncoder(
+                    node.name,
+                    node.axis,
+                    node.node_id,
+                    node.eds,
+                    counts_per_turn=round(turn / scaling.link_resolution),
+                    zero_counts=scaling.link_zero_counts,
+                )
+            )
+    silence_s = min(LONGEST_SILENCE_S, bus.master_heartbeat_period_s, *(node.heartbeat_period_s for node in bus.nodes))
+    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), max(silence_s, SILENCE_S))
+
+
+def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> int:
+    drive = machine.plant.drives[machine.axis_index(axis)]
+    turn = 2.0 * math.pi if machine.units[machine.axis_index(axis)].position == "rad" else 1.0
+    return max(1, round(turn / (resolution * drive.ratio)))
+
+
+def _velocity_gains(machine: Machine, physics: Physics) -> dict[str, float]:
+    """Drive's unit per rad/s (or m/s) at the joint: the joint's inertia at pose zero times the bandwidth, over the effort of one unit."""
+    model = physics.model
+    inertia = inertia_matrix(physics.plant, model, np.zeros(physics.plant.joints))
+    joints = physics.plant.joint_of_axis()
+    return {
+        drive.axis: 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz * inertia[joints[drive.axis], joints[drive.axis]] / (drive.constant * drive.ratio)
+        for drive in machine.plant.drives
+    }
+
+
+def emulate_machine(
+    machine: Machine,
+    bus_url: str,
+    pose: Mapping[str, float],
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    truth: Path | None = None,
+    punctual: bool = True,
+    io_rtu: str = "",
+    panel: str = "",
+    on_ready: Callable[[dict[str, object]], None],
+) -> None:
+    """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    io_rtu : str
+        Serve the I/O over Modbus RTU too: on a pseudo terminal ("pty") or a serial port ("DEVICE@BAUD").
+    panel : str
+        Serve an X-ray panel too, with this scene or marker plate in the beam.
+    on_ready : callable
+        Told once what is emulated and where the ports of IMU and I/O are, when everything listens.
+
+    Raises
+    ------
+    DriverError
+        The bus or the serial port cannot be opened.
+    EmulatorError
+        A port cannot be served, or the bus was lost.
+    """
+    with ExitStack() as stack:
+        bus = stack.enter_context(opened_bus(bus_url, machine.bus.bitrate_bit_s if machine.bus is not None else STANDARD_BITRATE))
+        log = stack.enter_context(closing(TruthLog(truth, machine.plant.tree.joints))) if truth is not None else None
+        line, baud = _io_line(io_rtu, machine, stack) if io_rtu else (None, 0)
+        start = np.array([pose.get(axis, 0.0) for axis in machine.axes])
+        board, panel_url = None, ""
+        if panel:
+            from hil.emulated.network_panel import panel_beside
+            from hil.emulated.pose_board import PoseBoard
+
+            board = PoseBoard(multiprocessing.get_context("spawn"))
+            panel_url = stack.enter_context(panel_beside(machine, board, panel))
+        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board)
+
+        def ready(ports: Ports) -> None:
+            # The bench takes the TCP port: the kernel passes what comes over a pseudo terminal on in a worker of ordinary priority, for
+            # which a bench of real-time priority would wait.
+            stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url, panel_url, panel)))
+            imu = ports.imu_device or ports.imu_url
+            ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "imu_tcp": ports.imu_url, "io": ports.io_url}
+            more = {"io_rtu": f"rtu:{ports.io_line}@{baud}" if ports.io_line else "", "panel": panel_url}
+            on_ready(ready_now | {name: url for name, url in more.items() if url})
+
+        with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
+            run_emulator(bus, emulated, ready, io_line=line, punctual=punctual)
+
+
+class _SerialPort(SerialStream):
+    """A serial port by the name the bench has for it."""
+
+    @property
+    def path(self) -> str:
+        """The port."""
+        return self.device
+
+
+def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _SerialPort, int]:
+    """The line on which Modbus RTU is served, closed with `stack`, and its baud rate."""
+    if machine.bus is None or machine.bus.io is None:
+        raise UnusableInput(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
+    if text == "pty":
+        return stack.enter_context(closing(Pty())), PTY_BAUD
+    match = re.fullmatch(r"(.+)@([1-9][0-9]{1,7})", text)
+    if match is None:
+        raise UnusableInput(f"--io-rtu {text}: write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200")
+    return stack.enter_context(closing(_SerialPort(match[1], int(match[2])))), int(match[2])
+
+
+def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None]) -> None:
+    """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
+    if not 1 <= node_id <= 127:
+        raise UnusableInput(f"--node {node_id}: must be 1 to 127")
+    try:
+        device = BareMachine(eds, node_id)
+    except ProtocolError as error:
+        raise UnusableInput(str(error)) from None
+    with opened_bus(bus_url, STANDARD_BITRATE) as bus:
+        run_device(bus, device, lambda: on_ready({"ready": str(eds), "bus": bus_url, "node": node_id}))
+
+
+@contextmanager
+def opened_bus(url: str, bitrate: int) -> Iterator[can.BusABC]:
+    """An open bus, shut down on the way out."""
+    bus = open_bus(url, bitrate)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()

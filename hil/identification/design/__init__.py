@@ -1,0 +1,1 @@
+"""Excitation designed from a first measurement (thesis Sec. 3.3)."""

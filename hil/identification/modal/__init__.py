@@ -1,0 +1,1 @@
+"""Modal models over poses (thesis Sec. 5.4): one pose, all poses together, and their choice."""

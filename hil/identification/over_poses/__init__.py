@@ -1,0 +1,1 @@
+"""Local models over scheduling parameters: nD-LPM and nD-LRM (thesis Chapter 4)."""

@@ -1,0 +1,117 @@
+"""Frames of a run, received by a process beside the loop's: taken from the panel, looked at for a marker plate, written as a scan."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import DriverError
+from drivers.imaging import PanelClock
+from hil.errors import BadAnswer, UnusableInput
+from hil.imaging.detector import Detector
+from hil.imaging.extra import imaging_package
+from hil.imaging.markers import MarkerProjection
+from hil.imaging.scan_folder import FRAMES
+from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
+from hil.receiving.sight import marker_in
+from hil.receiving.watch import Live, Watch
+
+LOOKS_EVERY_S = 0.05
+STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
+WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "theta_y [rad]", "theta_z [rad]")
+
+
+@dataclass(frozen=True)
+class ReceiverOrder:
+    """What the process is told.
+
+    Attributes
+    ----------
+    panel : Path or RemotePanel
+        Where frames come from: a folder, or a line.
+    folder : Path
+        The scan's.
+    detector : Detector
+    plate : str, optional
+        Marker plate to look for in every frame.
+    nominal : MarkerProjection, optional
+        Where it should be.
+    live : Live, optional
+        A live calibration that waits for what frames show: the plate, or without one the phantom.
+    """
+
+    panel: Path | RemotePanel
+    folder: Path
+    detector: Detector
+    plate: str | None
+    nominal: MarkerProjection | None
+    live: Live | None = None
+
+
+def serve(order: ReceiverOrder, is_over: Event) -> None:
+    """Take frames until the panel is done and all have been taken; what goes wrong is left in a file for the bench to say."""
+    try:
+        _serve(order, is_over)
+    except (DriverError, UnusableInput, OSError) as error:
+        (order.folder / TROUBLE).write_text(str(error), encoding="utf-8")
+
+
+def _serve(order: ReceiverOrder, is_over: Event) -> None:
+    tifffile = imaging_package("tifffile", "images")
+    folder = order.folder
+    source: FrameSource = SpooledFrames(order.panel) if isinstance(order.panel, Path) else PanelFrames(order.panel)
+    watch = None if order.live is None else Watch(order.live, order.detector, order.nominal)
+    shape = order.detector.rows, order.detector.columns
+    with (
+        tifffile.TiffWriter(folder / FRAMES) as images,
+        (folder / STAMPS).open("w", newline="", encoding="utf-8") as stamps,
+        (folder / MARKERS).open("w", newline="", encoding="utf-8") as markers,
+    ):
+        stamp_rows, marker_rows = csv.writer(stamps), csv.writer(markers)
+        marker_rows.writerow(["exposure_id", *WATCHED, "points"])
+        while True:
+            over = is_over.is_set()
+            for frame in source.poll():
+                if frame.image.shape != shape:
+                    came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
+                    whose = order.panel if isinstance(order.panel, Path) else f"panel {order.panel.url}"
+                    raise UnusableInput(f"{whose}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
+                images.write(frame.image, contiguous=True)
+                stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
+                seen = None
+                if order.plate is not None and order.nominal is not None:
+                    seen = marker_in(frame.image, order.detector, order.plate, order.nominal)
+                    cells = [""] * len(WATCHED) + [0] if seen is None else [*(repr(float(value)) for value in seen[0]), seen[2]]
+                    marker_rows.writerow([frame.exposure_id, *cells])
+                    markers.flush()
+                stamps.flush()
+                if watch is not None:
+                    watch.take(frame, seen)
+            if over and source.is_over:
+                return
+            source.wait(LOOKS_EVERY_S)
+
+
+def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, PanelClock]:
+    """Numbers, starts and widths (N,) of what was received, in the time that the pulses are told in.
+
+    Raises
+    ------
+    BadAnswer
+        Nothing was received, or the receiver ran into something.
+    ClocksDisagree
+        The panel's stamps do not fit the loop's pulses.
+    """
+    trouble = folder / TROUBLE
+    if trouble.exists():
+        raise BadAnswer(trouble.read_text(encoding="utf-8"))
+    with (folder / STAMPS).open(newline="", encoding="utf-8") as file:
+        table = np.array([[float(cell) for cell in row] for row in csv.reader(file)])
+    if not len(table):
+        raise BadAnswer(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
+    clock = PanelClock(table[:, 1], table[:, 3], period_s, table[:, 0])
+    return table[:, 0].astype(int), clock.to_loop(table[:, 1]), table[:, 2] * clock.rate, clock

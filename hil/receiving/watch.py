@@ -1,0 +1,97 @@
+"""Frames looked at as they come, and what they show sent to the loop (`hil.imaging.mailbox`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.imaging import Frame, PanelClock
+from drivers.imaging.clock import FEWEST
+from hil.imaging.detector import Detector
+from hil.imaging.mailbox import Mailbox, Sighting
+from hil.imaging.markers import MarkerProjection
+from hil.imaging.nominal import nominal_beam
+from hil.machine import Machine
+from hil.receiving.sight import phantom_in
+
+
+@dataclass(frozen=True)
+class Live:
+    """What a receiver needs to serve a live calibration: the machine, and where what it sees goes.
+
+    `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time.
+    """
+
+    machine: Machine
+    mailbox: Mailbox
+    counts_syncs: bool = False
+
+
+class Watch:
+    """From frames to sightings.
+
+    The panel's clock in the loop's time is a line through the pulses so far, known to some part of a tick. Before there are enough of them
+    frames wait. How well it is known is counted in the covariance: a pose that is some milliseconds off is off along the motion.
+
+    Parameters
+    ----------
+    live : Live
+    detector : Detector
+    nominal : MarkerProjection, optional
+        Of the marker plate that is looked for; None: the phantom is.
+    """
+
+    def __init__(self, live: Live, detector: Detector, nominal: MarkerProjection | None) -> None:
+        self._machine, self._mailbox, self._detector, self._nominal = live.machine, live.mailbox, detector, nominal
+        self._counts_syncs = live.counts_syncs
+        self._period_s = 1.0 / live.machine.sample_rate_Hz
+        self._panel_s: list[float] = []
+        self._pulse_s: list[float] = []
+        self._ids: list[int] = []
+        self._waiting: list[tuple[Frame, tuple[np.ndarray, np.ndarray, int] | None]] = []
+        self._handled = 0
+
+    def take(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None) -> None:
+        """One frame, and the marker plate's parameters in it, where one is looked for (`hil.receiving.sight.marker_in`).
+
+        Raises
+        ------
+        ClocksDisagree
+        """
+        self._panel_s.append(frame.panel_s)
+        self._pulse_s.append(frame.pulse_s)
+        self._ids.append(frame.exposure_id)
+        self._waiting.append((frame, plate))
+        if len(self._panel_s) >= FEWEST:
+            clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s, np.array(self._ids))
+            for each, seen in self._waiting:
+                self._send(each, seen, clock)
+            self._waiting.clear()
+        self._mailbox.handled()
+        self._handled += 1
+
+    def _send(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None, clock: PanelClock) -> None:
+        time_s = float(clock.to_loop(np.array(frame.panel_s))) + 0.5 * frame.width_s * clock.rate
+        is_before_row_0 = time_s < 0.0
+        if self._counts_syncs:
+            time_s = self._mailbox.loop_time(time_s, self._period_s)
+        here = soon = None
+        if np.isfinite(time_s):
+            here = self._mailbox.pose_at(time_s, self._period_s)
+            soon = self._mailbox.pose_at(time_s + self._period_s, self._period_s)
+        if here is None or soon is None:
+            if not is_before_row_0:
+                self._mailbox.unplaced()
+            return
+        if self._nominal is not None:
+            if plate is not None:
+                values = plate[0] - self._nominal.values[:6]
+                self._mailbox.send(Sighting(frame.exposure_id, self._handled, time_s, "marker", here, values, plate[1]))
+            return
+        found = phantom_in(frame.image, self._detector, self._machine, here)
+        if found is None:
+            return
+        moving = nominal_beam(self._machine, soon).deviation_from(nominal_beam(self._machine, here))[0] / self._period_s
+        covariance = found[1] + clock.doubt_s**2 * np.outer(moving, moving)
+        self._mailbox.send(Sighting(frame.exposure_id, self._handled, time_s, "phantom", here, found[0], covariance))

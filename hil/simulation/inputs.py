@@ -1,0 +1,53 @@
+"""What a simulation is driven by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a simulation is driven by; arrays (N, n_axes) in axis order.
+
+    Attributes
+    ----------
+    reference : array or None
+        [rad or m]; None for a machine without controllers.
+    excitation : array
+        w, in the drives' units.
+    feedforward : array
+        In the drives' units.
+    command : array or None
+        Given instead of a reference to a machine without controllers.
+    start_pose : (n_axes,) array
+        The pose that was asked for at row 0.
+    deviation : (n_axes,) array or None
+        How far from it the axes stood, in elastic equilibrium [rad or m]; None: not at all.
+    start_speed : (n_axes,) array or None
+        Of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
+    controller_states : mapping or None
+        As `Feedback.states`; None: integrators at the holding effort.
+    """
+
+    reference: np.ndarray | None
+    excitation: np.ndarray
+    feedforward: np.ndarray
+    command: np.ndarray | None
+    start_pose: np.ndarray
+    controller_states: Mapping[str, Any] | None = None
+    start_speed: np.ndarray | None = None
+    deviation: np.ndarray | None = None
+
+    @property
+    def standing_pose(self) -> np.ndarray:
+        """(n_axes,) where the axes stood at row 0."""
+        return self.start_pose if self.deviation is None else self.start_pose + self.deviation
+
+    @property
+    def settled(self) -> Inputs:
+        """With controllers that hold whatever machine is simulated, where it stands at row 0: recorded states hold the recorded one."""
+        return self if self.start_speed is not None else replace(self, controller_states=None)

@@ -1,0 +1,1 @@
+"""What a person at a terminal sees: answers, progress, JSON beside them."""
