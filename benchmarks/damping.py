@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from scipy import signal
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "observers"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 from ring_down import rung_ratio
 
 from controllers.damping import DampingSettings, ModalDamping
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.experiments import Static
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, read_design, tune
@@ -89,7 +89,7 @@ def measure(design: ObserverDesign, over_poses: bool) -> dict[str, object]:
         if over_poses and live.damping is not None:
             try:
                 verdict = accept_damping(machine, examine_damping(machine, live.damping, live.observer))
-            except UnusableInput as refusal:
+            except UnusableInputError as refusal:
                 verdict = str(refusal)
             answer[f"over poses, {ratio:g}"] = verdict
     return answer

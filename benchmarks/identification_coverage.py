@@ -33,7 +33,7 @@ from hil.identification import (
     robust_local,
 )
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "identification"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, simulate, two_mode_loop  # the tests' own simulation, no emulator
 
 PERIOD, LINES, SETTLE = 1024, np.arange(1, 129), 2

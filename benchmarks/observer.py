@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "observers"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 from observed_models import small_model, small_noise
 

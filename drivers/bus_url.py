@@ -25,7 +25,7 @@ from typing import Any
 import can
 from can.interfaces import BACKENDS
 
-from drivers.errors import BusUnavailable
+from drivers.errors import BusUnavailableError
 
 DEFAULT_VIRTUAL_CHANNEL = "isocenter"
 DEFAULT_UDP_GROUP = "239.74.163.2"  # python-can's administratively scoped IPv4 group: not routed beyond the site
@@ -50,16 +50,16 @@ def parse_bus_url(url: str) -> BusUrl:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         No colon, an unknown interface, or a channel that cannot be one.
     """
     scheme, colon, rest = url.strip().partition(":")
     scheme = scheme.lower()
     if not colon or not scheme:
-        raise BusUnavailable(f"bus URL {url!r} has no interface and colon; write INTERFACE:CHANNEL, for example {EXAMPLES}")
+        raise BusUnavailableError(f"bus URL {url!r} has no interface and colon; write INTERFACE:CHANNEL, for example {EXAMPLES}")
     if scheme == "lockstep":
         if rest:
-            raise BusUnavailable(f"{url}: lockstep takes no channel; write lockstep:")
+            raise BusUnavailableError(f"{url}: lockstep takes no channel; write lockstep:")
         return BusUrl(url, "lockstep", "")
     if scheme == "virtual":
         return BusUrl(url, "virtual", rest or DEFAULT_VIRTUAL_CHANNEL)
@@ -68,9 +68,9 @@ def parse_bus_url(url: str) -> BusUrl:
     if scheme not in BACKENDS:
         close = difflib.get_close_matches(scheme, [*BACKENDS, "udp", "lockstep"], n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(close)}?" if close else f"known: lockstep, udp, {', '.join(sorted(BACKENDS))}"
-        raise BusUnavailable(f"{url}: no CAN interface is called {scheme!r}; {hint}")
+        raise BusUnavailableError(f"{url}: no CAN interface is called {scheme!r}; {hint}")
     if not rest:
-        raise BusUnavailable(f"{url}: the channel is missing after the colon; for example {_example(scheme)}")
+        raise BusUnavailableError(f"{url}: the channel is missing after the colon; for example {_example(scheme)}")
     if scheme == "slcan":
         return _slcan(url, rest)
     return BusUrl(url, scheme, int(rest) if re.fullmatch(r"[0-9]{1,9}", rest) else rest)
@@ -88,22 +88,22 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         One line: what is wrong, and what would be right.
     """
     parsed = parse_bus_url(url)
     if parsed.interface == "lockstep":
-        raise BusUnavailable("lockstep: is no bus that can be opened alone: the bench builds it together with its emulated machine")
+        raise BusUnavailableError("lockstep: is no bus that can be opened alone: the bench builds it together with its emulated machine")
     arguments: dict[str, Any] = dict(parsed.options)
     if parsed.interface == "socketcan":
         _check_socketcan(url, str(parsed.channel), bitrate)
     elif parsed.interface == "udp_multicast":
         if importlib.util.find_spec("msgpack") is None:
-            raise BusUnavailable(f"{url}: UDP buses need the package msgpack; pip install msgpack")
+            raise BusUnavailableError(f"{url}: UDP buses need the package msgpack; pip install msgpack")
     elif parsed.interface != "virtual":
         arguments["bitrate"] = bitrate
     if parsed.interface == "slcan" and bitrate not in SLCAN_BIT_RATES:
-        raise BusUnavailable(f"{url}: slcan has no code for {bitrate} bit/s; it knows {', '.join(map(str, SLCAN_BIT_RATES))}")
+        raise BusUnavailableError(f"{url}: slcan has no code for {bitrate} bit/s; it knows {', '.join(map(str, SLCAN_BIT_RATES))}")
     try:
         if parsed.interface == "udp_multicast":
             from drivers.udp_bus import UdpBus
@@ -112,7 +112,7 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
         return can.Bus(interface=parsed.interface, channel=parsed.channel, ignore_config=True, **arguments)
     except Exception as error:  # back ends raise whatever their vendor's library does, NameError of a missing library included
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise BusUnavailable(f"{url}: {reason}; {_remedy(parsed.interface)}") from error
+        raise BusUnavailableError(f"{url}: {reason}; {_remedy(parsed.interface)}") from error
 
 
 def _udp(url: str, rest: str) -> BusUrl:
@@ -123,7 +123,7 @@ def _udp(url: str, rest: str) -> BusUrl:
     except ValueError:
         multicast = False
     if not multicast:
-        raise BusUnavailable(
+        raise BusUnavailableError(
             f"{url}: {group!r} is no multicast address; use 224.0.0.0 to 239.255.255.255, for example udp:{DEFAULT_UDP_GROUP}"
         )
     options: dict[str, Any] = {"fd": False}
@@ -135,39 +135,39 @@ def _udp(url: str, rest: str) -> BusUrl:
 def _slcan(url: str, rest: str) -> BusUrl:
     device, at, baud = rest.partition("@")
     if not device:
-        raise BusUnavailable(f"{url}: the serial device is missing; for example slcan:/dev/ttyACM0@1000000")
+        raise BusUnavailableError(f"{url}: the serial device is missing; for example slcan:/dev/ttyACM0@1000000")
     return BusUrl(url, "slcan", device, {"tty_baudrate": _number(url, baud, "baud rate", 50, 100_000_000)} if at else {})
 
 
 def _number(url: str, text: str, what: str, low: int, high: int) -> int:
     if not re.fullmatch(r"[0-9]{1,12}", text) or not low <= int(text) <= high:
-        raise BusUnavailable(f"{url}: {what} {text!r} must be a whole number from {low} to {high}")
+        raise BusUnavailableError(f"{url}: {what} {text!r} must be a whole number from {low} to {high}")
     return int(text)
 
 
 def _check_socketcan(url: str, name: str, bitrate: int) -> None:
     if not sys.platform.startswith("linux"):
-        raise BusUnavailable(f"{url}: SocketCAN exists on Linux only; use lockstep:, udp:, slcan:PORT or your adapter's own interface")
+        raise BusUnavailableError(f"{url}: SocketCAN exists on Linux only; use lockstep:, udp:, slcan:PORT or your adapter's own interface")
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
-            raise BusUnavailable(
+            raise BusUnavailableError(
                 f"{url}: this kernel has no CAN (AF_CAN); `modprobe can-raw vcan` as root, or use lockstep: or udp:"
             ) from error
-        raise BusUnavailable(f"{url}: no raw CAN socket may be opened: {error.strerror}") from error
+        raise BusUnavailableError(f"{url}: no raw CAN socket may be opened: {error.strerror}") from error
     add = f"`ip link add dev {name} type vcan && ip link set up {name}`"
     bring_up = f"`ip link set {name} up type can bitrate {bitrate}`"
     try:
         socket.if_nametoindex(name)
     except (OSError, ValueError) as error:
-        raise BusUnavailable(f"{url}: no such interface; {add}, {_present_can_interfaces()}") from error
+        raise BusUnavailableError(f"{url}: no such interface; {add}, {_present_can_interfaces()}") from error
     entry = Path("/sys/class/net") / name
     with contextlib.suppress(OSError, ValueError):  # a container may hide sysfs: then binding tells
         if int((entry / "type").read_text()) != ARPHRD_CAN:
-            raise BusUnavailable(f"{url}: {name} is no CAN interface; {_present_can_interfaces()}")
+            raise BusUnavailableError(f"{url}: {name} is no CAN interface; {_present_can_interfaces()}")
         if not int((entry / "flags").read_text(), 16) & IFF_UP:
-            raise BusUnavailable(f"{url}: the interface is down; {f'`ip link set up {name}`' if name.startswith('v') else bring_up}")
+            raise BusUnavailableError(f"{url}: the interface is down; {f'`ip link set up {name}`' if name.startswith('v') else bring_up}")
 
 
 def _present_can_interfaces() -> str:

@@ -2,20 +2,20 @@
 
 DriverError                    base; exit status 1 unless a class says otherwise
 |-- BusError                       the bus itself
-|   |-- BusUnavailable (OSError)       no such interface, interface down, bad URL           exit status 2
-|   `-- BusTimeout (TimeoutError)      nobody answered in time
+|   |-- BusUnavailableError (OSError)       no such interface, interface down, bad URL           exit status 2
+|   `-- BusTimeoutError (TimeoutError)      nobody answered in time
 |-- DeviceError                    one device
-|   |-- NodeAbsent (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
-|   |-- WrongIdentity                  vendor, product or revision differ from the file      exit status 2
-|   |-- DuplicateNode                  two nodes answer to one id                            exit status 2
-|   |-- ConfigurationRefused           an SDO abort, or a read-back that differs from what was written
-|   |-- DeviceFault                    the drive is in fault; carries the EMCY in words
-|   |-- HeartbeatLost (TimeoutError)   a supervised node fell silent
+|   |-- NodeAbsentError (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
+|   |-- WrongIdentityError                  vendor, product or revision differ from the file      exit status 2
+|   |-- DuplicateNodeError                  two nodes answer to one id                            exit status 2
+|   |-- ConfigurationRefusedError           an SDO abort, or a read-back that differs from what was written
+|   |-- DeviceFaultError                    the drive is in fault; carries the EMCY in words
+|   |-- HeartbeatLostError (TimeoutError)   a supervised node fell silent
 |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
 |-- imaging.SpoolError             a panel's folder does not hold frames
 |-- imaging.PanelError             a panel on the network hung up, or sends no frames
-|-- imaging.ClocksDisagree         a panel's stamps and the loop's pulses tell different times
-`-- MotionRefused                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
+|-- imaging.ClocksDisagreeError         a panel's stamps and the loop's pulses tell different times
+`-- MotionRefusedError                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
 """
 
 
@@ -29,13 +29,13 @@ class BusError(DriverError):
     """The bus itself failed."""
 
 
-class BusUnavailable(BusError, OSError):
+class BusUnavailableError(BusError, OSError):
     """The interface does not exist, is down, or the bus URL cannot be read."""
 
     exit_status = 2
 
 
-class BusTimeout(BusError, TimeoutError):
+class BusTimeoutError(BusError, TimeoutError):
     """Nobody answered in time."""
 
 
@@ -43,33 +43,33 @@ class DeviceError(DriverError):
     """One device failed."""
 
 
-class NodeAbsent(DeviceError, TimeoutError):
+class NodeAbsentError(DeviceError, TimeoutError):
     """A configured node gave neither boot-up nor an SDO answer."""
 
     exit_status = 2
 
 
-class WrongIdentity(DeviceError):
+class WrongIdentityError(DeviceError):
     """The node's identity object differs from the machine file."""
 
     exit_status = 2
 
 
-class DuplicateNode(DeviceError):
+class DuplicateNodeError(DeviceError):
     """Two devices answer to one node id."""
 
     exit_status = 2
 
 
-class ConfigurationRefused(DeviceError):
+class ConfigurationRefusedError(DeviceError):
     """The device aborted a write, or read back something else than was written."""
 
 
-class DeviceFault(DeviceError):
+class DeviceFaultError(DeviceError):
     """The drive reports a fault; the message carries its EMCY in words."""
 
 
-class HeartbeatLost(DeviceError, TimeoutError):
+class HeartbeatLostError(DeviceError, TimeoutError):
     """A supervised node has not sent its heartbeat in time."""
 
 
@@ -77,5 +77,5 @@ class ProtocolError(DeviceError, ValueError):
     """Bytes or registers that are no valid message of the protocol."""
 
 
-class MotionRefused(DriverError):
+class MotionRefusedError(DriverError):
     """A check before motion failed; nothing was moved."""

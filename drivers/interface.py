@@ -86,7 +86,7 @@ class MachineLink(Protocol):
 
         Raises
         ------
-        HeartbeatLost, DeviceFault, BusError
+        HeartbeatLostError, DeviceFaultError, BusError
             The motors have been told to stop before the error leaves this method.
         """
 

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.canopen import motion
 from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.commissioning import commission_axis
-from drivers.errors import MotionRefused
+from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
 
 
@@ -41,9 +41,9 @@ class CanMachine(TickingMachine):
 
         Raises
         ------
-        MotionRefused
+        MotionRefusedError
             A check failed, or the permission to move was taken back: hold-to-run, door, I/O.
-        DeviceFault, HeartbeatLost, BusError
+        DeviceFaultError, HeartbeatLostError, BusError
         """
         holding = self.zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
         found: list[str] = []
@@ -66,9 +66,9 @@ class CanMachine(TickingMachine):
 
         Raises
         ------
-        MotionRefused
+        MotionRefusedError
             Hold-to-run is not pressed or the door is open.
-        DeviceFault, BusTimeout, HeartbeatLost, BusError
+        DeviceFaultError, BusTimeoutError, HeartbeatLostError, BusError
         """
         with self.stopping_on_error():
             self._check_permission()
@@ -89,9 +89,9 @@ class CanMachine(TickingMachine):
 
         Raises
         ------
-        MotionRefused
+        MotionRefusedError
             A brake's feedback does not follow, or the permission to move was taken back: hold-to-run, door, I/O.
-        DeviceFault, HeartbeatLost, BusError
+        DeviceFaultError, HeartbeatLostError, BusError
         """
         with self.stopping_on_error():
             self.watch.stand()
@@ -110,4 +110,4 @@ class CanMachine(TickingMachine):
         self.exchange(self.zeros)
         refusal = self.refusal()
         if refusal:
-            raise MotionRefused(refusal)
+            raise MotionRefusedError(refusal)

@@ -23,7 +23,7 @@ from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeout, DeviceFault, DriverError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -55,7 +55,7 @@ class TickingMachine:
 
     Raises
     ------
-    ConfigurationRefused
+    ConfigurationRefusedError
         The settings' nodes and PDOs do not make a machine the loop can run.
     """
 
@@ -91,7 +91,7 @@ class TickingMachine:
 
         Raises
         ------
-        NodeAbsent, DuplicateNode, WrongIdentity, ConfigurationRefused, DeviceFault, BusTimeout, BusError
+        NodeAbsentError, DuplicateNodeError, WrongIdentityError, ConfigurationRefusedError, DeviceFaultError, BusTimeoutError, BusError
         """
         if self._ticking:
             self.stop()
@@ -123,11 +123,11 @@ class TickingMachine:
 
         Raises
         ------
-        DeviceFault
+        DeviceFaultError
             An enabled drive left operation enabled, or a node left the NMT state operational.
-        HeartbeatLost
+        HeartbeatLostError
             A node fell silent.
-        MotionRefused
+        MotionRefusedError
             The command holds a value that is no number.
         BusError
             The bus failed.
@@ -142,7 +142,7 @@ class TickingMachine:
                 if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
                     self._explain_fault(axis)
             if self.supervision.left_operational:
-                raise DeviceFault("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
+                raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self.supervision.check_one(self.clock.now())
         except BaseException:
             self.stop()
@@ -258,7 +258,7 @@ class TickingMachine:
             self.exchange(self.zeros)
             if not self._cyclic.missing:
                 return
-        raise BusTimeout(
+        raise BusTimeoutError(
             f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
         )
 
@@ -286,7 +286,7 @@ class TickingMachine:
                 break
         node = self.drives[axis]
         emergency = self.supervision.last_emergency(node.node_id) or "no EMCY"
-        raise DeviceFault(
+        raise DeviceFaultError(
             f"{node.name} (node {node.node_id}): left operation enabled: "
             f"{cia402.describe_statusword(self.inputs[axis].statusword)}; {emergency}"
         )

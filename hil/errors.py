@@ -1,11 +1,11 @@
 """What can go wrong on the bench, drawn in one file.
 
 BenchError                 base: one line that names what is wrong, where, and what would be right
-|-- UnusableInput          exit status 2: the input cannot be used
+|-- UnusableInputError          exit status 2: the input cannot be used
 |   |-- MachineFileError       carm.toml: drives.roll.rated_current_A = -3.0: must be positive
 |   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
 |   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
-`-- BadAnswer              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
+`-- BadAnswerError              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
     `-- LoopAborted            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
 
@@ -16,27 +16,27 @@ class BenchError(Exception):
     exit_status = 1
 
 
-class UnusableInput(BenchError, ValueError):
+class UnusableInputError(BenchError, ValueError):
     """The input cannot be used; nothing was run."""
 
     exit_status = 2
 
 
-class MachineFileError(UnusableInput):
+class MachineFileError(UnusableInputError):
     """A machine or effects file that is wrong: file, key, value and what would be right."""
 
 
-class RecordingError(UnusableInput):
+class RecordingError(UnusableInputError):
     """A recording that cannot be read or does not hold what the command needs."""
 
 
-class ExperimentError(UnusableInput):
+class ExperimentError(UnusableInputError):
     """An experiment that must not or cannot be run on this machine."""
 
 
-class BadAnswer(BenchError):
+class BadAnswerError(BenchError):
     """The command ran to its end and its answer is bad."""
 
 
-class LoopAborted(BadAnswer):
+class LoopAborted(BadAnswerError):
     """The sample loop stopped the motors before the experiment was over; what was recorded is kept."""

@@ -3,11 +3,12 @@
 import os
 
 import pytest
+from command_line import Isocenter, runner
 
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # several workers' threads spinning against each other cost a hundredfold
 
-LONGEST_FIRST = ("vcan", "diagnosis", "observers", "effects", "bench", "calibration", "concealed", "identification")
+LONGEST_FIRST = ("vcan", "diagnosis", "observers", "observing", "effects", "bench", "calibration", "concealed", "identification")
 """Folders in the order in which workers begin with them: what takes minutes in one test must not be left to the end, when the other
 workers have nothing to do."""
 
@@ -23,3 +24,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
 
     items.sort(key=place)
+
+
+@pytest.fixture
+def isocenter(capsys: pytest.CaptureFixture[str]) -> Isocenter:
+    """The command line, run in this process."""
+    return runner(capsys)

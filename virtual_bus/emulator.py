@@ -16,7 +16,7 @@ from typing import Protocol
 import can
 
 from virtual_bus.canopen.node import Emit
-from virtual_bus.errors import BusLost
+from virtual_bus.errors import BusLostError
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
@@ -97,7 +97,7 @@ def run_emulator(
 
     Raises
     ------
-    BusLost
+    BusLostError
         The bus cannot be read any more.
     """
     with contextlib.ExitStack() as open_ports:
@@ -195,7 +195,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
             try:
                 message = bus.recv(patience_s)
             except (can.CanError, OSError) as error:
-                raise BusLost(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
+                raise BusLostError(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
             now_s = time.perf_counter()
             device.idle(min(now_s - last_s, LOOK_S))
             last_s = now_s

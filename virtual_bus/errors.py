@@ -15,7 +15,7 @@ class EffectError(EmulatorError, ValueError):
     """An effect that does not exist, acts where it may not, or has a parameter out of bounds."""
 
 
-class BusLost(EmulatorError, ConnectionError):
+class BusLostError(EmulatorError, ConnectionError):
     """The bus an emulator was on is gone: its interface went down, its adapter was unplugged."""
 
     exit_status = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.canopen.emcy import describe_code
 from drivers.canopen.sdo import SdoNode
-from drivers.errors import DeviceFault
+from drivers.errors import DeviceFaultError
 
 ALARMS, SUPPORTED_ALARMS = 0x6503, 0x6504
 ALARM_BITS = {0: "position error", 1: "commissioning diagnostic control failed"}
@@ -22,7 +22,7 @@ def check_alarms(node: SdoNode) -> None:
 
     Raises
     ------
-    DeviceFault
+    DeviceFaultError
         Every alarm in words.
     """
     if not node.knows(ALARMS):
@@ -31,4 +31,4 @@ def check_alarms(node: SdoNode) -> None:
     if alarms:
         words = [ALARM_BITS.get(bit, f"manufacturer's alarm {bit}") for bit in range(16) if alarms >> bit & 1]
         error = int.from_bytes(node.read_if_present(0x603F) or b"", "little")
-        raise DeviceFault(f"{node.who}: encoder alarm: {', '.join(words)}{f'; {describe_code(error)}' if error else ''}")
+        raise DeviceFaultError(f"{node.who}: encoder alarm: {', '.join(words)}{f'; {describe_code(error)}' if error else ''}")

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.canopen import cia402, motion
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, Homing, Mode, State
 from drivers.canopen.motion import SETTLED_TICKS, Machine
-from drivers.errors import BusTimeout, MotionRefused
+from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
 DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
@@ -41,7 +41,7 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
 
     Raises
     ------
-    MotionRefused, DeviceFault, BusTimeout
+    MotionRefusedError, DeviceFaultError, BusTimeoutError
     """
     found = []
     motion.reset_fault(machine, axis)
@@ -70,7 +70,7 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
 
     Raises
     ------
-    MotionRefused
+    MotionRefusedError
         It moves under holding effort alone, the wrong way, or not at all; or the link encoder does not follow.
     """
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
@@ -78,14 +78,14 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
     motion.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
     drift = _positions(machine, axis, holding)[0] - start
     if abs(drift) >= travel:
-        raise MotionRefused(
+        raise MotionRefusedError(
             f"{name}: moves by {drift:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; the holding effort is wrong"
         )
     push = _push_until_moved(machine, axis, settings, holding, start)
     position, link = _positions(machine, axis, holding)
     moved, link_moved = position - start, link - link_start
     if link_moved <= -0.5 * travel or abs(moved - link_moved) > settings.agreement_tolerance:
-        raise MotionRefused(
+        raise MotionRefusedError(
             f"{name}: the motor side moved {moved:+.2e} {unit}, its link encoder {link_moved:+.2e}; "
             "the link encoder counts the wrong way, or is not on this axis"
         )
@@ -106,12 +106,12 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
         if moved >= travel:
             return push
         if moved <= -travel:
-            raise MotionRefused(
+            raise MotionRefusedError(
                 f"{name}: moved {moved:+.2e} {unit} on a positive effort; "
                 "motor wiring, encoder direction or the machine file's sign is reversed"
             )
         if elapsed > settings.direction_check_timeout_s:
-            raise MotionRefused(
+            raise MotionRefusedError(
                 f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {settings.direction_check_timeout_s:.1f} s at "
                 f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction or a disconnected motor"
             )
@@ -126,7 +126,7 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
 
     Raises
     ------
-    MotionRefused
+    MotionRefusedError
         Homing error or time-out.
     """
     moves = settings.method not in HOMING_AT_PRESENT_POSITION
@@ -165,14 +165,14 @@ def check_agreement(machine: Machine, axis: int, settings: HomingSettings, comma
 
     Raises
     ------
-    MotionRefused
+    MotionRefusedError
         They differ by more than `agreement_tolerance`.
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
     position, link = _mean_positions(machine, axis, command)
     link -= windup
     if np.isfinite(link) and abs(position - link) > settings.agreement_tolerance:
-        raise MotionRefused(
+        raise MotionRefusedError(
             f"{name}: motor side {position:+.5f} {unit}, link encoder {link:+.5f} {unit}: "
             f"they differ by {abs(position - link):.2e}, {settings.agreement_tolerance:.2e} is allowed; "
             "home anew, or check ratio, resolution and zero_counts"
@@ -193,7 +193,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
             return position, link
         if machine.clock.now() > deadline:
             silent = "position" if not np.isfinite(position) else "link encoder"
-            raise BusTimeout(f"{machine.axes[axis]}: no {silent} for {SAMPLE_TIMEOUT_S:.1f} s")
+            raise BusTimeoutError(f"{machine.axes[axis]}: no {silent} for {SAMPLE_TIMEOUT_S:.1f} s")
 
 
 def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
@@ -225,6 +225,6 @@ def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: 
         failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
         if failed or machine.clock.now() > deadline:
             reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
-            raise MotionRefused(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
+            raise MotionRefusedError(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
         motion.tick(machine, command)
     machine.set_controlword(axis, cia402.ENABLE_OPERATION)

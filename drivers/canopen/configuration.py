@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
-from drivers.errors import ConfigurationRefused
+from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
 PDO_INVALID = 1 << 31
@@ -49,9 +49,9 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
 
     Raises
     ------
-    ConfigurationRefused
+    ConfigurationRefusedError
         An abort in words, or a value that reads back differently.
-    NodeAbsent
+    NodeAbsentError
         The node stopped answering.
     """
     own_writes = {(index, subindex) for index, subindex, _ in node.writes}
@@ -106,7 +106,7 @@ def _configure_pdos(sdo: SdoNode, node: Node) -> None:
 def _check_fixed_mapping(sdo: SdoNode, mapping: int, wanted: list[int]) -> None:
     have = [sdo.read_integer(mapping, position) for position in range(1, sdo.read_integer(mapping, 0) + 1)]
     if have != wanted:
-        raise ConfigurationRefused(
+        raise ConfigurationRefusedError(
             f"{sdo.who}: the mapping {mapping:04X}h is fixed to {_mapping_words(have)}, the machine file wants {_mapping_words(wanted)}"
         )
 
@@ -145,8 +145,8 @@ def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple
             continue
         try:
             sdo.write_checked(index, 0, value)
-        except ConfigurationRefused as error:
-            raise ConfigurationRefused(
+        except ConfigurationRefusedError as error:
+            raise ConfigurationRefusedError(
                 f"{sdo.who}: {what} ({index:04X}h) is {have}, the machine file says {value}; "
                 f"every effort would be off by {have / value - 1:+.1%} ({error})"
             ) from error

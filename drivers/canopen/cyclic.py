@@ -15,7 +15,7 @@ from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, receive_frame, send_frame
 from drivers.canopen.pdo import PdoCodec
 from drivers.canopen.supervision import Supervision
-from drivers.errors import ConfigurationRefused, MotionRefused, ProtocolError
+from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -84,7 +84,7 @@ class AxisOutput:
         for pdo in node.rpdos:
             objects = tuple(index for index, _, _ in pdo.entries)
             if objects not in ((CONTROLWORD, TARGET_TORQUE), (TARGET_TORQUE, CONTROLWORD), (CONTROLWORD,), (TARGET_TORQUE,)):
-                raise ConfigurationRefused(
+                raise ConfigurationRefusedError(
                     f"{node.name}: RPDO {pdo.number} maps {', '.join(f'{index:04X}h' for index in objects)}; "
                     "the loop fills controlword and target_torque and nothing else"
                 )
@@ -93,7 +93,7 @@ class AxisOutput:
             self.frames.append((message, codec.pack_into, CONTROLWORD in objects, objects[0] == CONTROLWORD))
         carried = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
         if not {CONTROLWORD, TARGET_TORQUE} <= carried:
-            raise ConfigurationRefused(f"{node.name}: its RPDOs must map controlword and target_torque")
+            raise ConfigurationRefusedError(f"{node.name}: its RPDOs must map controlword and target_torque")
 
     def permille(self, effort: float) -> int:
         """Target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
@@ -165,7 +165,7 @@ class CyclicExchange:
 
     Raises
     ------
-    ConfigurationRefused
+    ConfigurationRefusedError
         An axis lacks a drive, or its PDOs lack what the loop needs.
     """
 
@@ -224,7 +224,7 @@ class CyclicExchange:
 
         Raises
         ------
-        MotionRefused
+        MotionRefusedError
             A command is not finite; nothing was sent.
         BusError
             The bus failed.
@@ -232,7 +232,7 @@ class CyclicExchange:
         targets: list[int] = []
         for output, effort in zip(self.outputs, efforts, strict=True):
             if not isfinite(effort):
-                raise MotionRefused(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
+                raise MotionRefusedError(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
             targets.append(output.permille(effort))
         bus = self._bus
         for output, target in zip(self.outputs, targets, strict=True):
@@ -378,7 +378,7 @@ def drives(settings: BusSettings) -> list[Node]:
 
     Raises
     ------
-    ConfigurationRefused
+    ConfigurationRefusedError
         An axis has none, or more than one.
     """
     found = []
@@ -386,7 +386,7 @@ def drives(settings: BusSettings) -> list[Node]:
         candidates = [node for node in settings.nodes if node.role == "drive" and node.axis == scaling.axis]
         if len(candidates) != 1:
             names = ", ".join(node.name for node in candidates) or "none"
-            raise ConfigurationRefused(f"axis {scaling.axis} needs exactly one node of role drive, the machine file gives: {names}")
+            raise ConfigurationRefusedError(f"axis {scaling.axis} needs exactly one node of role drive, the machine file gives: {names}")
         found += candidates
     return found
 
@@ -398,4 +398,4 @@ def _check_inputs(tpdos: Sequence[_Tpdo], axes: Sequence[str]) -> None:
             ("position_actual_value", any(t.position >= 0 for t in tpdos if t.axis == axis and t.every_sync)),
         ):
             if not present:
-                raise ConfigurationRefused(f"axis {name}: no TPDO with transmission type 1 maps {what}")
+                raise ConfigurationRefusedError(f"axis {name}: no TPDO with transmission type 1 maps {what}")

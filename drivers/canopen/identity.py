@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.canopen.sdo import SdoNode
-from drivers.errors import WrongIdentity
+from drivers.errors import WrongIdentityError
 from drivers.settings import Identity, Node
 
 PROFILES = {
@@ -48,14 +48,14 @@ def check_identity(node: SdoNode, expected: Node) -> None:
 
     Raises
     ------
-    WrongIdentity
+    WrongIdentityError
         Every difference, expected and found.
     """
     profile = node.read_integer(0x1000) & 0xFFFF
     wanted = ROLE_PROFILES[expected.role]
     if profile != wanted:
         found = describe_device_type(node.read_integer(0x1000))
-        raise WrongIdentity(f"{node.who}: found {found}, the machine file expects {PROFILES[wanted]}; are node ids exchanged?")
+        raise WrongIdentityError(f"{node.who}: found {found}, the machine file expects {PROFILES[wanted]}; are node ids exchanged?")
     identity = read_identity(node)
     differences = []
     for name, _ in _FIELDS:
@@ -63,4 +63,4 @@ def check_identity(node: SdoNode, expected: Node) -> None:
         if want is not None and have != want:
             differences.append(f"{name} is {'absent' if have is None else f'{have:08X}h'}, the machine file says {want:08X}h")
     if differences:
-        raise WrongIdentity(f"{node.who}: {'; '.join(differences)}")
+        raise WrongIdentityError(f"{node.who}: {'; '.join(differences)}")

@@ -19,7 +19,7 @@ from drivers.canopen.emcy import describe_code
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import Supervision
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusTimeout, DeviceFault, MotionRefused
+from drivers.errors import BusTimeoutError, DeviceFaultError, MotionRefusedError
 from drivers.interface import Clock, Sample
 from drivers.settings import AxisScaling, Node
 
@@ -79,9 +79,9 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
 
     Raises
     ------
-    DeviceFault
+    DeviceFaultError
         A drive is in fault or falls into it.
-    BusTimeout
+    BusTimeoutError
         A drive stays where it is.
     """
     deadline = machine.clock.now() + TRANSITION_TIMEOUT_S
@@ -93,7 +93,7 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
             statusword = machine.inputs[axis].statusword
             state = cia402.decode_state(statusword)
             if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-                raise DeviceFault(fault_words(machine, axis))
+                raise DeviceFaultError(fault_words(machine, axis))
             controlword = cia402.next_controlword(state, goal)
             if controlword is not None:
                 machine.set_controlword(axis, controlword)
@@ -103,7 +103,7 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
             break
         if machine.clock.now() > deadline:
             words = "; ".join(f"{machine.drives[a].name} is {cia402.describe_statusword(machine.inputs[a].statusword)}" for a in pending)
-            raise BusTimeout(
+            raise BusTimeoutError(
                 f"not {goal.value} within {TRANSITION_TIMEOUT_S:.1f} s: {words}; is its power stage supplied, is safe torque off released?"
             )
         tick(machine, hold(machine.sample))
@@ -117,7 +117,7 @@ def reset_fault(machine: Machine, axis: int) -> None:
 
     Raises
     ------
-    DeviceFault
+    DeviceFaultError
         The fault persists; its cause in words.
     """
     zero = np.zeros(len(machine.axes))
@@ -134,7 +134,7 @@ def reset_fault(machine: Machine, axis: int) -> None:
     for _ in range(SETTLED_TICKS):  # a cause that is still there brings the fault back at once
         machine.exchange(zero)
     if _in_fault(machine, axis):
-        raise DeviceFault(
+        raise DeviceFaultError(
             f"{fault_words(machine, axis)}; a fault reset did not clear it within {FAULT_RESET_TIMEOUT_S:.1f} s: remove its cause"
         )
 
@@ -157,7 +157,7 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
 
     Raises
     ------
-    MotionRefused
+    MotionRefusedError
         The drive keeps another mode.
     """
     sdo = machine.sdo(axis)
@@ -167,7 +167,9 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
     deadline = machine.clock.now() + MODE_TIMEOUT_S
     while (shown := sdo.read_integer(MODES_DISPLAY)) != mode:
         if machine.clock.now() > deadline:
-            raise MotionRefused(f"{sdo.who}: stays in mode {shown}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for")
+            raise MotionRefusedError(
+                f"{sdo.who}: stays in mode {shown}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for"
+            )
         sdo.network.pump_for(0.01)
     machine.resume_ticks()
 
@@ -177,7 +179,7 @@ def open_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
 
     Raises
     ------
-    MotionRefused
+    MotionRefusedError
         A brake's feedback does not follow.
     """
     run_for(machine, HOLD_BEFORE_RELEASE_S, hold)
@@ -205,18 +207,18 @@ def tick(machine: Machine, command: np.ndarray) -> Sample:
 
     Raises
     ------
-    DeviceFault
+    DeviceFaultError
         Whatever any node reported, in words.
-    MotionRefused
+    MotionRefusedError
         Hold-to-run was released, the door opened, or the I/O that would tell has gone silent; an axis moves as it may not, or nobody
         knows how it moves.
     """
     sample = machine.exchange(command)
     if sample.fault:
-        raise DeviceFault(sample.fault)
+        raise DeviceFaultError(sample.fault)
     refusal = machine.refusal() or machine.watch.check(sample)
     if refusal:
-        raise MotionRefused(refusal)
+        raise MotionRefusedError(refusal)
     return sample
 
 
@@ -237,6 +239,6 @@ def _move_brakes(machine: Machine, axes: Sequence[int], hold: Hold, *, wanted: b
             return
         if machine.clock.now() > deadline:
             word = "open" if wanted else "closed"
-            raise MotionRefused(
+            raise MotionRefusedError(
                 f"brake of {', '.join(waiting)}: not {word} within {BRAKE_TIMEOUT_S:.1f} s by its feedback; check brake, relay and input"
             )

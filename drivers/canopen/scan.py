@@ -10,7 +10,7 @@ import can
 from drivers.canopen.identity import describe_device_type, read_identity
 from drivers.canopen.network import HEARTBEAT, NMT_STATES, SDO_REQUEST, SDO_RESPONSE, PolledNetwork
 from drivers.canopen.sdo import SdoNode
-from drivers.errors import DriverError, DuplicateNode
+from drivers.errors import DriverError, DuplicateNodeError
 from drivers.interface import Clock
 from drivers.settings import Identity
 
@@ -51,7 +51,7 @@ def scan_bus(bus: can.BusABC, clock: Clock, listen_s: float = LISTEN_S) -> list[
 
     Raises
     ------
-    DuplicateNode
+    DuplicateNodeError
         Two devices share an id: two answers to one request, or more heartbeats than one device produces.
     BusError
         The bus cannot be used.
@@ -88,7 +88,7 @@ def scan_bus(bus: can.BusABC, clock: Clock, listen_s: float = LISTEN_S) -> list[
     twice += [node_id for node_id in answers.keys() & heard.keys() if _beats_too_often(network, node_id, heard[node_id], listen_s)]
     if twice:
         ids = ", ".join(str(node_id) for node_id in sorted(set(twice)))
-        raise DuplicateNode(f"node id {ids}: two devices answer to it; give one of them another id (switches or LSS) and scan again")
+        raise DuplicateNodeError(f"node id {ids}: two devices answer to it; give one of them another id (switches or LSS) and scan again")
     return found
 
 

@@ -10,7 +10,7 @@ from canopen.objectdictionary import datatypes
 from canopen.sdo import SdoAbortedError, SdoClient, SdoCommunicationError
 
 from drivers.canopen.network import SDO_REQUEST, SDO_RESPONSE, PolledNetwork
-from drivers.errors import ConfigurationRefused, DuplicateNode, NodeAbsent
+from drivers.errors import ConfigurationRefusedError, DuplicateNodeError, NodeAbsentError
 
 RESPONSE_TIMEOUT_S = 0.3  # CiA 301 gives none; EPOS4 answers within 20 ms, writes to its flash within 200 ms
 TRIES = 3  # of a request that starts a transfer; segments are not repeated, their toggle bit would differ
@@ -78,7 +78,7 @@ class PolledSdoClient(SdoClient):
         while self.network.pump(0.0):
             pass
         if len(self._answers) > max(0, self._answers_owed):
-            raise DuplicateNode(
+            raise DuplicateNodeError(
                 f"{self._who}: two answers to one SDO request: two devices share this id; give one of them another (switches or LSS)"
             )
         self._answers.clear()
@@ -123,23 +123,25 @@ class SdoNode:
 
         Raises
         ------
-        ConfigurationRefused
+        ConfigurationRefusedError
             The node aborted; the abort code in words.
-        NodeAbsent
+        NodeAbsentError
             It does not answer.
         """
         try:
             return bytes(self._client.upload(index, subindex))
         except SdoAbortedError as error:
-            raise ConfigurationRefused(f"{self.who}: reading {self._named(index, subindex)} refused: {abort_in_words(error)}") from error
+            raise ConfigurationRefusedError(
+                f"{self.who}: reading {self._named(index, subindex)} refused: {abort_in_words(error)}"
+            ) from error
         except SdoCommunicationError as error:
-            raise NodeAbsent(f"{self.who}: reading {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
+            raise NodeAbsentError(f"{self.who}: reading {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
     def read_if_present(self, index: int, subindex: int = 0) -> bytes | None:
         """Raw value, or None when the node has no such object."""
         try:
             return self.read(index, subindex)
-        except ConfigurationRefused as error:
+        except ConfigurationRefusedError as error:
             if isinstance(error.__cause__, SdoAbortedError) and error.__cause__.code in ABSENT_OBJECT:
                 return None
             raise
@@ -157,9 +159,9 @@ class SdoNode:
 
         Raises
         ------
-        ConfigurationRefused
+        ConfigurationRefusedError
             The object is not in the data sheet, the value does not fit its type, or the node aborted.
-        NodeAbsent
+        NodeAbsentError
             It does not answer.
         """
         data = self._to_bytes(index, subindex, value)
@@ -167,22 +169,22 @@ class SdoNode:
             self._client.download(index, subindex, data)
         except SdoAbortedError as error:
             what = f"writing {_hex(value)} to {self._named(index, subindex)}"
-            raise ConfigurationRefused(f"{self.who}: {what} refused: {abort_in_words(error)}") from error
+            raise ConfigurationRefusedError(f"{self.who}: {what} refused: {abort_in_words(error)}") from error
         except SdoCommunicationError as error:
-            raise NodeAbsent(f"{self.who}: writing {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
+            raise NodeAbsentError(f"{self.who}: writing {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
     def write_checked(self, index: int, subindex: int, value: int, *, ignore_bits: int = 0) -> None:
         """Write an integer object and read it back.
 
         Raises
         ------
-        ConfigurationRefused
+        ConfigurationRefusedError
             As `write_integer`, or the value that comes back differs outside `ignore_bits`.
         """
         self.write_integer(index, subindex, value)
         back = self.read_integer(index, subindex)
         if (back ^ value) & ~ignore_bits:
-            raise ConfigurationRefused(
+            raise ConfigurationRefusedError(
                 f"{self.who}: {self._named(index, subindex)} reads back {_hex(back)} after {_hex(value)} was written; "
                 "the device does not take this value"
             )
@@ -199,15 +201,17 @@ class SdoNode:
     def _to_bytes(self, index: int, subindex: int, value: int) -> bytes:
         variable = self.dictionary.get_variable(index, subindex)
         if variable is None:
-            raise ConfigurationRefused(
+            raise ConfigurationRefusedError(
                 f"{self.who}: object {index:04X}h:{subindex:02X} is not in its EDS file; correct the machine file or the EDS"
             )
         if variable.data_type not in datatypes.INTEGER_TYPES and variable.data_type != datatypes.BOOLEAN:
-            raise ConfigurationRefused(f"{self.who}: {self._named(index, subindex)} is no integer object; only integers can be configured")
+            raise ConfigurationRefusedError(
+                f"{self.who}: {self._named(index, subindex)} is no integer object; only integers can be configured"
+            )
         try:
             return value.to_bytes(len(variable) // 8, "little", signed=variable.data_type in datatypes.SIGNED_TYPES)
         except OverflowError as error:
-            raise ConfigurationRefused(
+            raise ConfigurationRefusedError(
                 f"{self.who}: {value} does not fit {self._named(index, subindex)} of {len(variable)} bits"
             ) from error
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivers.canopen.emcy import Emergency, decode_emergency
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, NMT_RESET_COMMUNICATION, NMT_STATES, PolledNetwork
 from drivers.canopen.sdo import SdoNode
-from drivers.errors import BusTimeout, DeviceFault, DuplicateNode, HeartbeatLost, NodeAbsent
+from drivers.errors import BusTimeoutError, DeviceFaultError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
 from drivers.settings import Node
 
 HEARTBEAT_TOLERANCE = 2.5
@@ -111,7 +111,7 @@ class Supervision:
 
         Raises
         ------
-        HeartbeatLost
+        HeartbeatLostError
         """
         if not self._guarded:
             return
@@ -120,7 +120,7 @@ class Supervision:
         age_s = now_s - watched.heard_s
         if age_s > watched.timeout_s:
             state = NMT_STATES.get(watched.state, "unknown")
-            raise HeartbeatLost(
+            raise HeartbeatLostError(
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
             )
 
@@ -129,9 +129,9 @@ class Supervision:
 
         Raises
         ------
-        NodeAbsent
+        NodeAbsentError
             Neither boot-up message nor SDO answer within the node's own time-out.
-        DuplicateNode
+        DuplicateNodeError
             One reset, two boot-ups from one id.
         """
         for _ in range(STALE_FRAMES):
@@ -145,7 +145,7 @@ class Supervision:
         self._network.pump_for(BOOT_SETTLE_S)
         for watched in self._nodes.values():
             if watched.boots > 1:
-                raise DuplicateNode(
+                raise DuplicateNodeError(
                     f"{watched.who}: {watched.boots} boot-up messages after one reset: two devices share this id; give one another id"
                 )
         self._fresh_fault = ""
@@ -168,9 +168,9 @@ class Supervision:
         sdo = SdoNode(self._network, node.node_id, node.name)
         try:
             sdo.read(0x1000)
-        except NodeAbsent as error:
+        except NodeAbsentError as error:
             heard = ", ".join(f"{w.name} ({w.node_id})" for w in self._nodes.values() if w.boots) or "none"
-            raise NodeAbsent(
+            raise NodeAbsentError(
                 f"{node.name} (node {node.node_id}): neither boot-up nor SDO answer within {node.boot_timeout_s:.1f} s of a reset on "
                 f"{self._network.can_bus.channel_info}; is it powered, with this id and bit rate? nodes that booted: {heard}"
             ) from error
@@ -182,9 +182,9 @@ class Supervision:
 
         Raises
         ------
-        BusTimeout
+        BusTimeoutError
             A node produces no heartbeat, or one with another state.
-        DeviceFault
+        DeviceFaultError
             A node fell back while being waited for.
         """
         clock = self._network.clock
@@ -195,8 +195,8 @@ class Supervision:
                 remaining = deadline - clock.now()
                 if remaining <= 0.0 or not self._network.pump(remaining):
                     if watched.emergency is not None:
-                        raise DeviceFault(f"{watched.who}: not operational: {self.last_emergency(node.node_id)}")
-                    raise BusTimeout(f"{watched.who}: started, but its heartbeat says {self.nmt_state(node.node_id)}, not operational")
+                        raise DeviceFaultError(f"{watched.who}: not operational: {self.last_emergency(node.node_id)}")
+                    raise BusTimeoutError(f"{watched.who}: started, but its heartbeat says {self.nmt_state(node.node_id)}, not operational")
         now = clock.now()
         for watched in self._nodes.values():
             watched.heard_s = watched.heard_s if watched.heard_s == watched.heard_s else now
@@ -213,7 +213,7 @@ def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_peri
 
     Raises
     ------
-    DuplicateNode
+    DuplicateNodeError
     """
     heard: list[int] = []
 
@@ -226,7 +226,7 @@ def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_peri
     network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
     network.unsubscribe(HEARTBEAT + own_node_id, listen)
     if heard:
-        raise DuplicateNode(
+        raise DuplicateNodeError(
             f"node id {own_node_id}, the bench's own, is already on {network.can_bus.channel_info}: "
             "another bench is running there; stop it, or give this one another master_node_id"
         )

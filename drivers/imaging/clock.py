@@ -22,7 +22,7 @@ SLACK = 0.25
 FEWEST = 3
 
 
-class ClocksDisagree(DriverError):
+class ClocksDisagreeError(DriverError):
     """A panel's stamps and the loop's pulses tell different times.
 
     Example scenarios
@@ -57,22 +57,26 @@ class PanelClock:
 
     Raises
     ------
-    ClocksDisagree
+    ClocksDisagreeError
         Too few pulses, or they do not lie on a line of this rate.
     """
 
     def __init__(self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float, exposure_id: np.ndarray | None = None) -> None:
         panel, middles = np.asarray(panel_s, float), np.asarray(pulse_s, float) - 0.5 * period_s
         if len(panel) < FEWEST:
-            raise ClocksDisagree(f"{len(panel)} exposures; the panel's clock needs {FEWEST} pulses at least to be known in the loop's time")
+            raise ClocksDisagreeError(
+                f"{len(panel)} exposures; the panel's clock needs {FEWEST} pulses at least to be known in the loop's time"
+            )
         if not (np.ptp(panel) > 0.0 and np.ptp(middles) > 0.0):
-            raise ClocksDisagree(f"{len(panel)} exposures at one time: the panel's clock or the loop's pulses stand still")
+            raise ClocksDisagreeError(f"{len(panel)} exposures at one time: the panel's clock or the loop's pulses stand still")
         self._origin = float(panel.mean())
         along, (doubt, by_squares) = panel - self._origin, _rate(panel - panel.mean(), middles, period_s)
         if by_squares <= 0.0:
-            raise ClocksDisagree("the panel's stamps do not grow with the loop's pulses; frames and pulses are not of the same exposures")
+            raise ClocksDisagreeError(
+                "the panel's stamps do not grow with the loop's pulses; frames and pulses are not of the same exposures"
+            )
         if abs(by_squares - 1.0) > RATE_TRUST + doubt:
-            raise ClocksDisagree(
+            raise ClocksDisagreeError(
                 f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
             )
         self.rate_doubt = min(doubt, 2.0 * RATE_TRUST)
@@ -89,7 +93,7 @@ class PanelClock:
         worst = int(np.argmax(np.abs(error)))
         if abs(error[worst]) > (0.5 + SLACK) * period_s:
             called = worst if exposure_id is None else int(exposure_id[worst])
-            raise ClocksDisagree(
+            raise ClocksDisagreeError(
                 f"exposure {called} began {1e3 * error[worst]:+.1f} ms off the panel's clock, a tick is {1e3 * period_s:.1f} ms;"
                 " the panel's clock was set meanwhile, or frames and pulses are not of the same exposures"
             )

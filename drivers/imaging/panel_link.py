@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from drivers.errors import BusUnavailable, DriverError
+from drivers.errors import BusUnavailableError, DriverError
 from drivers.imaging.spool import Frame
 from drivers.tcp_url import parse_tcp_url, why_not_reached
 
@@ -98,20 +98,20 @@ class PanelLink:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         No such address, nobody listens there, or who does is no panel or another host's.
     """
 
     def __init__(self, url: str, period_s: float) -> None:
         address = parse_tcp_url(url)
         if address is None:
-            raise BusUnavailable(f"panel {url}: its address reads tcp:HOST:PORT, e.g. tcp:192.168.0.7:4100")
+            raise BusUnavailableError(f"panel {url}: its address reads tcp:HOST:PORT, e.g. tcp:192.168.0.7:4100")
         self.url, self.exposures = url, None
         self._period_s, self._first, self._data = period_s, 0, bytearray()
         try:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT_S)
         except OSError as error:
-            raise BusUnavailable(f"panel {url}: {why_not_reached(error)}; name a panel that is on") from error
+            raise BusUnavailableError(f"panel {url}: {why_not_reached(error)}; name a panel that is on") from error
         self._socket.setblocking(False)
         try:
             self._await_greeting()
@@ -154,12 +154,12 @@ class PanelLink:
             left_s = until_s - time.monotonic()
             if left_s <= 0.0:
                 said = f"has not greeted within {GREETING_TIMEOUT_S:g} s"
-                raise BusUnavailable(f"panel {self.url}: {said}; name a panel, and one that nobody else uses now")
+                raise BusUnavailableError(f"panel {self.url}: {said}; name a panel, and one that nobody else uses now")
             self.wait(left_s)
             try:
                 self.poll()
             except PanelError as error:
-                raise BusUnavailable(str(error)) from None
+                raise BusUnavailableError(str(error)) from None
         self.exposures = None
 
     def _read(self) -> str:

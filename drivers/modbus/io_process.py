@@ -19,7 +19,7 @@ from multiprocessing.shared_memory import SharedMemory
 import numpy as np
 
 import drivers.errors
-from drivers.errors import BusTimeout, DriverError
+from drivers.errors import BusTimeoutError, DriverError
 from drivers.interface import Sample
 from drivers.modbus.io import IoDriver, IoState, brake_requests
 from drivers.modbus.shared_block import Block
@@ -90,7 +90,7 @@ class IoProcess:
 
         Raises
         ------
-        BusUnavailable, BusTimeout, ConfigurationRefused, ProtocolError
+        BusUnavailableError, BusTimeoutError, ConfigurationRefusedError, ProtocolError
             The first poll failed; the process is gone then.
         """
         self._process.start()
@@ -98,7 +98,7 @@ class IoProcess:
         while self._published.sequence < 2:
             if time.monotonic() > give_up or not self._process.is_alive():
                 self.close()
-                raise BusTimeout(f"io on {self._map.url}: the polling process did not start within {START_TIMEOUT_S:g} s")
+                raise BusTimeoutError(f"io on {self._map.url}: the polling process did not start within {START_TIMEOUT_S:g} s")
             time.sleep(SLICE_S)
         if failure := self.error:
             self.close()

@@ -14,7 +14,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
-from drivers.errors import BusTimeout, BusUnavailable, ConfigurationRefused, ProtocolError
+from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRefusedError, ProtocolError
 from drivers.modbus.registers import ExceptionCode
 from drivers.tcp_url import parse_tcp_url, why_not_reached
 
@@ -34,11 +34,11 @@ class Transport(Protocol):
 
         Raises
         ------
-        BusUnavailable
+        BusUnavailableError
             There is no such port, nobody listens, or the connection is gone.
-        BusTimeout
+        BusTimeoutError
             Nobody answered.
-        ConfigurationRefused
+        ConfigurationRefusedError
             The device answered with an exception.
         ProtocolError
             The answer is damaged or comes from another unit.
@@ -103,7 +103,7 @@ class ClientTransport:
         """Send a request and return its answer; connects when needed."""
         self._received = b""
         if not self._client.connect():
-            raise BusUnavailable(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
+            raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
         try:
             answer = self._client.execute(False, pdu)
         except (ModbusException, OSError) as error:
@@ -132,7 +132,9 @@ class ClientTransport:
     def _explained(self, unit_id: int) -> Exception:
         received = self._received
         if not received:
-            return BusTimeout(f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate and cable")
+            return BusTimeoutError(
+                f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate and cable"
+            )
         if len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
             return ProtocolError(f"{self.name}: unit {received[self._unit_offset]} answers where unit_id = {unit_id} was asked")
         return ProtocolError(f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring and baud rate")
@@ -145,7 +147,7 @@ def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> Modb
         except ValueError:
             reason = "unknown exception"
         last = request.address + max(1, request.count, len(request.bits)) - 1
-        raise ConfigurationRefused(
+        raise ConfigurationRefusedError(
             f"{name}: unit {request.dev_id} refuses function {request.function_code} at {request.address} to {last}:"
             f" {reason} ({answer.exception_code}); compare unit_id and addresses with the device's manual"
         )
@@ -157,11 +159,13 @@ def parse_io_url(url: str) -> tuple[str, str, int]:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         Neither of them.
     """
     if address := parse_tcp_url(url):
         return "tcp", *address
     if (match := re.fullmatch(r"rtu:(.+)@([0-9]{1,8})", url)) and int(match[2]) > 0:
         return "rtu", match[1], int(match[2])
-    raise BusUnavailable(f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502 or rtu:/dev/ttyUSB1@115200")
+    raise BusUnavailableError(
+        f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502 or rtu:/dev/ttyUSB1@115200"
+    )

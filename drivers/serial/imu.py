@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import BusUnavailable, ConfigurationRefused, NodeAbsent, ProtocolError
+from drivers.errors import BusUnavailableError, ConfigurationRefusedError, NodeAbsentError, ProtocolError
 from drivers.interface import Sample
 from drivers.serial.stream import ByteStream
 from drivers.serial.xbus import (
@@ -108,9 +108,9 @@ class ImuDriver:
 
         Raises
         ------
-        NodeAbsent
+        NodeAbsentError
             No answer.
-        ConfigurationRefused
+        ConfigurationRefusedError
             The device reports an error, or grants something else than was asked.
         ProtocolError
             An answer of the wrong size.
@@ -172,7 +172,7 @@ class ImuDriver:
         """Complete readings that have arrived."""
         try:
             data = self._stream.read()
-        except BusUnavailable as error:
+        except BusUnavailableError as error:
             if not self._gone:
                 self._gone = True
                 self._report(str(error))
@@ -215,7 +215,7 @@ class ImuDriver:
             try:
                 self._ask(MessageId.GO_TO_CONFIG, b"", wait)
                 return
-            except (NodeAbsent, ConfigurationRefused):  # bytes left over from before may have drawn an error
+            except (NodeAbsentError, ConfigurationRefusedError):  # bytes left over from before may have drawn an error
                 if attempt == GO_TO_CONFIG_ATTEMPTS - 1:
                     raise
 
@@ -242,21 +242,21 @@ class ImuDriver:
         message_bytes = len(REHEARSED)
         needed_baud = message_bytes * BITS_PER_BYTE * self.port.rate_Hz
         if needed_baud > self.port.baud:
-            raise ConfigurationRefused(
+            raise ConfigurationRefusedError(
                 f"{self._line}: {message_bytes} bytes at {self.port.rate_Hz:g} Hz need more than {needed_baud:.0f} baud,"
                 f" the port runs at {self.port.baud}"
             )
         granted = decode_output_configuration(self._ask(MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(wanted), wait))
         if [identifier & ~FORMAT_BITS for identifier, _ in granted] != [identifier for identifier, _ in wanted]:
             listed = ", ".join(f"0x{identifier:04X}" for identifier, _ in granted)
-            raise ConfigurationRefused(
+            raise ConfigurationRefusedError(
                 f"{self._line}: grants the outputs {listed}; counter, time, acceleration, rate of turn and status are needed"
             )
         rates = {identifier & ~FORMAT_BITS: rate for identifier, rate in granted}
         for identifier in INERTIAL:
             fits = rates[identifier] >= self.port.rate_Hz if self.port.triggered_by_sync else rates[identifier] == rate
             if not fits:
-                raise ConfigurationRefused(
+                raise ConfigurationRefusedError(
                     f"{self._line}: grants {rates[identifier]} Hz where rate_Hz = {self.port.rate_Hz:g}; choose a rate the device has"
                 )
 
@@ -272,14 +272,14 @@ class ImuDriver:
                 self._check_refusal(command, message)
             if not last:
                 wait(ANSWER_STEP_S)
-        raise NodeAbsent(
+        raise NodeAbsentError(
             f"{self._line}: no answer to {command.name} within {ANSWER_TIMEOUT_S:g} s; check power, cable and the machine file's"
             f" baud = {self.port.baud}"
         )
 
     def _check_refusal(self, command: MessageId, message: Message) -> None:
         if message.message_id == MessageId.ERROR:
-            raise ConfigurationRefused(f"{self._line}: answers {command.name} with {_error_in_words(message.data)}")
+            raise ConfigurationRefusedError(f"{self._line}: answers {command.name} with {_error_in_words(message.data)}")
 
 
 def _error_in_words(data: bytes) -> str:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import serial
 
-from drivers.errors import BusUnavailable
+from drivers.errors import BusUnavailableError
 from drivers.serial.tcp_stream import TcpStream
 from drivers.tcp_url import parse_tcp_url
 
@@ -30,14 +30,14 @@ def open_stream(device: str, baud: int) -> SerialStream | TcpStream:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         It is not there, or in use, or no such address.
     """
     if not device.startswith("tcp:"):
         return SerialStream(device, baud)
     address = parse_tcp_url(device)
     if address is None:
-        raise BusUnavailable(f"serial line {device}: a device server's reads tcp:HOST:PORT, e.g. tcp:192.168.0.5:4001")
+        raise BusUnavailableError(f"serial line {device}: a device server's reads tcp:HOST:PORT, e.g. tcp:192.168.0.5:4001")
     return TcpStream(device, *address)
 
 
@@ -46,7 +46,7 @@ class SerialStream:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         The port does not exist, is in use, or refuses the baud rate.
     """
 
@@ -56,7 +56,7 @@ class SerialStream:
             self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True if os.name == "posix" else None)
         except (OSError, ValueError) as error:
             reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
-            raise BusUnavailable(
+            raise BusUnavailableError(
                 f"serial port {device} at {baud} baud: {reason}; name a port that exists and that nobody else uses"
             ) from error
         if hasattr(self._port, "set_low_latency_mode"):
@@ -73,7 +73,7 @@ class SerialStream:
 
         Raises
         ------
-        BusUnavailable
+        BusUnavailableError
             The port is gone, e.g. an unplugged adapter.
         """
         try:
@@ -85,9 +85,9 @@ class SerialStream:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise BusUnavailable(f"serial port {self.device} is gone: {error.strerror or error}") from error
+            raise BusUnavailableError(f"serial port {self.device} is gone: {error.strerror or error}") from error
         if not data:
-            raise BusUnavailable(f"serial port {self.device} is gone: the other end hung up")
+            raise BusUnavailableError(f"serial port {self.device} is gone: the other end hung up")
         return data
 
     def _is_silent(self) -> bool:
@@ -108,7 +108,7 @@ class SerialStream:
 
         Raises
         ------
-        BusUnavailable
+        BusUnavailableError
             The port is gone.
         """
         try:
@@ -116,7 +116,7 @@ class SerialStream:
         except serial.SerialTimeoutException:
             return
         except OSError as error:
-            raise BusUnavailable(f"serial port {self.device} is gone: {error.strerror or error}") from error
+            raise BusUnavailableError(f"serial port {self.device} is gone: {error.strerror or error}") from error
 
     def close(self) -> None:
         """Give the port back."""

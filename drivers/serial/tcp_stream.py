@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from drivers.errors import BusUnavailable
+from drivers.errors import BusUnavailableError
 from drivers.tcp_url import why_not_reached
 
 READ_BYTES = 4096
@@ -16,7 +16,7 @@ class TcpStream:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         Nobody listens there.
     """
 
@@ -26,7 +26,7 @@ class TcpStream:
             self._socket = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except OSError as error:
             reason = why_not_reached(error)
-            raise BusUnavailable(f"serial line {url}: {reason}; name a device server that is on and that nobody else uses") from error
+            raise BusUnavailableError(f"serial line {url}: {reason}; name a device server that is on and that nobody else uses") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 
@@ -35,7 +35,7 @@ class TcpStream:
 
         Raises
         ------
-        BusUnavailable
+        BusUnavailableError
             The connection is gone.
         """
         try:
@@ -43,9 +43,9 @@ class TcpStream:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise BusUnavailable(f"serial line {self.url} is gone: {error.strerror or error}") from error
+            raise BusUnavailableError(f"serial line {self.url} is gone: {error.strerror or error}") from error
         if not data:
-            raise BusUnavailable(f"serial line {self.url} is gone: the other end hung up")
+            raise BusUnavailableError(f"serial line {self.url} is gone: the other end hung up")
         return data
 
     def write(self, data: bytes) -> None:
@@ -53,7 +53,7 @@ class TcpStream:
 
         Raises
         ------
-        BusUnavailable
+        BusUnavailableError
             The connection is gone.
         """
         try:
@@ -61,7 +61,7 @@ class TcpStream:
         except BlockingIOError:
             return
         except OSError as error:
-            raise BusUnavailable(f"serial line {self.url} is gone: {error.strerror or error}") from error
+            raise BusUnavailableError(f"serial line {self.url} is gone: {error.strerror or error}") from error
 
     def close(self) -> None:
         """Hang up."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from drivers.errors import MotionRefused
+from drivers.errors import MotionRefusedError
 from drivers.interface import Sample
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
@@ -204,14 +204,14 @@ class Bench:
 
         Raises
         ------
-        MotionRefused
+        MotionRefusedError
             It has moved further than commissioning moves it.
         """
         for axis, limit in enumerate(self.machine.limits):
             stands, begins = self.pose[axis], first.reference[0, axis]
             allowed = BRIDGED_SHARE * limit.tracking_error
             if not abs(stands - begins) <= allowed:
-                raise MotionRefused(
+                raise MotionRefusedError(
                     f"{limit.axis}: stands at {stands:+.5f} {limit.unit}, its way was planned from {begins:+.5f}: it moved by "
                     f"{abs(stands - begins):.1e} since, {allowed:.1e} is allowed; run again to plan from here"
                 )

@@ -18,7 +18,7 @@ from hil.bench.signals import StopRequest
 from hil.bench.start_pose import standing
 from hil.bench.stop_signals import stopping_on_signals
 from hil.bench.wiring import HeedingMachine, Wiring, lockstep_wiring, wall_wiring
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.experiments import Plan
 from hil.machine import Machine
 from hil.observing.live import LiveObserver
@@ -43,15 +43,15 @@ def open_bench(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The machine file has no bus or no controller.
     DriverError
         The bus is missing, or a device is absent, wrong or at fault.
     """
     if machine.bus is None:
-        raise UnusableInput(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
+        raise UnusableInputError(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
     if not machine.controllers:
-        raise UnusableInput(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
+        raise UnusableInputError(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
     model = Physics(machine.plant, noise=False)
     feedback = _warm(Feedback(machine.controllers))
     lockstep = options.bus_url.startswith("lockstep:")

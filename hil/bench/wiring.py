@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.supervision import refuse_second_bench
-from drivers.errors import BusError, BusUnavailable
+from drivers.errors import BusError, BusUnavailableError
 from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
@@ -27,7 +27,7 @@ from hil.bench.signals import StopRequest
 from hil.emulated.card import find
 from hil.emulated.machine import build_emulated, opened_bus
 from hil.emulated.truth import TruthLog
-from hil.errors import LoopAborted, UnusableInput
+from hil.errors import LoopAborted, UnusableInputError
 from hil.machine import Machine
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 
@@ -114,22 +114,22 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
         No such bus, serial port or I/O.
-    DuplicateNode
+    DuplicateNodeError
         Another bench runs on that bus; neither its IMU nor its I/O was touched.
-    UnusableInput
+    UnusableInputError
         The machine has an IMU or I/O and nobody says where.
     """
     settings = machine.bus
     assert settings is not None
     if options.emulated is not None or not options.noise:
         what = "--effects" if options.emulated is not None else "--no-noise"
-        raise UnusableInput(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
+        raise UnusableInputError(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
     if options.truth is not None:
-        raise UnusableInput("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
+        raise UnusableInputError("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
     if options.frame_log is not None:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"--frame-log: the loop writes none on a real bus; record {options.bus_url} beside it: candump -l, python -m can.logger"
         )
     with contextlib.ExitStack() as stack:
@@ -182,8 +182,8 @@ def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) 
     return settings
 
 
-def _nowhere(machine: Machine, options: BenchOptions, what: str, key: str, option: str) -> BusUnavailable:
-    return BusUnavailable(
+def _nowhere(machine: Machine, options: BenchOptions, what: str, key: str, option: str) -> BusUnavailableError:
+    return BusUnavailableError(
         f"{machine.name} on {options.bus_url}: nobody says where its {what} is; "
         f"start `isocenter emulate` on this bus, set {key} or give {option}"
     )

@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 
@@ -87,7 +87,7 @@ def _held_out_each(arguments: list[str]) -> list[str]:
     apart = [part for one in arguments for part in (one.split("=", 1) if one.startswith("--held-out=") else [one])]
     for argument, following in zip_longest(apart, apart[1:], fillvalue="-"):
         if argument == "--held-out" and following.startswith("-"):
-            raise UnusableInput("--held-out: give a recording or more after it")
+            raise UnusableInputError("--held-out: give a recording or more after it")
         if argument == "--held-out" or argument.startswith("-"):
             held_out = argument == "--held-out"
         elif held_out and complete[-1] != "--held-out":

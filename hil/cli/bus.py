@@ -27,7 +27,7 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
     from drivers.bus_url import open_bus
     from drivers.canopen.scan import scan_bus as scan
     from hil.bench.clock import WallClock
-    from hil.errors import BadAnswer
+    from hil.errors import BadAnswerError
 
     answer = Answer(json_to)
     with open_bus(bus, bitrate) as wire:
@@ -36,7 +36,7 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
         answer.say(str(node))
     answer.write({"bus": bus, "nodes": [vars(node) for node in nodes]})
     if not nodes:
-        raise BadAnswer(f"{bus}: nobody answers; is the machine on, or `isocenter emulate` ready, at {bitrate} bit/s?")
+        raise BadAnswerError(f"{bus}: nobody answers; is the machine on, or `isocenter emulate` ready, at {bitrate} bit/s?")
 
 
 def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: IoOption = "", json_to: JsonOption = None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def expose(
 
     for option, value in (("--rate", rate), ("--width", width), ("--photons", photons)):
         if not 0.0 < value < np.inf:
-            raise UnusableInput(f"{option} {value:g}: must be a positive number")
+            raise UnusableInputError(f"{option} {value:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
     recording = read_recording(recording_file, machine)
@@ -208,7 +208,7 @@ def marker(
     name = plate_name or scan.notes.get("marker")
     away = distance if distance is not None else scan.notes.get("marker_distance_mm")
     if name is None or away is None:
-        raise UnusableInput(f"{scan_folder}/scan.toml names no marker and marker_distance_mm; give --plate and --distance")
+        raise UnusableInputError(f"{scan_folder}/scan.toml names no marker and marker_distance_mm; give --plate and --distance")
     distance_m = 1e-3 * _positive(away)
     plate = _plate(str(name))
     positions = np.nan_to_num(scan.positions)  # tube and panel stand the same to each other in every nominal pose
@@ -249,13 +249,13 @@ def _plate(name: str) -> MarkerPlate:
     from hil.imaging.markers import PLATES
 
     if name not in PLATES:
-        raise UnusableInput(f"marker plate {name}: there are {', '.join(PLATES)}")
+        raise UnusableInputError(f"marker plate {name}: there are {', '.join(PLATES)}")
     return PLATES[name]()
 
 
 def _positive(distance_mm: object) -> float:
     if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
-        raise UnusableInput(f"distance of the marker plate {distance_mm} mm: must be a positive number")
+        raise UnusableInputError(f"distance of the marker plate {distance_mm} mm: must be a positive number")
     return float(distance_mm)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
@@ -75,7 +75,9 @@ def data(
     can_be_written(out, figure)
     not_an_input(out, *(path for path in (recording_file, start, design) if path is not None))
     if scan_folder is None and start is None and marker is None:
-        raise UnusableInput("no images and no --start: nothing tells this machine's geometry; give SCAN, or a calibration to go on from")
+        raise UnusableInputError(
+            "no images and no --start: nothing tells this machine's geometry; give SCAN, or a calibration to go on from"
+        )
     recording = read_recording(recording_file, machine)
     model = QuasiStatic.of(machine)
     known = Parameters.unknown(model) if start is None else read_data_file(start).parameters(model)
@@ -142,7 +144,9 @@ def _observed(machine: Machine, recording: Recording, model: QuasiStatic, known:
 
     made = read_design(design)
     if made.model.axes != machine.axes or made.model.sample_rate_Hz != machine.sample_rate_Hz:
-        raise UnusableInput(f"{design}: is for {', '.join(made.model.axes)} at {made.model.sample_rate_Hz:g} Hz, not for {machine.name}")
+        raise UnusableInputError(
+            f"{design}: is for {', '.join(made.model.axes)} at {made.model.sample_rate_Hz:g} Hz, not for {machine.name}"
+        )
     estimate = observe(levelled(machine, recording, model, known.values), made.observer())
     columns = zip(estimate.names, estimate.units, estimate.values.T, strict=True)
     return observed_beam(machine, Recording({**recording.channels, **{name: Channel(unit, v) for name, unit, v in columns}}, {}))
@@ -173,7 +177,7 @@ def _marker(machine: Machine, folder: Path, jobs: int, answer: Answer) -> list[M
     scan = read_scan(folder)
     name, distance_mm = scan.notes.get("marker"), scan.notes.get("marker_distance_mm")
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
-        raise UnusableInput(f"{folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
+        raise UnusableInputError(f"{folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
     nominal = nominal_marker(nominal_beam(machine, np.nan_to_num(scan.positions)), 1e-3 * float(distance_mm))
     with progress(answer.console) as bars:
         follow = follower(bars, bars.add_task("marker", total=len(scan)))

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def grid(
 
     for option, value in (("--step", step), ("--dwell", dwell)):
         if not 0.0 < value < np.inf:
-            raise UnusableInput(f"{option} {value:g}: must be a positive number")
+            raise UnusableInputError(f"{option} {value:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, suffixes=(".toml",))
@@ -86,7 +86,7 @@ def scan(
     from hil.experiments import write_experiment
 
     if not 0.0 < rate < np.inf:
-        raise UnusableInput(f"--rate {rate:g}: must be a positive number")
+        raise UnusableInputError(f"--rate {rate:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, suffixes=(".toml",))
@@ -154,7 +154,7 @@ def model(
     start = nominal_chain(machine)
     unknown = sorted({*(freeze or ()), *(need or ())} - set(start.names))
     if unknown:
-        raise UnusableInput(f"{', '.join(unknown)}: no such parameter; {machine.name} has {', '.join(start.names)}")
+        raise UnusableInputError(f"{', '.join(unknown)}: no such parameter; {machine.name} has {', '.join(start.names)}")
     fitted = [_table(path, machine, jobs, answer) for path in scans]
     others = [_table(path, machine, jobs, answer) for path in held_out or ()]
     every = joined(fitted)
@@ -241,13 +241,13 @@ def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
 def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
     for name in need:
         if name in fit.frozen:
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"{name}: these scans cannot show it: nothing that it depends on moves; isocenter calibrate scan proposes one"
             )
         for combination in fit.null:
             share = dict(combination.shares)[name]
             if abs(share) > VISIBLE_SHARE:
-                raise UnusableInput(f"{name}: these scans cannot tell it from others: {combination} changes no pose of them")
+                raise UnusableInputError(f"{name}: these scans cannot tell it from others: {combination} changes no pose of them")
 
 
 SURE, LEAST_LAG = 5.0, 2e-3

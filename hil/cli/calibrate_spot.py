@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
 
@@ -38,14 +38,14 @@ def spot(
     from hil.imaging.scan_folder import read_scan
 
     if anode is not None and not 0.0 < anode < np.inf:
-        raise UnusableInput(f"--anode {anode:g}: must be a positive number")
+        raise UnusableInputError(f"--anode {anode:g}: must be a positive number")
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(figure)
     scan = read_scan(scan_folder)
     name, distance_mm = scan.notes.get("marker"), scan.notes.get("marker_distance_mm")
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
-        raise UnusableInput(f"{scan_folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
+        raise UnusableInputError(f"{scan_folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
     beam = nominal_beam(machine, np.nan_to_num(scan.positions))
     with progress(answer.console) as bars:
         follow = follower(bars, bars.add_task("marker", total=2 * len(scan)))

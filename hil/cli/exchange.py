@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def convert(
     can_be_written(target, suffixes=SUFFIXES)
     not_an_input(target, source)
     if calibration is not None and not source.is_dir():
-        raise UnusableInput(f"--with {calibration}: {source.name} has a geometry of its own; --with is for a scan's folder")
+        raise UnusableInputError(f"--with {calibration}: {source.name} has a geometry of its own; --with is for a scan's folder")
     read = _read(source, machine, calibration, binning)
     notes = [*read.notes, *_write(target, read, machine, rows_up, images)]
     answer.say(f"{target}: geometry of {len(read.beam)} exposures from {source.name}")
@@ -90,7 +90,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
     if suffix == ".npz":
         table = read_calibration(path, machine)
         if not isinstance(table, LookUp):
-            raise UnusableInput(f"{path}: a model has no exposures of its own; convert a scan's folder --with it")
+            raise UnusableInputError(f"{path}: a model has no exposures of its own; convert a scan's folder --with it")
         return _Geometry(nominal_beam(machine, table.positions).moved(table.deviation), detector, table.positions)
     if suffix in (".csv", ".json"):
         from hil.imaging.exchange.matrices import read_matrices
@@ -99,7 +99,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         expected = -nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0, 2]
         ratio = float(np.median(-beam.source_m[:, 2])) / expected
         if not 1.0 / FAR < ratio < FAR:
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"{path}: puts the focal spot {ratio * expected:.3g} m from the panel, {machine.name} has {expected:.3g} m;"
                 f" is --binning {binning} that of the images?"
             )
@@ -114,7 +114,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
 
         found = read_xa(path)
         return _Geometry(found.beam, found.detector or detector)
-    raise UnusableInput(f"{path}: must be a scan's folder or end in {', '.join(SUFFIXES)}")
+    raise UnusableInputError(f"{path}: must be a scan's folder or end in {', '.join(SUFFIXES)}")
 
 
 def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool) -> list[str]:
@@ -123,14 +123,14 @@ def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images:
 
     suffix = path.suffix.lower()
     if rows_up and suffix != ".xml":
-        raise UnusableInput(f"--rows-up: is for .xml, not {path.name}")
+        raise UnusableInputError(f"--rows-up: is for .xml, not {path.name}")
     if images and (suffix != ".dcm" or read.images is None):
-        raise UnusableInput("--images: is for a scan's folder and .dcm")
+        raise UnusableInputError("--images: is for a scan's folder and .dcm")
     if suffix == ".npz":
         from hil.calibration.use.lookup_table import LookUp, write_look_up
 
         if read.positions is None:
-            raise UnusableInput(f"{path}: a table goes by axis positions, and the input has none; convert a scan's folder or a table")
+            raise UnusableInputError(f"{path}: a table goes by axis positions, and the input has none; convert a scan's folder or a table")
         deviation = read.beam.deviation_from(nominal_beam(machine, read.positions))
         notes = {"machine": machine.name, "hash": machine.hash}
         write_look_up(LookUp(machine.axes, read.positions, deviation, np.zeros((len(deviation), 9, 9)), notes), path)

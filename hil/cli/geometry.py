@@ -10,7 +10,7 @@ import typer
 
 from hil.cli import exchange
 from hil.cli.options import MachineArgument, PoseOption, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress
 
 app = typer.Typer(
@@ -190,7 +190,7 @@ def compensate(
     tifffile = imaging_package("tifffile", "images")
     scan = read_scan(scan_folder)
     if out.exists() and out.samefile(scan_folder):
-        raise UnusableInput(f"{out}: is read by this command; write to another folder")
+        raise UnusableInputError(f"{out}: is read by this command; write to another folder")
     positions = scan.positions_of(machine)
     wanted = nominal_beam(machine, positions)
     motion = compensation(wanted.moved(read_calibration(calibration, machine).at(positions)), wanted)
@@ -207,7 +207,7 @@ def compensate(
         units = dict(zip(scan.axes, scan.units, strict=True))
         write_exposures(out, scan.exposure_id, scan.start_s, scan.width_s, units, scan.positions)
     except OSError as error:
-        raise UnusableInput(f"{out}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{out}: cannot be written: {error.strerror or error}") from None
     answer.say(
         f"{out}: {len(scan)} images turned by up to {1e3 * np.abs(motion.turn_rad).max():.2f} mrad and shifted by up to"
         f" {1e3 * np.linalg.norm(motion.shift_m, axis=1).max():.2f} mm; {1e3 * motion.left_m.max():.3f} mm at most stay within 50 mm"

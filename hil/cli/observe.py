@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress, save_figure
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def live_observer(
 def _check_machine(design: ObserverDesign, path: Path, machine: Machine, answer: Answer) -> None:
     """Refuse a design of other axes or another sample rate; say where the machine file has changed since."""
     if design.model.axes != machine.axes or design.model.sample_rate_Hz != machine.sample_rate_Hz:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{path}: the observer design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
             f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.errors import ExperimentError, UnusableInput
+from hil.errors import ExperimentError, UnusableInputError
 from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def parse_band(option: str, text: str) -> tuple[float, float]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Not of that form, or not ascending.
     """
     try:
@@ -105,7 +105,7 @@ def parse_band(option: str, text: str) -> tuple[float, float]:
     except ValueError:
         low = high = math.nan
     if not -math.inf < low < high < math.inf:
-        raise UnusableInput(f"{option} {text}: must be LOW:HIGH in Hz, ascending, such as 0.5:40")
+        raise UnusableInputError(f"{option} {text}: must be LOW:HIGH in Hz, ascending, such as 0.5:40")
     return low, high
 
 
@@ -114,7 +114,7 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Not of that form.
     """
     try:
@@ -122,7 +122,7 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
     except ValueError:
         numbers = (0,)
     if min(numbers) < 1:
-        raise UnusableInput(f"{option} {text}: must be whole numbers from 1, such as 1,3,5")
+        raise UnusableInputError(f"{option} {text}: must be whole numbers from 1, such as 1,3,5")
     return numbers
 
 
@@ -131,12 +131,12 @@ def not_an_input(out: Path, *inputs: Path) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         `out` is one of the inputs.
     """
     for path in inputs:
         if out.exists() and path.exists() and out.samefile(path):
-            raise UnusableInput(f"{out}: is read by this command; write to another file")
+            raise UnusableInputError(f"{out}: is read by this command; write to another file")
 
 
 def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
@@ -144,7 +144,7 @@ def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The folder does not exist or cannot be written to, the path is a folder, or its suffix is none of `suffixes`.
     """
     for path in paths:
@@ -152,7 +152,7 @@ def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
             continue
         refuse_unwritable(path, str(path))
         if suffixes and path.suffix.lower() not in suffixes:
-            raise UnusableInput(f"{path}: must end in {', '.join(suffixes)}")
+            raise UnusableInputError(f"{path}: must end in {', '.join(suffixes)}")
 
 
 def folder_can_be_written(folder: Path) -> None:
@@ -160,12 +160,12 @@ def folder_can_be_written(folder: Path) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         It is a file or lies in one, or cannot be written to.
     """
     nearest = next(there for there in (folder.absolute(), *folder.absolute().parents) if there.exists())
     if not nearest.is_dir():
-        raise UnusableInput(f"{folder if nearest == folder.absolute() else nearest}: is a file; give a folder for the answer")
+        raise UnusableInputError(f"{folder if nearest == folder.absolute() else nearest}: is a file; give a folder for the answer")
     refuse_unwritable_folder(nearest, str(folder))
 
 

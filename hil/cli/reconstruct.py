@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, folder_can_be_written, load
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress
 
 LARGE_BYTES = 2e9
@@ -53,9 +53,9 @@ def reconstruct(
     from virtual_bus.xray.objects import Rod
 
     if not 0.0 < spacing < np.inf:
-        raise UnusableInput(f"--spacing {spacing:g}: must be a positive number")
+        raise UnusableInputError(f"--spacing {spacing:g}: must be a positive number")
     if lookup is not None and geometry is not None:
-        raise UnusableInput("--lookup and --geometry: give the one or the other")
+        raise UnusableInputError("--lookup and --geometry: give the one or the other")
     machine = load(machine_name)
     answer = Answer(json_to)
     folder_can_be_written(out)
@@ -87,7 +87,7 @@ def reconstruct(
         write_volume(volume, out / "volume.mha")
         volume_figure(volume, f"{scan_folder.name}, {source}").savefig(out / "volume.png", dpi=130)
     except OSError as error:
-        raise UnusableInput(f"{out}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{out}: cannot be written: {error.strerror or error}") from None
     answer.say(f"{out}: volume.mha of {size}^3 voxels of {spacing:g} mm, volume.png; {len(scan)} projections, {source}")
     name = str(scan.notes.get("scene", ""))
     judged = {}
@@ -96,7 +96,7 @@ def reconstruct(
         for axis, rod in zip("xyz", rods, strict=True):
             try:
                 judged[f"wire {axis}"] = wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m)
-            except UnusableInput as error:
+            except UnusableInputError as error:
                 answer.say(f"  wire {axis}: {error}")
         if judged:
             wires_figure(judged, f"{scan_folder.name}, {source}").savefig(out / "wires.png", dpi=130)
@@ -132,6 +132,6 @@ def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer
     if hasattr(os, "sysconf"):  # Windows does not say
         there_is = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there_is:
-        raise UnusableInput(f"--size {size}: takes {needed / 1e9:.1f} GB of memory; this computer has {there_is / 1e9:.1f} GB")
+        raise UnusableInputError(f"--size {size}: takes {needed / 1e9:.1f} GB of memory; this computer has {there_is / 1e9:.1f} GB")
     if needed > LARGE_BYTES:
         answer.say(f"--size {size} takes {needed / 1e9:.1f} GB of memory")

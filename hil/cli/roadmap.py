@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 
 
@@ -48,7 +48,7 @@ def roadmap(
     can_be_written(figure)
     table = read_calibration(benchmark, machine)
     if not isinstance(table, LookUp):
-        raise UnusableInput(f"{benchmark}: a model has no poses of its own; the benchmark is a table of isocenter calibrate phantom")
+        raise UnusableInputError(f"{benchmark}: a model has no poses of its own; the benchmark is a table of isocenter calibrate phantom")
     nominal = nominal_beam(machine, table.positions)
     detector = nominal_detector(machine)
     true = nominal.moved(table.deviation)

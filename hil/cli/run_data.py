@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import FASTEST_Hz
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 if TYPE_CHECKING:
     from controllers.observers.modal_observer import ModalObserver
@@ -56,8 +56,8 @@ class DataBeside:
 
         try:
             self.calibration = LiveCalibration(self.machine, self.start, observer, self.inbox, self.until_m, self.poses)
-        except UnusableInput as error:
-            raise UnusableInput(f"{self.source}: {error}") from None
+        except UnusableInputError as error:
+            raise UnusableInputError(f"{self.source}: {error}") from None
         return self.calibration
 
 
@@ -75,19 +75,19 @@ def data_beside(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Options that do not belong together, or no calibration.
     """
     if source is None:
         if until_mm:
-            raise UnusableInput("--until: withdraws images from a live calibration; give --data FILE as well")
+            raise UnusableInputError("--until: withdraws images from a live calibration; give --data FILE as well")
         return None
     from hil.calibration.data_driven.data_file import read_data_file
     from hil.emulated.images import Exposures
     from hil.imaging.mailbox import LATE_S, LockstepEnd, LoopEnd, Mailbox
 
     if not has_observer or images is None:
-        raise UnusableInput("--data: takes the observer's estimate and images; give --observer FILE and --images DIR as well")
+        raise UnusableInputError("--data: takes the observer's estimate and images; give --observer FILE and --images DIR as well")
     mailbox = Mailbox(multiprocessing.get_context("spawn"), len(machine.axes))
     period_s = 1.0 / machine.sample_rate_Hz
     inbox: LoopEnd = LoopEnd(mailbox)

@@ -13,7 +13,7 @@ import typer
 
 from hil.cli.options import FASTEST_Hz
 from hil.emulated.card import find
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 if TYPE_CHECKING:
     from hil.cli.run_data import DataBeside
@@ -67,12 +67,12 @@ def images_beside(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Options that do not belong together, or frames that make no scan.
     """
     if images is None:
         if spool is not None or panel_url:
-            raise UnusableInput(f"{'--panel' if panel_url else '--spool'}: says where images come from; give --images DIR as well")
+            raise UnusableInputError(f"{'--panel' if panel_url else '--spool'}: says where images come from; give --images DIR as well")
         yield truth, None
         return
     from hil.emulated.beam import beam_of
@@ -88,9 +88,9 @@ def images_beside(
     from hil.recording import read_recording
 
     if len(recordings) != 1:
-        raise UnusableInput(f"--images: belongs to one recording; this experiment makes {len(recordings)}")
+        raise UnusableInputError(f"--images: belongs to one recording; this experiment makes {len(recordings)}")
     if not 0.0 < rate_Hz < FASTEST_Hz:
-        raise UnusableInput(f"--image-rate {rate_Hz:g}: must be a positive number below {FASTEST_Hz:g}")
+        raise UnusableInputError(f"--image-rate {rate_Hz:g}: must be a positive number below {FASTEST_Hz:g}")
     detector = nominal_detector(machine, binning)
     plate, nominal = watched_marker(machine, scene_name)
     url = _panel_url(spool, panel_url, bus, lockstep, scene_name)
@@ -130,26 +130,26 @@ def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool, sce
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Nobody says where they come from, or two do, or what is emulated shows something else.
     """
     if lockstep:
         if spool is not None or panel_url:
             which = "--spool" if spool is not None else "--panel"
-            raise UnusableInput(f"{which}: on lockstep: the emulated panel has its own; leave it out")
+            raise UnusableInputError(f"{which}: on lockstep: the emulated panel has its own; leave it out")
         return ""
     if spool is not None and panel_url:
-        raise UnusableInput("--spool and --panel: frames come from one of them; leave the other out")
+        raise UnusableInputError("--spool and --panel: frames come from one of them; leave the other out")
     if spool is not None:
         return ""
     if panel_url:
         return panel_url
     card = find(bus)
     if card is None or not card.panel_url:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"--images: nobody says where the panel of {bus} is; start `isocenter emulate --panel SCENE` on this bus, give --panel URL,"
             " or --spool DIR with the folder of the panel's frames"
         )
     if card.panel_scene != scene_name:
-        raise UnusableInput(f"--scene {scene_name}: the panel that is emulated on {bus} shows {card.panel_scene}; give that one")
+        raise UnusableInputError(f"--scene {scene_name}: the panel that is emulated on {bus} shows {card.panel_scene}; give that one")
     return card.panel_url

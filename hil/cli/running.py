@@ -26,7 +26,7 @@ from hil.cli.options import (
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
 from hil.emulated.card import find
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             not_an_input(written, *inputs)
     lockstep = run.bus.startswith("lockstep:")
     if run.emulated and not lockstep:
-        raise UnusableInput("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
+        raise UnusableInputError("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
     emulated = _emulated(machine, run)
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
@@ -167,14 +167,14 @@ def _emulated(machine: Machine, run: RunOptions) -> Machine | None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Another machine altogether.
     """
     if not run.emulated and run.effects is None:
         return None
     built = load(run.emulated) if run.emulated else machine
     if built.axes != machine.axes or built.sample_rate_Hz != machine.sample_rate_Hz:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"--emulated {run.emulated}: has {', '.join(built.axes)} at {built.sample_rate_Hz:g} Hz,"
             f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
         )

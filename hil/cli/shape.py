@@ -61,13 +61,13 @@ def shape(
     json_to: JsonOption = None,
 ) -> None:
     """One line per design, the recommended one first."""
-    from hil.errors import UnusableInput
+    from hil.errors import UnusableInputError
     from hil.shaping.shaper_design import design_all, shaper_of
     from hil.shaping.shaper_file import ShaperFile, write_shaper
 
     machine = load(machine_name, effects)
     if axis not in machine.axes:
-        raise UnusableInput(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
+        raise UnusableInputError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
     answer = Answer(json_to)
     can_be_written(out, figure, table)
     if frf is not None:
@@ -117,7 +117,7 @@ def _subjects(
 ) -> tuple[list[Subject], list[float], str]:
     """What to design for, the scheduling positions, and where it comes from in words."""
 
-    from hil.errors import UnusableInput
+    from hil.errors import UnusableInputError
     from hil.experiments.plan import pose_array
     from hil.shaping.poses import scheduled_poses, subject_at
 
@@ -126,7 +126,7 @@ def _subjects(
         from hil.shaping.identified import subject_from_frf
 
         if schedule or pose:
-            raise UnusableInput("--frf: a frequency response is of one pose; leave out --schedule and --pose")
+            raise UnusableInputError("--frf: a frequency response is of one pose; leave out --schedule and --pose")
         subject, error = subject_from_frf(machine, read_frf(frf), axis, output)
         return [subject], [0.0], f"{frf}, fitted to {error:.2%}"
     at = pose_array(machine, parse_pose(pose, machine))
@@ -134,7 +134,7 @@ def _subjects(
         where = ", ".join(f"{name} {value / edge_scale(machine, name):g}" for name, value in zip(machine.axes, at, strict=True))
         return [subject_at(machine, at, axis, output)], [0.0], f"the machine file's closed loop at {where}"
     if schedule not in machine.axes:
-        raise UnusableInput(f"--schedule {schedule}: {machine.name} has {', '.join(machine.axes)}")
+        raise UnusableInputError(f"--schedule {schedule}: {machine.name} has {', '.join(machine.axes)}")
     poses = scheduled_poses(machine, at, schedule)
     positions = poses[:, machine.axis_index(schedule)]
     low, high = positions[[0, -1]] / edge_scale(machine, schedule)

@@ -147,7 +147,7 @@ def diagnose(
     ------
     RecordingError
         Recordings that cannot be simulated or have no channel in common with the simulation.
-    BadAnswer
+    BadAnswerError
         The nominal machine cannot be simulated.
     """
     began = time.monotonic()

@@ -10,7 +10,7 @@ from typing import Any
 from hil.diagnosis.answering.machine_file import retuned_text
 from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome
 from hil.diagnosis.report import write_report
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.experiments.file_text import experiment_text
 from hil.machine import Machine
 from hil.machine.effects_file import effects_text
@@ -23,7 +23,7 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The folder cannot be written to.
     """
     try:
@@ -39,7 +39,7 @@ def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path) -> None:
             (folder / NEXT_EXPERIMENT).unlink(missing_ok=True)
         write_report(outcome, folder)
     except OSError as error:
-        raise UnusableInput(f"{folder}: cannot be written to: {error.strerror}") from None
+        raise UnusableInputError(f"{folder}: cannot be written to: {error.strerror}") from None
 
 
 def _experiment_text(outcome: Outcome, machine: Machine) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.emulated.marker_images import TubeMarker
 from hil.emulated.scenes import SCENES, scene
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.marker_view import PLATE_M
 from hil.imaging.markers import PLATES
@@ -50,11 +50,11 @@ def beam_of(machine: Machine, name: str) -> Beam:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Neither a scene nor a marker plate.
     """
     if name in PLATES:
         return Beam([], TubeMarker(PLATES[name](), PLATE_M, panel_in_tube(machine)))
     if name not in SCENES:
-        raise UnusableInput(f"scene {name}: there are {', '.join(SCENES)}, and marker plates {', '.join(PLATES)}")
+        raise UnusableInputError(f"scene {name}: there are {', '.join(SCENES)}, and marker plates {', '.join(PLATES)}")
     return Beam(scene(name), None)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hil.emulated.beam import Beam
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
@@ -61,7 +61,7 @@ def xray_side(machine: Machine, truth: Path, spot: FocalSpot, hot_since_s: float
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No [geometry], or no poses of its bodies in the truth file.
     """
     geometry = imaging_geometry(machine)
@@ -111,14 +111,14 @@ def expose(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The scan is shorter than one exposure, or the folder cannot be written.
     """
     tifffile = imaging_package("tifffile", "images")
     starts = exposures.starts(side.panel.last_s)
     starts = starts[starts >= side.panel.first_s]
     if not len(starts):
-        raise UnusableInput(f"no exposure of {exposures.width_s:g} s fits between {side.panel.first_s:g} and {side.panel.last_s:g} s")
+        raise UnusableInputError(f"no exposure of {exposures.width_s:g} s fits between {side.panel.first_s:g} and {side.panel.last_s:g} s")
     widths = np.full(len(starts), exposures.width_s)
     rng = np.random.default_rng(seed)
     try:
@@ -131,7 +131,7 @@ def expose(
         positions = positions_at(machine, recording, starts + 0.5 * widths)
         write_exposures(folder, np.arange(len(starts)), starts, widths, {axis.axis: axis.position for axis in machine.units}, positions)
     except OSError as error:
-        raise UnusableInput(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return len(starts)
 
 
@@ -140,14 +140,14 @@ def positions_at(machine: Machine, recording: Recording | None, time_s: np.ndarr
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         An exposure lies outside the recording: the clocks disagree, or it is another run's.
     """
     if recording is None:
         return np.full((len(time_s), len(machine.axes)), np.nan)
     rows = recording.time
     if time_s[0] < rows[0] or time_s[-1] > rows[-1]:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"exposures from {time_s[0]:.3f} to {time_s[-1]:.3f} s, recording from {rows[0]:.3f} to {rows[-1]:.3f} s:"
             " the panel's clock is not the loop's, or the recording is another run's"
         )
@@ -165,16 +165,16 @@ def _truth_columns(path: Path, bodies: tuple[str, ...]) -> dict[str, np.ndarray]
             rows = [row for row in csv.reader(file) if row]
         values = np.array([[float(cell) for cell in row] for row in rows if len(row) == len(header)])
     except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
-        raise UnusableInput(f"{path}: no truth file: {error}") from None
+        raise UnusableInputError(f"{path}: no truth file: {error}") from None
     if len(values) < 2 or len(values) < len(rows):
         cells = f"{len(header)} cells in every row, two rows at least"
-        raise UnusableInput(f"{path}: {len(values)} whole rows of {len(rows)}; a truth file has {cells}")
+        raise UnusableInputError(f"{path}: {len(values)} whole rows of {len(rows)}; a truth file has {cells}")
     if not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0.0).any():
-        raise UnusableInput(f"{path}: a number is not finite, or time does not rise; take the file as the emulator wrote it")
+        raise UnusableInputError(f"{path}: a number is not finite, or time does not rise; take the file as the emulator wrote it")
     result = {"time": values[:, :1]}
     for body in bodies:
         found = [k for k, name in enumerate(header) if name.startswith(f"pose_{body}_")]
         if len(found) != 12:
-            raise UnusableInput(f"{path}: no pose of {body}; write it with `isocenter run ... --truth FILE` on the emulator")
+            raise UnusableInputError(f"{path}: no pose of {body}; write it with `isocenter run ... --truth FILE` on the emulator")
         result[body] = values[:, found]
     return result

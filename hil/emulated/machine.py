@@ -19,7 +19,7 @@ from drivers.errors import ProtocolError
 from drivers.serial.stream import SerialStream
 from hil.emulated.card import EmulatorCard, published
 from hil.emulated.truth import TruthLog
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.processes.real_time import real_time
 from virtual_bus.canopen.bare import BareMachine
@@ -60,11 +60,11 @@ def build_emulated(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The machine file has no bus.
     """
     if machine.bus is None:
-        raise UnusableInput(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
+        raise UnusableInputError(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
     physics = Physics(machine.plant, seed, noise)
     physics.advance()  # compiles what has to be compiled before somebody waits for an answer; `place` undoes the step
     io_map = machine.bus.io
@@ -231,23 +231,23 @@ class _SerialPort(SerialStream):
 def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _SerialPort, int]:
     """The line on which Modbus RTU is served, closed with `stack`, and its baud rate."""
     if machine.bus is None or machine.bus.io is None:
-        raise UnusableInput(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
+        raise UnusableInputError(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
     if text == "pty":
         return stack.enter_context(closing(Pty())), PTY_BAUD
     match = re.fullmatch(r"(.+)@([1-9][0-9]{1,7})", text)
     if match is None:
-        raise UnusableInput(f"--io-rtu {text}: write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200")
+        raise UnusableInputError(f"--io-rtu {text}: write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200")
     return stack.enter_context(closing(_SerialPort(match[1], int(match[2])))), int(match[2])
 
 
 def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None]) -> None:
     """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
     if not 1 <= node_id <= 127:
-        raise UnusableInput(f"--node {node_id}: must be 1 to 127")
+        raise UnusableInputError(f"--node {node_id}: must be 1 to 127")
     try:
         device = BareMachine(eds, node_id)
     except ProtocolError as error:
-        raise UnusableInput(str(error)) from None
+        raise UnusableInputError(str(error)) from None
     with opened_bus(bus_url, STANDARD_BITRATE) as bus:
         run_device(bus, device, lambda: on_ready({"ready": str(eds), "bus": bus_url, "node": node_id}))
 

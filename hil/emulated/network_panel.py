@@ -24,7 +24,7 @@ from hil.emulated.beam import Beam, beam_of
 from hil.emulated.images import Exposures
 from hil.emulated.panel import BEYOND_S, PANEL_EPOCH_S
 from hil.emulated.pose_board import PoseBoard, PoseSpan
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.nominal import imaging_geometry, nominal_detector
 from hil.machine import Machine
 from hil.processes.second_in_line import politely
@@ -61,7 +61,7 @@ def panel_beside(machine: Machine, board: PoseBoard, scene_name: str) -> Iterato
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No [geometry], no such scene, or its process did not start.
     """
     imaging_geometry(machine)
@@ -75,7 +75,7 @@ def panel_beside(machine: Machine, board: PoseBoard, scene_name: str) -> Iterato
         try:
             port = ours.recv()
         except EOFError:
-            raise UnusableInput("the emulated panel's process did not start; its error stands above") from None
+            raise UnusableInputError("the emulated panel's process did not start; its error stands above") from None
         yield f"tcp:127.0.0.1:{port}"
     finally:
         ours.close()
@@ -94,7 +94,7 @@ def serve(order: ServedPanel, ready: Connection) -> None:
                     _Acquisition(order, caller).serve()
                 except ConnectionError:
                     continue  # the host is gone
-                except (OSError, PanelError, UnusableInput) as error:
+                except (OSError, PanelError, UnusableInputError) as error:
                     print(f"panel: {error}", file=sys.stderr, flush=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.phantoms import dodecahedron
 from virtual_bus.xray.objects import BLOOD_WITH_CONTRAST_1_M, STEEL_1_M, TUNGSTEN_1_M, Ball, Item, Rod
 
@@ -66,10 +66,10 @@ def scene(name: str) -> list[Item]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No such scene.
     """
     try:
         return SCENES[name]()
     except KeyError:
-        raise UnusableInput(f"scene {name}: there are {', '.join(SCENES)}") from None
+        raise UnusableInputError(f"scene {name}: there are {', '.join(SCENES)}") from None

@@ -8,7 +8,7 @@ from typing import TextIO
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from virtual_bus.settings import Joint
 
 QUANTITIES = {"joint_position": "{length}", "joint_speed": "{length}/s", "friction_effort": "{effort}"}
@@ -26,7 +26,7 @@ class TruthLog:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file cannot be written.
     """
 
@@ -36,7 +36,7 @@ class TruthLog:
         try:
             self._file: TextIO = path.open("w", encoding="utf-8")
         except OSError as error:
-            raise UnusableInput(f"--truth {path}: cannot be written: {error.strerror}") from None
+            raise UnusableInputError(f"--truth {path}: cannot be written: {error.strerror}") from None
         self._header = False
         self.recording = True  # rows before row 0 of a recording are left out by whoever clears this
 

@@ -21,7 +21,7 @@ from hil.experiments.scan import Scan
 from hil.experiments.static import Static
 from hil.experiments.tour import Tour
 from hil.machine import Machine
-from hil.machine.messages import Complaint, from_validation, one_line
+from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.table import Table
 
 # field of a table -> field of the experiment, where the latter carries its SI unit
@@ -65,7 +65,7 @@ def experiment_from_text(text: str, machine: Machine, file: str = "experiment") 
         return _experiment(validated(raw, machine), machine)
     except ValidationError as error:
         raise ExperimentError(one_line(file, raw, from_validation(error))) from None
-    except Complaint as complaint:
+    except ComplaintError as complaint:
         raise ExperimentError(one_line(file, raw, complaint)) from None
 
 
@@ -86,7 +86,7 @@ def write_experiment(experiment: Experiment, machine: Machine, path: str | Path)
 def _experiment(table: Any, machine: Machine) -> Experiment:
     for first, second in (("lines", "band"), ("amplitude", "amplitudes")):
         if first in type(table).model_fields and table.has(first) and table.has(second):
-            raise Complaint((second,), f"says the same as {table.key(first)}; keep one of them")
+            raise ComplaintError((second,), f"says the same as {table.key(first)}; keep one of them")
     given = _given(table, _NAMES)
     given.pop("format")
     match given.pop("kind"):
@@ -135,9 +135,9 @@ def _check_dimension(table: Table, name: str, axes: Iterable[str], machine: Mach
     for axis in axes:
         if axis not in units:
             place = "axis" if table.has("axis") else "axes"
-            raise Complaint((*where, place), f"{machine.name} has no axis {axis}; it has {', '.join(units)}")
+            raise ComplaintError((*where, place), f"{machine.name} has no axis {axis}; it has {', '.join(units)}")
         unit = units[axis].effort if name == "amplitude" and not where else units[axis].position
         per = _PER_TIME.get(name, "")
         found = table.dimension(name)
         if found is not None and found != dimension_of(unit + per):
-            raise Complaint((*where, table.key(name)), f"{axis} takes {(unit + per).replace('_', '/')} here")
+            raise ComplaintError((*where, table.key(name)), f"{axis} takes {(unit + per).replace('_', '/')} here")

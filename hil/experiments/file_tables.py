@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model
 
 from hil.machine import Machine
-from hil.machine.messages import Complaint
+from hil.machine.messages import ComplaintError
 from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Whole
 from hil.machine.units import UNITS, Quantity
 
@@ -116,10 +116,10 @@ _KINDS: dict[str, tuple[type[ExperimentTable], dict[str, str]]] = {
 
 
 def validated(raw: dict[str, Any], machine: Machine) -> ExperimentTable:
-    """The table of a file's kind, checked; raises pydantic's ValidationError or a Complaint."""
+    """The table of a file's kind, checked; raises pydantic's ValidationError or a ComplaintError."""
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise Complaint(("kind",), f"{'is missing' if kind is None else 'no such kind'}; write one of {', '.join(_KINDS)}")
+        raise ComplaintError(("kind",), f"{'is missing' if kind is None else 'no such kind'}; write one of {', '.join(_KINDS)}")
     base, by_axis = _KINDS[kind]
     fields: dict[str, Any] = {name: _field(machine, what) for name, what in by_axis.items()}
     return create_model(f"{base.__name__}OfMachine", __base__=base, **fields).model_validate(raw)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.atomic import write_atomically
 
 _DAMAGED = (
@@ -41,7 +41,7 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
     write_atomically({Path(path): content.getvalue()})
 
 
-def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = UnusableInput) -> dict[str, np.ndarray]:
+def read_arrays(path: str | Path, what: str, error: type[UnusableInputError] = UnusableInputError) -> dict[str, np.ndarray]:
     """Every array of an archive by its name.
 
     Parameters
@@ -54,7 +54,7 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInput] = Unusab
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file is missing, damaged, or no archive of arrays.
     """
     try:

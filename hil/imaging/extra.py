@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 DISTRIBUTIONS = {"tifffile": "scikit-image", "skimage": "scikit-image", "itk": "itk-rtk", "pydicom": "pydicom"}
 """What brings each package."""
@@ -23,10 +23,10 @@ def imaging_package(name: str, what: str) -> Any:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         It is not installed.
     """
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise UnusableInput(f"{what} need {DISTRIBUTIONS[name.partition('.')[0]]}: pip install 'isocenter[imaging]'") from None
+        raise UnusableInputError(f"{what} need {DISTRIBUTIONS[name.partition('.')[0]]}: pip install 'isocenter[imaging]'") from None

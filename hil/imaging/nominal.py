@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.machine import Geometry, Machine
@@ -16,11 +16,11 @@ def imaging_geometry(machine: Machine) -> Geometry:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         There is none.
     """
     if machine.geometry is None:
-        raise UnusableInput(f"{machine.name}: its file has no [geometry]; imaging needs to know where source and detector are")
+        raise UnusableInputError(f"{machine.name}: its file has no [geometry]; imaging needs to know where source and detector are")
     return machine.geometry
 
 
@@ -29,7 +29,7 @@ def nominal_detector(machine: Machine, binning: int = 1) -> Detector:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No [geometry], or a binning that does not divide the panel.
     """
     geometry = imaging_geometry(machine)
@@ -38,7 +38,7 @@ def nominal_detector(machine: Machine, binning: int = 1) -> Detector:
     try:
         return Detector(columns, rows, float(pitch), float(other / pitch)).binned(binning)
     except ValueError as error:
-        raise UnusableInput(f"{machine.name}: {error}") from None
+        raise UnusableInputError(f"{machine.name}: {error}") from None
 
 
 def nominal_beam(machine: Machine, positions: np.ndarray) -> ConeBeam:

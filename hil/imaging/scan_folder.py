@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.toml_text import toml_text
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
@@ -65,16 +65,18 @@ class ImageScan:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             The scan has other axes, another order or other units, or a position is not known.
         """
         if self.axes != machine.axes:
-            raise UnusableInput(f"{self.folder}: a scan of axes {', '.join(self.axes)}; {machine.name} has {', '.join(machine.axes)}")
+            raise UnusableInputError(f"{self.folder}: a scan of axes {', '.join(self.axes)}; {machine.name} has {', '.join(machine.axes)}")
         units = tuple(axis.position for axis in machine.units)
         if self.units != units:
-            raise UnusableInput(f"{self.folder / EXPOSURES}: positions in {', '.join(self.units)}; {machine.name} has {', '.join(units)}")
+            raise UnusableInputError(
+                f"{self.folder / EXPOSURES}: positions in {', '.join(self.units)}; {machine.name} has {', '.join(units)}"
+            )
         if np.isnan(self.positions).any():
-            raise UnusableInput(f"{self.folder / EXPOSURES}: there are exposures without axis positions; geometry goes by position")
+            raise UnusableInputError(f"{self.folder / EXPOSURES}: there are exposures without axis positions; geometry goes by position")
         return self.positions
 
     def frame(self, k: int) -> np.ndarray:
@@ -82,7 +84,7 @@ class ImageScan:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             The file does not hold it, or not in this panel's size.
         """
         tifffile = imaging_package("tifffile", "images")
@@ -90,10 +92,10 @@ class ImageScan:
         try:
             image = tifffile.imread(path, key=k)
         except (OSError, LookupError, ValueError, struct.error, tifffile.TiffFileError) as error:
-            raise UnusableInput(f"{path}: image {k} of {len(self)} cannot be read: {error}") from None
+            raise UnusableInputError(f"{path}: image {k} of {len(self)} cannot be read: {error}") from None
         if image.shape != (self.detector.rows, self.detector.columns):
             right = f"{self.detector.columns} x {self.detector.rows}"
-            raise UnusableInput(f"{path}: image {k} is {image.shape[1]} x {image.shape[0]}; {DESCRIPTION} says {right}")
+            raise UnusableInputError(f"{path}: image {k} is {image.shape[1]} x {image.shape[0]}; {DESCRIPTION} says {right}")
         return image
 
 
@@ -126,22 +128,24 @@ def read_scan(folder: Path) -> ImageScan:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Something is missing, unreadable, or does not belong together.
     """
     description = folder / DESCRIPTION
     try:
         document = tomllib.loads(description.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UnusableInput(f"{description}: {error.strerror}; a scan's folder holds {DESCRIPTION}, {EXPOSURES} and {FRAMES}") from None
+        raise UnusableInputError(
+            f"{description}: {error.strerror}; a scan's folder holds {DESCRIPTION}, {EXPOSURES} and {FRAMES}"
+        ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{description}: {error}") from None
+        raise UnusableInputError(f"{description}: {error}") from None
     if document.get("format") != FORMAT:
-        raise UnusableInput(f"{description}: format = {document.get('format')!r}; this version reads {FORMAT}")
+        raise UnusableInputError(f"{description}: format = {document.get('format')!r}; this version reads {FORMAT}")
     axes = tuple(str(axis) for axis in document.get("axes", ()))
     units, table = _table(folder / EXPOSURES, axes)
     if not (folder / FRAMES).exists():
-        raise UnusableInput(f"{folder / FRAMES}: missing; a scan's images are one TIFF of as many pages as {EXPOSURES} has rows")
+        raise UnusableInputError(f"{folder / FRAMES}: missing; a scan's images are one TIFF of as many pages as {EXPOSURES} has rows")
     notes = {key: value for key, value in document.items() if key not in ("format", "axes", "detector")}
     detector = detector_from(description, document.get("detector"))
     return ImageScan(folder, detector, table[:, 0].astype(int), table[:, 1], table[:, 2], axes, units, table[:, 3:], notes)
@@ -152,11 +156,11 @@ def detector_from(path: Path, panel: object) -> Detector:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No table, or a value that is missing or no positive number.
     """
     if not isinstance(panel, Mapping):
-        raise UnusableInput(f"{path}: no detector with columns, rows and pitch_mm")
+        raise UnusableInputError(f"{path}: no detector with columns, rows and pitch_mm")
     try:
         detector = Detector(
             int(panel["columns"]),
@@ -166,11 +170,11 @@ def detector_from(path: Path, panel: object) -> Detector:
             float(panel.get("skew", 0.0)),
         )
     except KeyError as error:
-        raise UnusableInput(f"{path}: detector.{error.args[0]} is missing") from None
+        raise UnusableInputError(f"{path}: detector.{error.args[0]} is missing") from None
     except (TypeError, ValueError) as error:
-        raise UnusableInput(f"{path}: detector: {error}") from None
+        raise UnusableInputError(f"{path}: detector: {error}") from None
     if detector.columns < 1 or detector.rows < 1 or not detector.pitch_m > 0.0 or not detector.aspect > 0.0:
-        raise UnusableInput(f"{path}: detector: columns, rows, pitch_mm and aspect must be positive")
+        raise UnusableInputError(f"{path}: detector: columns, rows, pitch_mm and aspect must be positive")
     return detector
 
 
@@ -180,25 +184,25 @@ def _table(path: Path, axes: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray
         with path.open(newline="", encoding="utf-8") as file:
             lines = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UnusableInput(f"{path}: {error}") from None
+        raise UnusableInputError(f"{path}: {error}") from None
     header = lines[0] if lines else []
     units = tuple("m" if f"position_{axis} [m]" in header else "rad" for axis in axes)
     wanted = ["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [{unit}]" for axis, unit in zip(axes, units, strict=True))]
     if header != wanted:
-        raise UnusableInput(f"{path}: the first line must be {','.join(wanted)}")
+        raise UnusableInputError(f"{path}: the first line must be {','.join(wanted)}")
     numbers = np.full((len(lines) - 1, len(wanted)), np.nan)
     for k, line in enumerate(lines[1:]):
         if len(line) != len(wanted):
-            raise UnusableInput(f"{path}: line {k + 2} has {len(line)} cells; {len(wanted)} belong there")
+            raise UnusableInputError(f"{path}: line {k + 2} has {len(line)} cells; {len(wanted)} belong there")
         for column, cell in enumerate(line):
             if not cell and column >= 3:
                 continue
             try:
                 numbers[k, column] = float(cell)
             except ValueError:
-                raise UnusableInput(f"{path}: line {k + 2}, {wanted[column]}: {cell!r} is no number") from None
+                raise UnusableInputError(f"{path}: line {k + 2}, {wanted[column]}: {cell!r} is no number") from None
     if not len(numbers):
-        raise UnusableInput(f"{path}: no exposure")
+        raise UnusableInputError(f"{path}: no exposure")
     if not np.isfinite(numbers[:, :3]).all() or (np.diff(numbers[:, 1]) <= 0.0).any() or (numbers[:, 2] < 0.0).any():
-        raise UnusableInput(f"{path}: starts must rise and widths be 0 or more; is the panel's clock the loop's?")
+        raise UnusableInputError(f"{path}: starts must rise and widths be 0 or more; is the panel's clock the loop's?")
     return units, numbers

@@ -9,7 +9,7 @@ import numpy as np
 
 from controllers.settings import AxisController, AxisLimits
 from hil.machine.build_bodies import build_tree
-from hil.machine.messages import Complaint
+from hil.machine.messages import ComplaintError
 from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
@@ -25,7 +25,7 @@ def require_known(name: str, known: Iterable[str], where: Where, what: str) -> N
     """Complain unless `name` is one of `known`."""
     names = list(known)
     if name not in names:
-        raise Complaint(where, f"no such {what}; there is " + (", ".join(names) or "none"))
+        raise ComplaintError(where, f"no such {what}; there is " + (", ".join(names) or "none"))
 
 
 def require_kind(table: Table, field: str, kind: str, where: Where) -> None:
@@ -34,7 +34,7 @@ def require_kind(table: Table, field: str, kind: str, where: Where) -> None:
     allowed = ANGULAR if kind == "revolute" else LINEAR
     if dimension is not None and dimension not in allowed:
         unit = "an angular unit" if kind == "revolute" else "a linear unit"
-        raise Complaint((*where, table.key(field)), f"does not fit a {kind} joint; give it {unit}")
+        raise ComplaintError((*where, table.key(field)), f"does not fit a {kind} joint; give it {unit}")
 
 
 def build_plant(table: MachineTable) -> PlantSettings:
@@ -45,7 +45,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
     for axis, drive in table.drives.items():
         require_known(drive.joint, joints, ("drives", axis, "joint"), "joint")
         if drive.joint in armatures:
-            raise Complaint(("drives", axis, "joint"), "already driven by another axis; one drive per joint")
+            raise ComplaintError(("drives", axis, "joint"), "already driven by another axis; one drive per joint")
         drives.append(_drive(axis, drive, joints[drive.joint].type))
         armatures[drive.joint] = (drive.rotor_inertia or drive.rotor_mass) * drive.ratio**2
     tree = build_tree(table, armatures)
@@ -61,14 +61,14 @@ def build_plant(table: MachineTable) -> PlantSettings:
             currents.append(_current(channel, sensor, table))
         elif isinstance(sensor, ImuTable):
             if channel != "imu":
-                raise Complaint(where, "an IMU is called imu: its channels are imu_x … gyro_z; rename the table [sensors.imu]")
+                raise ComplaintError(where, "an IMU is called imu: its channels are imu_x … gyro_z; rename the table [sensors.imu]")
             require_known(sensor.body, [body.name for body in table.body], (*where, "body"), "body")
             imus.append(_imu(channel, sensor))
         elif isinstance(sensor, TemperatureTable):
             thermometers.append(_thermometer(channel, sensor, table))
     for axis in kinds:
         if f"position_{axis}" not in table.sensors and (table.controller or table.bus):
-            raise Complaint(("sensors", f"position_{axis}"), "is missing; every axis with a controller has a motor-side encoder")
+            raise ComplaintError(("sensors", f"position_{axis}"), "is missing; every axis with a controller has a motor-side encoder")
     watched = () if table.geometry is None else tuple(dict.fromkeys((table.geometry.source_body, table.geometry.detector_body)))
     return PlantSettings(
         tree=tree,
@@ -88,24 +88,26 @@ def _drive(axis: str, drive: DriveTable, kind: str) -> Drive:
     where: Where = ("drives", axis)
     effort, per, factor = CONSTANT_UNITS[drive.constant_unit]
     if per != drive.effort_unit:
-        raise Complaint((*where, "constant_unit"), f"does not fit effort_unit {drive.effort_unit}; write Nm/{drive.effort_unit} or similar")
+        raise ComplaintError(
+            (*where, "constant_unit"), f"does not fit effort_unit {drive.effort_unit}; write Nm/{drive.effort_unit} or similar"
+        )
     if kind == "revolute" and effort == "N":
-        raise Complaint((*where, "constant_unit"), f"a force cannot drive the revolute joint {drive.joint}; write Nm/{per}")
+        raise ComplaintError((*where, "constant_unit"), f"a force cannot drive the revolute joint {drive.joint}; write Nm/{per}")
     for field in ("limit", "rated_current", "rated_effort", "target_resolution"):
         if drive.dimension(field) not in (None, "share"):
             require_effort_unit(drive, field, drive.effort_unit, where)
     if drive.has("rotor_inertia") and drive.has("rotor_mass"):
-        raise Complaint((*where, drive.key("rotor_mass")), "a rotor either turns or slides; keep rotor_inertia or rotor_mass")
+        raise ComplaintError((*where, drive.key("rotor_mass")), "a rotor either turns or slides; keep rotor_inertia or rotor_mass")
     slides = kind == "prismatic" and effort == "N"
     if drive.has("rotor_mass" if not slides else "rotor_inertia"):
         field, right = ("rotor_inertia", "rotor_mass_kg") if slides else ("rotor_mass", "rotor_inertia_kg_m2")
-        raise Complaint((*where, drive.key(field)), f"does not fit {drive.constant_unit}; write {right}")
+        raise ComplaintError((*where, drive.key(field)), f"does not fit {drive.constant_unit}; write {right}")
     rated = drive.rated_current if drive.rated_current is not None else drive.rated_effort
     resolution = drive.target_resolution
     if drive.dimension("target_resolution") == "share":
         if rated is None:
             reason = "is a share of the rated value; add rated_current_A or rated_effort_…"
-            raise Complaint((*where, drive.key("target_resolution")), reason)
+            raise ComplaintError((*where, drive.key("target_resolution")), reason)
         resolution = drive.target_resolution * rated
     return Drive(
         axis=axis,
@@ -123,7 +125,7 @@ def require_effort_unit(table: Table, field: str, unit: str, where: Where) -> No
     """Complain when an effort is not in the drive's unit (mA and the like included)."""
     written = table.unit(field)
     if written and written.lstrip("mk") != unit:
-        raise Complaint((*where, table.key(field)), f"does not fit the drive's effort_unit; write {field}_{unit}")
+        raise ComplaintError((*where, table.key(field)), f"does not fit the drive's effort_unit; write {field}_{unit}")
 
 
 def _encoder(channel: str, sensor: EncoderTable, table: MachineTable, tree: Tree) -> Encoder:
@@ -140,11 +142,11 @@ def _encoder_resolution(sensor: EncoderTable, drive: DriveTable, kind: str, wher
         return sensor.resolution
     if sensor.counts_per_turn is not None:
         if kind != "revolute":
-            raise Complaint((*where, "counts_per_turn"), "a prismatic joint has no turns; write resolution_um")
+            raise ComplaintError((*where, "counts_per_turn"), "a prismatic joint has no turns; write resolution_um")
         return math.tau / sensor.counts_per_turn
     if drive.encoder_counts_per_motor_turn is None:
         choices = "resolution_rad, counts_per_turn" if kind == "revolute" else "resolution_um"
-        raise Complaint(where, f"needs {choices} or the drive's encoder_counts_per_motor_turn")
+        raise ComplaintError(where, f"needs {choices} or the drive's encoder_counts_per_motor_turn")
     return math.tau / (drive.encoder_counts_per_motor_turn * drive.ratio)
 
 
@@ -155,16 +157,16 @@ def _check_joints(sensor: EncoderTable | SpeedTable, drive: DriveTable, tree: Tr
         require_known(joint, by_name, (*where, "joints", number), "joint")
     kind = by_name[drive.joint].kind
     if drive.joint not in sensor.joints:
-        raise Complaint((*where, "joints"), f"must contain the axis's joint {drive.joint}")
+        raise ComplaintError((*where, "joints"), f"must contain the axis's joint {drive.joint}")
     if any(by_name[joint].kind != kind for joint in sensor.joints):
-        raise Complaint((*where, "joints"), f"mixes revolute and prismatic joints; all must be {kind} like {drive.joint}")
+        raise ComplaintError((*where, "joints"), f"mixes revolute and prismatic joints; all must be {kind} like {drive.joint}")
     return kind
 
 
 def _speed(channel: str, sensor: SpeedTable, table: MachineTable, tree: Tree) -> SpeedSensor:
     where: Where = ("sensors", channel)
     if table.bus is not None:
-        raise Complaint((*where, "type"), "no node of the bus sends it; speed sensors are for machines without [bus]")
+        raise ComplaintError((*where, "type"), "no node of the bus sends it; speed sensors are for machines without [bus]")
     kind = _check_joints(sensor, table.drives[_axis_of(channel, ("speed",), "a speed sensor", table)], tree, where)
     require_kind(sensor, "resolution", kind, where)
     return SpeedSensor(channel, sensor.joints, sensor.resolution)
@@ -176,7 +178,7 @@ def _current(channel: str, sensor: CurrentTable, table: MachineTable) -> Current
     unit = table.drives[sensor.axis].effort_unit
     expected = f"{'current' if unit == 'A' else 'effort'}_{sensor.axis}"
     if channel != expected:
-        raise Complaint(where, f"must be called {expected}: keys are channel names")
+        raise ComplaintError(where, f"must be called {expected}: keys are channel names")
     for field in ("resolution", "noise_rms"):
         require_effort_unit(sensor, field, unit, where)
     return CurrentSensor(channel, sensor.axis, sensor.resolution, sensor.noise_rms)
@@ -205,10 +207,10 @@ def _thermometer(channel: str, sensor: TemperatureTable, table: MachineTable) ->
     where: Where = ("sensors", channel)
     require_known(sensor.axis, table.drives, (*where, "axis"), "axis")
     if channel != f"temperature_{sensor.axis}":
-        raise Complaint(where, f"must be called temperature_{sensor.axis}: keys are channel names")
+        raise ComplaintError(where, f"must be called temperature_{sensor.axis}: keys are channel names")
     unit = table.drives[sensor.axis].effort_unit
     if sensor.unit("rise") != f"K_per_{unit}2":
-        raise Complaint((*where, sensor.key("rise")), f"does not fit the drive's effort_unit; write rise_K_per_{unit}2")
+        raise ComplaintError((*where, sensor.key("rise")), f"does not fit the drive's effort_unit; write rise_K_per_{unit}2")
     return Thermometer(channel, sensor.axis, sensor.ambient, sensor.rise, sensor.time_constant, sensor.resolution)
 
 
@@ -218,7 +220,7 @@ def _axis_of(channel: str, stems: tuple[str, ...], what: str, table: MachineTabl
         if axis != channel and axis in table.drives:
             return axis
     possible = ", ".join(f"{stem}_{axis}" for axis in table.drives for stem in stems)
-    raise Complaint(("sensors", channel), f"is no channel of {what}; call it one of {possible}")
+    raise ComplaintError(("sensors", channel), f"is no channel of {what}; call it one of {possible}")
 
 
 def joint_of(axis: str, table: MachineTable, tree: Tree) -> Joint:
@@ -240,10 +242,12 @@ def build_controllers(table: MachineTable) -> tuple[AxisController, ...]:
         for field in ("position_sections", "reference_sections"):
             for number, section in enumerate(getattr(controller, field) or ()):
                 if section[3] != 1.0:
-                    raise Complaint(("controller", axis, field, number), "a section is b0, b1, b2, 1, a1, a2: the fourth number must be 1")
+                    raise ComplaintError(
+                        ("controller", axis, field, number), "a section is b0, b1, b2, 1, a1, a2: the fourth number must be 1"
+                    )
     missing = [axis for axis in table.drives if axis not in table.controller]
     if table.controller and missing:
-        raise Complaint(("controller", missing[0]), "is missing; every axis has a controller, or none has")
+        raise ComplaintError(("controller", missing[0]), "is missing; every axis has a controller, or none has")
     if not table.controller:
         return ()
     return tuple(
@@ -266,7 +270,7 @@ def build_limits(table: MachineTable, tree: Tree) -> tuple[AxisLimits, ...]:
         for field in ("range", "speed", "acceleration", "jerk", "tracking_error"):
             require_kind(limits, field, joint_of(axis, table, tree).kind, where)
         if not limits.range[0] < limits.range[1]:
-            raise Complaint((*where, limits.key("range")), "the lower end must be below the upper end")
+            raise ComplaintError((*where, limits.key("range")), "the lower end must be below the upper end")
     inf = math.inf
     found = []
     for axis in table.drives:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.machine.messages import Complaint
+from hil.machine.messages import ComplaintError
 from hil.machine.schema import BodyTable, JointTable, MachineTable
 from hil.machine.units import ANGULAR, LINEAR
 from virtual_bus.settings import Body, Joint, Tree
@@ -27,13 +27,13 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
     for number, body in enumerate(table.body):
         where: tuple[str | int, ...] = ("body", number)
         if body.name in rotates:
-            raise Complaint((*where, "name"), "world is the ground's name" if body.name == "world" else "two bodies have this name")
+            raise ComplaintError((*where, "name"), "world is the ground's name" if body.name == "world" else "two bodies have this name")
         if body.parent not in rotates:
             below = body.parent in [other.name for other in table.body[number:]]
             reason = "is listed below its child; move it up" if below else "no such body; bodies above: " + ", ".join(rotates)
-            raise Complaint((*where, "parent"), reason)
+            raise ComplaintError((*where, "parent"), reason)
         if body.joint is not None and body.joint.name in joint_names:
-            raise Complaint((*where, "joint", "name"), "two joints have this name")
+            raise ComplaintError((*where, "joint", "name"), "two joints have this name")
         rotates[body.name] = rotates[body.parent] or (body.joint is not None and body.joint.type == "revolute")
         moves[body.name] = moves[body.parent] or body.joint is not None
         inertia = _inertia(body, where, rotates[body.name], moves[body.name])
@@ -54,7 +54,7 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
             )
         )
     if not joint_names:
-        raise Complaint(("body",), "no body has a joint; a machine needs at least one that moves")
+        raise ComplaintError(("body",), "no body has a joint; a machine needs at least one that moves")
     return Tree(tuple(bodies), np.array(table.gravity))
 
 
@@ -64,13 +64,13 @@ def _joint(joint: JointTable, where: tuple[str | int, ...], armature: float) -> 
         right = ""
         if 0.0 < length < np.inf:
             right = f"; of unit length it is [{', '.join(f'{x / length:.9g}' for x in joint.axis)}]"
-        raise Complaint((*where, "axis"), f"has length {length:.6g}, must have 1{right}")
+        raise ComplaintError((*where, "axis"), f"has length {length:.6g}, must have 1{right}")
     allowed = ANGULAR if joint.type == "revolute" else LINEAR
     for field in ("stiffness", "damping", "rest_position", "brake_effort"):
         dimension = joint.dimension(field)
         if dimension is not None and dimension not in allowed:
             unit = _UNITS[joint.type][field]
-            raise Complaint((*where, joint.key(field)), f"does not fit a {joint.type} joint; write {field}_{unit}")
+            raise ComplaintError((*where, joint.key(field)), f"does not fit a {joint.type} joint; write {field}_{unit}")
     return Joint(
         name=joint.name,
         kind=joint.type,
@@ -89,17 +89,17 @@ def _inertia(body: BodyTable, where: tuple[str | int, ...], rotates: bool, moves
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     key = (*where, body.key("inertia"))
     if body.joint is not None and body.mass == 0.0:
-        raise Complaint((*where, body.key("mass")), "a body on a joint needs a mass")
+        raise ComplaintError((*where, body.key("mass")), "a body on a joint needs a mass")
     if moves and rotates and body.mass > 0.0 and not body.has("inertia"):
-        raise Complaint(key, "is missing; a body that turns needs an inertia")
+        raise ComplaintError(key, "is missing; a body that turns needs an inertia")
     if not body.has("inertia"):
         return inertia
     if not np.all(np.isfinite(inertia)) or np.abs(inertia).max() > 1e12:
-        raise Complaint(key, "is out of range; no body of a machine has more than 1e12 kg m^2")
+        raise ComplaintError(key, "is out of range; no body of a machine has more than 1e12 kg m^2")
     principal = np.linalg.eigvalsh(inertia)
     if principal[0] < 0.0 or (rotates and body.mass > 0.0 and principal[0] <= 0.0):
-        raise Complaint(key, f"is not positive definite: its smallest principal moment is {principal[0]:.4g} kg m^2")
+        raise ComplaintError(key, f"is not positive definite: its smallest principal moment is {principal[0]:.4g} kg m^2")
     if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
         moments = f"{principal[0]:.4g} + {principal[1]:.4g} < {principal[2]:.4g}"
-        raise Complaint(key, f"no rigid body has these principal moments: {moments} (triangle inequality)")
+        raise ComplaintError(key, f"no rigid body has these principal moments: {moments} (triangle inequality)")
     return inertia

@@ -8,7 +8,7 @@ from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
-from hil.machine.messages import Complaint
+from hil.machine.messages import ComplaintError
 from hil.machine.schema import MachineTable
 from hil.machine.schema_bus import BusTable, NodeTable, PdoTable
 from virtual_bus.settings import PlantSettings
@@ -46,14 +46,14 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
     where: Where = ("bus",)
     if bus.answers == "punctual" and bus.answer_timeout >= plant.sample_period_s:
         right = f'must be shorter than the sample period of {plant.sample_period_s:.6g} s (unless answers = "awaited", for emulators)'
-        raise Complaint((*where, bus.key("answer_timeout")), right)
+        raise ComplaintError((*where, bus.key("answer_timeout")), right)
     _check_cob_ids(bus)
     _check_nodes(bus, table)
     for axis in table.drives:
         if not table.limits.get(axis):
-            raise Complaint(("limits", axis), "is missing; a machine on a bus needs limits for every axis")
+            raise ComplaintError(("limits", axis), "is missing; a machine on a bus needs limits for every axis")
         if axis not in table.controller:
-            raise Complaint(("controller", axis), "is missing; a machine on a bus needs a controller for every axis")
+            raise ComplaintError(("controller", axis), "is missing; a machine on a bus needs a controller for every axis")
     return BusSettings(
         bitrate_bit_s=bus.bitrate_bit_s,
         sync_cob_id=bus.sync_cob_id,
@@ -77,21 +77,23 @@ def _check_nodes(bus: BusTable, table: MachineTable) -> None:
         where: Where = ("bus", "nodes", name)
         require_known(node.axis, table.drives, (*where, "axis"), "axis")
         if node.node_id in taken:
-            raise Complaint((*where, "node_id"), f"already the id of {taken[node.node_id]}; ids must differ")
+            raise ComplaintError((*where, "node_id"), f"already the id of {taken[node.node_id]}; ids must differ")
         taken[node.node_id] = name
         if (node.role, node.axis) in served:
-            raise Complaint((*where, "axis"), f"already has the {node.role} {served[node.role, node.axis]}")
+            raise ComplaintError((*where, "axis"), f"already has the {node.role} {served[node.role, node.axis]}")
         served[node.role, node.axis] = name
         if node.role == "encoder" and f"link_position_{node.axis}" not in table.sensors:
-            raise Complaint((*where, "axis"), f"has no link encoder; add [sensors.link_position_{node.axis}]")
+            raise ComplaintError((*where, "axis"), f"has no link encoder; add [sensors.link_position_{node.axis}]")
         for direction, objects in _NEEDED[node.role].items():
             mapped = [entry for pdo in getattr(node, direction) for entry in pdo.map]
             for needed in objects:
                 if needed not in mapped and not any(_numbers(entry) == MAPPABLE[needed] for entry in mapped):
-                    raise Complaint((*where, direction), f"{needed} is mapped nowhere; a {node.role} needs it in a {direction.upper()}")
+                    raise ComplaintError(
+                        (*where, direction), f"{needed} is mapped nowhere; a {node.role} needs it in a {direction.upper()}"
+                    )
     for axis in table.drives:
         if ("drive", axis) not in served:
-            raise Complaint(("bus", "nodes"), f'no drive for axis {axis}; add a node with role = "drive", axis = "{axis}"')
+            raise ComplaintError(("bus", "nodes"), f'no drive for axis {axis}; add a node with role = "drive", axis = "{axis}"')
 
 
 def _check_cob_ids(bus: BusTable) -> None:
@@ -102,13 +104,15 @@ def _check_cob_ids(bus: BusTable) -> None:
             for position, pdo in enumerate(getattr(node, direction)):
                 where: Where = ("bus", "nodes", name, direction, position)
                 if pdo.number in numbers:
-                    raise Complaint((*where, "number"), f"{name} has this {direction.upper()} twice")
+                    raise ComplaintError((*where, "number"), f"{name} has this {direction.upper()} twice")
                 numbers.add(pdo.number)
                 for first, last, owner in _RESERVED_COB_IDS:
                     if first <= pdo.cob_id <= last:
-                        raise Complaint((*where, "cob_id"), f"0x{pdo.cob_id:03X} belongs to {owner}; PDOs use 0x181 to 0x57F")
+                        raise ComplaintError((*where, "cob_id"), f"0x{pdo.cob_id:03X} belongs to {owner}; PDOs use 0x181 to 0x57F")
                 if pdo.cob_id in taken:
-                    raise Complaint((*where, "cob_id"), f"0x{pdo.cob_id:03X} already belongs to {taken[pdo.cob_id]}; COB-IDs must differ")
+                    raise ComplaintError(
+                        (*where, "cob_id"), f"0x{pdo.cob_id:03X} already belongs to {taken[pdo.cob_id]}; COB-IDs must differ"
+                    )
                 taken[pdo.cob_id] = f"{name} {direction.upper()}{pdo.number}"
                 _check_map(pdo, where)
 
@@ -133,12 +137,12 @@ def _check_map(pdo: PdoTable, where: Where) -> None:
         numbers = _numbers(entry)
         if numbers is None:
             right = 'write a name such as "statusword" or index:subindex:bits such as "0x6064:00:32"'
-            raise Complaint((*where, "map", position), f"no such object; {right}")
+            raise ComplaintError((*where, "map", position), f"no such object; {right}")
         total += numbers[2]
     if total > 64:
-        raise Complaint((*where, "map"), f"holds {total / 8:g} bytes; a PDO holds 8")
+        raise ComplaintError((*where, "map"), f"holds {total / 8:g} bytes; a PDO holds 8")
     if total % 8:
-        raise Complaint((*where, "map"), f"holds {total} bits; a PDO holds whole bytes")
+        raise ComplaintError((*where, "map"), f"holds {total} bits; a PDO holds whole bytes")
 
 
 def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
@@ -169,9 +173,11 @@ def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScalin
     resolution = {encoder.channel: encoder.resolution for encoder in plant.encoders}
     zero = [node.zero_counts for node in table.bus.nodes.values() if (node.role, node.axis) == ("encoder", axis)] if table.bus else []
     if table_drive.rated_current is None and table_drive.rated_effort is None:
-        raise Complaint(("drives", axis), f"needs rated_current_A (or rated_effort_{drive.unit}): targets on the wire are per mille of it")
+        raise ComplaintError(
+            ("drives", axis), f"needs rated_current_A (or rated_effort_{drive.unit}): targets on the wire are per mille of it"
+        )
     if resolution[f"position_{axis}"] == 0.0:
-        raise Complaint(("sensors", f"position_{axis}"), "needs a resolution: positions on the wire are whole counts")
+        raise ComplaintError(("sensors", f"position_{axis}"), "needs a resolution: positions on the wire are whole counts")
     return AxisScaling(
         axis=axis,
         position_resolution=resolution[f"position_{axis}"],
@@ -193,15 +199,15 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
     homing = table.bus.homing.get(axis)
     where: Where = ("bus", "homing", axis)
     if homing is None:
-        raise Complaint(where, "is missing; every axis says how it finds its zero")
+        raise ComplaintError(where, "is missing; every axis says how it finds its zero")
     for field in ("speed", "acceleration", "agreement_tolerance", "direction_check_travel", "travel_limit"):
         require_kind(homing, field, joint_of(axis, table, plant.tree).kind, where)
     require_effort_unit(homing, "direction_check_effort", table.drives[axis].effort_unit, where)
     if homing.direction_check_effort > table.drives[axis].limit:
-        raise Complaint((*where, homing.key("direction_check_effort")), "is more than the drive's limit")
+        raise ComplaintError((*where, homing.key("direction_check_effort")), "is more than the drive's limit")
     if homing.method in HOMING_AT_PRESENT_POSITION and _scaling(axis, table, plant).link_resolution == 0.0:
         right = "takes the present position as zero; add a link encoder or choose a method that finds a reference"
-        raise Complaint((*where, "method"), right)
+        raise ComplaintError((*where, "method"), right)
     return HomingSettings(
         axis=axis,
         method=homing.method,
@@ -238,14 +244,14 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
         for axis in addresses:
             require_known(axis, table.drives, ("bus", "io", field, axis), "axis")
         if len(set(addresses.values())) < len(addresses):
-            raise Complaint(("bus", "io", field), "two axes share an address; addresses must differ")
+            raise ComplaintError(("bus", "io", field), "two axes share an address; addresses must differ")
     inputs = [*io.brake_feedback_inputs.values(), io.hold_to_run_input, io.door_input]
     if len(set(inputs)) < len(inputs):
         names = "brake_feedback_inputs, hold_to_run_input and door_input"
-        raise Complaint(("bus", "io"), f"two discrete inputs share an address; {names} must differ")
+        raise ComplaintError(("bus", "io"), f"two discrete inputs share an address; {names} must differ")
     for axis in io.temperature_registers:
         if f"temperature_{axis}" not in table.sensors:
-            raise Complaint(("bus", "io", "temperature_registers", axis), f"no such thermometer; add [sensors.temperature_{axis}]")
+            raise ComplaintError(("bus", "io", "temperature_registers", axis), f"no such thermometer; add [sensors.temperature_{axis}]")
     return IoMap(
         url=io.url,
         unit_id=io.unit_id,

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from hil.errors import MachineFileError
 from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
 from hil.machine.build_bus import build_bus
-from hil.machine.messages import Complaint, from_validation, one_line
+from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
 from hil.machine.schema import MachineTable
 
@@ -81,7 +81,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
         )
     except ValidationError as error:
         raise MachineFileError(one_line(file, raw, from_validation(error))) from None
-    except Complaint as complaint:
+    except ComplaintError as complaint:
         raise MachineFileError(one_line(file, raw, complaint)) from None
 
 

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 _LONGEST_VALUE = 60
 
 
-class Complaint(Exception):
+class ComplaintError(Exception):
     """Something wrong at one place of the file, found after the tables were read. `where` is the path of keys."""
 
     def __init__(self, where: tuple[str | int, ...], what: str) -> None:
@@ -18,7 +18,7 @@ class Complaint(Exception):
         self.what = what
 
 
-def one_line(file: str, raw: dict[str, Any], complaint: Complaint) -> str:
+def one_line(file: str, raw: dict[str, Any], complaint: ComplaintError) -> str:
     """The complaint with its place and the value the file has there."""
     path, value, found = _walk(raw, complaint.where)
     shown = f" = {_shown(value)}" if found and not isinstance(value, dict) else ""
@@ -26,7 +26,7 @@ def one_line(file: str, raw: dict[str, Any], complaint: Complaint) -> str:
     return " ".join(f"{file}: {place}{complaint.what}".split())
 
 
-def from_validation(error: ValidationError) -> Complaint:
+def from_validation(error: ValidationError) -> ComplaintError:
     """First of pydantic's errors, in the words of this project."""
     details = error.errors(include_url=False, include_input=False)
     first = details[0]
@@ -35,7 +35,7 @@ def from_validation(error: ValidationError) -> Complaint:
     if "key" in context:
         where = (*where, str(context["key"]))
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return Complaint(where, _words(first["type"], context, first["msg"]) + more)
+    return ComplaintError(where, _words(first["type"], context, first["msg"]) + more)
 
 
 def _words(kind: str, context: dict[str, Any], message: str) -> str:

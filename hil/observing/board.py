@@ -24,7 +24,7 @@ from typing import IO
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 try:
     import fcntl
@@ -55,7 +55,7 @@ class LatestEstimate:
         try:
             return float(self.values[self.names.index(name)])
         except ValueError:
-            raise UnusableInput(f"no estimate {name}; there is {', '.join(self.names)}") from None
+            raise UnusableInputError(f"no estimate {name}; there is {', '.join(self.names)}") from None
 
 
 class EstimateBoard:
@@ -114,7 +114,7 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No observer runs there.
     """
     path = _path(bus_url)
@@ -123,7 +123,7 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             is_written = _has_writer(file)
     except (OSError, ValueError):
-        raise UnusableInput(f"{bus_url}: no observer runs there; `isocenter run ... --observer FILE` starts one") from None
+        raise UnusableInputError(f"{bus_url}: no observer runs there; `isocenter run ... --observer FILE` starts one") from None
     with memory:
         # copies throughout: nothing may hold on to the memory when it is closed
         for _ in range(_ATTEMPTS):
@@ -135,9 +135,9 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
             if before == after and not before % 2:
                 break
         else:
-            raise UnusableInput(f"{bus_url}: the observer there stopped in the middle of a row")
+            raise UnusableInputError(f"{bus_url}: the observer there stopped in the middle of a row")
     if not is_written:
-        raise UnusableInput(f"{bus_url}: the observer that ran there has ended")
+        raise UnusableInputError(f"{bus_url}: the observer that ran there has ended")
     return LatestEstimate(row, tuple(json.loads(names)), values)
 
 

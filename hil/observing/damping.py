@@ -15,7 +15,7 @@ import scipy.signal
 from controllers.damping import ModalDamping
 from controllers.observers.filter_step import next_and_read
 from controllers.observers.modal_observer import ModalObserver
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid, shown_pose
 from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, loop_margins
@@ -208,13 +208,13 @@ def accept_damping(machine: Machine, results: list[DampedPose]) -> str:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Some pose is not stable, or has less than the margins that `isocenter machine check` asks for.
     """
     worst = max(results, key=lambda result: result.pole_radius)
     if worst.pole_radius >= 1.0:
         unstable = sum(result.pole_radius >= 1.0 for result in results)
-        raise UnusableInput(
+        raise UnusableInputError(
             f"--damping: the loop would be unstable in {unstable} of {len(results)} poses,"
             f" worst at {shown_pose(machine, worst.pose)}; ask for less"
         )
@@ -223,7 +223,7 @@ def accept_damping(machine: Machine, results: list[DampedPose]) -> str:
             worst = min(results, key=lambda result: getattr(result.margins[axis], value))
             margin, at_Hz = getattr(worst.margins[axis], value), getattr(worst.margins[axis], f"{what}_at_Hz")
             if margin < least:
-                raise UnusableInput(
+                raise UnusableInputError(
                     f"--damping: {name} would have {margin:.1f} {unit} of {what} margin at {at_Hz:.1f} Hz"
                     f" ({shown_pose(machine, worst.pose)}); at least {least:g} {unit} is right; ask for less"
                 )

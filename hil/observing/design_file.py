@@ -12,7 +12,7 @@ from controllers.errors import DesignError
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel
 from controllers.observers.settings import ObserverNoise
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.observing.observer_design import ObserverDesign
 
@@ -49,23 +49,25 @@ def read_design(path: str | Path) -> ObserverDesign:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file is missing, is no design, or does not fit together.
     """
     arrays = read_arrays(path, "an observer design, which `isocenter observe --save-design` writes")
     if str(arrays.get("observer_format")) not in (str(FORMAT), str(WITHOUT_COUPLING)):
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{path}: not an observer design of format {FORMAT} or {WITHOUT_COUPLING}; `isocenter observe --save-design` writes one"
         )
     try:
         design = _design(arrays)
         design.observer()
     except KeyError as missing:
-        raise UnusableInput(f"{path}: not an observer design: the array {missing} is missing") from None
+        raise UnusableInputError(f"{path}: not an observer design: the array {missing} is missing") from None
     except DesignError as error:
-        raise UnusableInput(f"{path}: {' '.join(str(error).split())}") from None
+        raise UnusableInputError(f"{path}: {' '.join(str(error).split())}") from None
     except (TypeError, ValueError, IndexError) as error:
-        raise UnusableInput(f"{path}: not an observer design: its arrays do not fit together ({' '.join(str(error).split())})") from None
+        raise UnusableInputError(
+            f"{path}: not an observer design: its arrays do not fit together ({' '.join(str(error).split())})"
+        ) from None
     return design
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.recording import Channel, Recording, write_recording
 
@@ -49,7 +49,7 @@ class Estimate:
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise UnusableInput(f"no estimate {name}; there is {', '.join(self.names[: len(self.names) // 2])}") from None
+            raise UnusableInputError(f"no estimate {name}; there is {', '.join(self.names[: len(self.names) // 2])}") from None
 
 
 _NAMES = ("names", "units", "measured_names", "state_names", "notes")
@@ -61,7 +61,7 @@ def write_estimate(estimate: Estimate, path: str | Path, recording: Recording | 
     path = Path(path)
     if path.suffix.lower() in (".mf4", ".csv"):
         if recording is None:
-            raise UnusableInput(f"{path}: estimates join a recording's rows; without one write an .npz")
+            raise UnusableInputError(f"{path}: estimates join a recording's rows; without one write an .npz")
         channels = {name: channel for name, channel in recording.channels.items() if not name.startswith("estimate_")}
         for name, unit, values in zip(estimate.names, estimate.units, estimate.values.T, strict=True):
             channels[name] = Channel(unit, values)
@@ -77,14 +77,14 @@ def read_estimate(path: str | Path) -> Estimate:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file is missing or no EST file.
     """
     arrays = read_arrays(path, "an EST file")
     if str(arrays.get("estimate_format")) != str(FORMAT):
-        raise UnusableInput(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
+        raise UnusableInputError(f"{path}: not an EST file of format {FORMAT}; `isocenter observe` writes one")
     if lacking := [name for name in (*_ARRAYS, *_NAMES, "filter", "machine_hash") if name not in arrays]:
-        raise UnusableInput(f"{path}: not an EST file: the array {lacking[0]} is missing")
+        raise UnusableInputError(f"{path}: not an EST file: the array {lacking[0]} is missing")
     fields: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     fields |= {name: tuple(str(text) for text in arrays[name]) for name in _NAMES}
     return Estimate(**fields, filter=str(arrays["filter"]), machine_hash=str(arrays["machine_hash"]))

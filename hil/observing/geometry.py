@@ -6,7 +6,7 @@ import numpy as np
 
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.recording.channels import imu_channels
 from virtual_bus.settings import Body
@@ -27,12 +27,12 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No [geometry], no IMU on the detector, or axes that do not lead to the detector in the machine's order.
     """
     geometry = machine.geometry
     if geometry is None:
-        raise UnusableInput(f"{machine.name}: its file has no [geometry]; an observer needs to know where source and detector are")
+        raise UnusableInputError(f"{machine.name}: its file has no [geometry]; an observer needs to know where source and detector are")
     tree = machine.plant.tree
     bodies = {body.name: body for body in tree.bodies}
     placed = _placed(tree.bodies)
@@ -40,7 +40,7 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
     driven = {drive.joint: drive.axis for drive in machine.plant.drives}
     joints = [(body, body.joint) for body in path if body.joint is not None and body.joint.name in driven]
     if tuple(driven[joint.name] for _, joint in joints) != machine.axes:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{machine.name}: the way from the world to {geometry.detector_body} passes the axes {[driven[j.name] for _, j in joints]};"
             f" an observer needs all of {list(machine.axes)}, in this order"
         )
@@ -74,7 +74,9 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
             )
         )
     if not sensors or machine.plant.imus[0].body != geometry.detector_body:
-        raise UnusableInput(f"{machine.name}: no IMU on {geometry.detector_body}; without one an observer sees no more than the encoders")
+        raise UnusableInputError(
+            f"{machine.name}: no IMU on {geometry.detector_body}; without one an observer sees no more than the encoders"
+        )
     return chain, tuple(sensors), end(geometry.source_body, geometry.source_position_m), to_detector @ geometry.isocenter_m
 
 

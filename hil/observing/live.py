@@ -11,7 +11,7 @@ import numpy as np
 from controllers.damping import ModalDamping
 from controllers.observers.modal_observer import ModalObserver
 from drivers.interface import Sample
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.observing.board import EstimateBoard
 from hil.observing.measured import MeasuredRow
 from hil.recording.channels import imu_channels
@@ -57,7 +57,7 @@ class LiveObserver:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Damping without an IMU: it would never come into force.
     """
 
@@ -93,7 +93,9 @@ class LiveObserver:
         self._imu_at = [channels.index(name) for name in imu_channels(imu) if name in channels]
         if damping is not None and not self._imu_at:
             known = ", ".join(channels[2 * axes :])
-            raise UnusableInput(f"--damping: acts on an IMU's word; the bench has {imu or 'none'}, the observer's model looks at {known}")
+            raise UnusableInputError(
+                f"--damping: acts on an IMU's word; the bench has {imu or 'none'}, the observer's model looks at {known}"
+            )
         self._board: EstimateBoard | None = None
         self._understudy = ModalObserver(observer.model, observer.noise, observer.kind, observer.adapted)
         nothing = np.zeros(axes)

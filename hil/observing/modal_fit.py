@@ -19,7 +19,7 @@ from scipy import optimize, signal
 
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, chain_at_rest
-from hil.errors import BadAnswer, UnusableInput
+from hil.errors import BadAnswerError, UnusableInputError
 from hil.identification import FrequencyResponse
 from hil.identification.result import CovarianceKind
 
@@ -89,7 +89,7 @@ class _Problem:
         keep = keep[:: -(-len(keep) // MOST_LINES)]
         self.f = response.frequencies_Hz[keep]
         if len(self.f) < 20:
-            raise UnusableInput(f"only {len(self.f)} lines at or above {LOWEST_Hz:g} Hz; a modal model needs 20 and better a hundred")
+            raise UnusableInputError(f"only {len(self.f)} lines at or above {LOWEST_Hz:g} Hz; a modal model needs 20 and better a hundred")
         G = response.G[keep]
         kind: CovarianceKind = "noise" if response.total_covariance is None else "total"
         deviation = response.standard_deviation(kind)[keep]
@@ -100,7 +100,7 @@ class _Problem:
         self.weight = 1.0 / np.sqrt(deviation**2 + (MODEL_SHARE * np.abs(G)) ** 2 + 1e-300)
         self.channels = G.shape[1]
         if self.channels != 2 * self.axes + 6 * len(sensors):
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"the response has the outputs {', '.join(response.output_names)}; an observer's model needs both encoders of every axis"
                 " and all channels of its inertial sensors: identify with outputs = the model's channels"
             )
@@ -232,7 +232,7 @@ def fit_pose(
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         Fewer peaks than modes, or a fit that runs off.
     """
     problem = _Problem(response, chain, sensors, friction)
@@ -249,7 +249,9 @@ def fit_pose(
         poles = problem.fit(frequencies)
     _, unknowns = problem.solve(poles)
     if not np.isfinite(unknowns).all():
-        raise BadAnswer(f"the modal fit at pose {np.degrees(problem.pose).round(1).tolist()} deg ran off; give frequencies to start from")
+        raise BadAnswerError(
+            f"the modal fit at pose {np.degrees(problem.pose).round(1).tolist()} deg ran off; give frequencies to start from"
+        )
     n = problem.axes
     width = 2 * n + 6 * len(sensors)
     order = np.argsort(poles[: 2 * modes : 2])
@@ -299,7 +301,7 @@ def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | N
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         There is none.
     """
     block = G[:, 2 * problem.axes :] / problem.noise[2 * problem.axes :][:, None]  # a channel that only hisses must not count
@@ -312,7 +314,7 @@ def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | N
                 height[np.abs(problem.f - center) < max(2.0 * damping / (2.0 * np.pi), 0.15 * center)] = height.min()
     found, details = signal.find_peaks(height, prominence=PEAK_PROMINENCE)
     if not len(found):
-        raise BadAnswer(
+        raise BadAnswerError(
             f"no further resonance stands out at {np.degrees(problem.pose).round(1).tolist()} deg: ask for fewer modes or measure longer"
         )
     best = found[np.argsort(details["prominences"])[::-1][:modes]]

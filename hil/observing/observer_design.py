@@ -11,7 +11,7 @@ import numpy as np
 from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.experiments import Scan, Static
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
@@ -102,15 +102,15 @@ def design_observer(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No response at all, or sweeps without standing records.
-    BadAnswer
+    BadAnswerError
         The modal model cannot be fitted.
     """
     if not responses:
-        raise UnusableInput("an observer's model comes from frequency responses; give one or more, of different poses")
+        raise UnusableInputError("an observer's model comes from frequency responses; give one or more, of different poses")
     if sweeps and not standing:
-        raise UnusableInput("what turning pushes is told from gravity by standing records; give some beside the sweeps")
+        raise UnusableInputError("what turning pushes is told from gravity by standing records; give some beside the sweeps")
     model, fits = fit_observed_model(machine, responses, modes)
     poses, gain = [fit.pose for fit in fits], effort_gain(machine)
     model = with_directions(with_inertia(model, poses, gain), poses, gain)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.models.chain import Chain
 from controllers.models.modal import InertialSensor, ModalModel, basis_at, basis_size
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.geometry import observed_chain
@@ -48,7 +48,7 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         A mode cannot be followed from pose to pose.
     """
     chain, sensors, source_end, _ = observed_chain(machine)
@@ -142,7 +142,7 @@ def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         A shape has nothing in common with its neighbour's: modes crossed between the poses.
     """
     n = len(fit.pose)
@@ -152,7 +152,7 @@ def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
         turned = _rotation(chain, fit.pose).apply(here), _rotation(chain, near.pose).apply(there)
         likeness = max(_likeness(here, there), _likeness(*turned), key=abs)
         if abs(likeness) < LEAST_LIKENESS:
-            raise BadAnswer(
+            raise BadAnswerError(
                 f"mode {i + 1} at {np.degrees(fit.pose).round(1).tolist()} deg is not the one at {np.degrees(near.pose).round(1).tolist()}"
                 " deg: identify poses between them, or fewer modes"
             )

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from controllers.models.modal import ModalModel, basis_at, basis_size
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from hil.observing.directions import Shapes, drives_masses, shapes_at, soft_directions
 from hil.observing.modal_fit import TURN_LENGTH_m
 from hil.observing.over_poses import embedded, harmonics_for
@@ -159,7 +159,7 @@ def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         At a pose the responses make an inertia that is not positive definite: a command that moves nothing, or the wrong way.
     """
     n, first = len(model.axes), model.modes * model.mode_stride
@@ -169,7 +169,7 @@ def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np
         least, directions = np.linalg.eigh(given + given.T)
         if least[0] <= 0.0:
             axis = model.axes[int(np.argmax(np.abs(directions[:, 0])))]
-            raise BadAnswer(
+            raise BadAnswerError(
                 f"at {np.round(pose, 3).tolist()} (rad or m) the command does not move {axis} as a mass would be moved: check that it was"
                 " excited, and the signs of its constant, ratio and encoders"
             )

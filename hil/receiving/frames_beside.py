@@ -17,7 +17,7 @@ from drivers.imaging import PanelLink
 from hil.emulated import panel as emulated_panel
 from hil.emulated.images import positions_at
 from hil.emulated.panel import PanelOrder
-from hil.errors import BadAnswer, UnusableInput
+from hil.errors import BadAnswerError, UnusableInputError
 from hil.imaging.extra import imaging_package
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
@@ -53,11 +53,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No package for images, the folders cannot be made, or one of them holds an earlier run's frames.
-    BusUnavailable
+    BusUnavailableError
         No such panel, or another host's.
-    BadAnswer
+    BadAnswerError
         A process died.
     """
     imaging_package("tifffile", "images")
@@ -68,9 +68,9 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
             each.mkdir(parents=True, exist_ok=True)
         (order.folder / TROUBLE).unlink(missing_ok=True)
     except OSError as error:
-        raise UnusableInput(f"{error.filename}: {error.strerror}") from None
+        raise UnusableInputError(f"{error.filename}: {error.strerror}") from None
     if (order.folder / FRAMES).exists():
-        raise UnusableInput(f"{order.folder}: holds a scan's {FRAMES} already; receive into another folder")
+        raise UnusableInputError(f"{order.folder}: holds a scan's {FRAMES} already; receive into another folder")
     if isinstance(order.panel, Path):
         _must_be_empty(order.panel)
     if panel is not None:
@@ -88,7 +88,7 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
 
     def check() -> None:
         if not all(process.is_alive() for process in started):
-            raise BadAnswer(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
+            raise BadAnswerError(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
 
     try:
         try:
@@ -99,11 +99,11 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
         for process in started[1:]:
             process.join()
             if process.exitcode:
-                raise BadAnswer("the emulated panel's process ended before its images were made; its error stands above")
+                raise BadAnswerError("the emulated panel's process ended before its images were made; its error stands above")
         is_exposed.set()
         started[0].join()
         if started[0].exitcode:
-            raise BadAnswer(f"the process that receives frames ended early; its error stands above, {order.folder} is not whole")
+            raise BadAnswerError(f"the process that receives frames ended early; its error stands above, {order.folder} is not whole")
     finally:
         for process in started:
             if process.is_alive():
@@ -120,9 +120,9 @@ def _say_if_one_ends(order: ReceiverOrder, started: Sequence[BaseProcess], is_le
 def _must_be_empty(panel: Path) -> None:
     """Before anything moves."""
     if not panel.is_dir():
-        raise UnusableInput(f"{panel}: no folder; the panel's software must write its frames there")
+        raise UnusableInputError(f"{panel}: no folder; the panel's software must write its frames there")
     if any(panel.iterdir()):
-        raise UnusableInput(f"{panel}: is not empty; the panel's folder must be when the run begins")
+        raise UnusableInputError(f"{panel}: is not empty; the panel's folder must be when the run begins")
 
 
 def _trouble(order: ReceiverOrder) -> str:
@@ -135,11 +135,11 @@ def finished_scan(machine: Machine, order: ReceiverOrder, recording: Recording, 
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         No frames, or the receiver ran into something.
-    UnusableInput
+    UnusableInputError
         Frames from outside of the recording.
-    ClocksDisagree
+    ClocksDisagreeError
     """
     period_s = 1.0 / machine.sample_rate_Hz
     numbers, start_s, width_s, clock = received(order.folder, period_s)

@@ -93,7 +93,7 @@ class PanelFrames:
 
     Raises
     ------
-    BusUnavailable
+    BusUnavailableError
     """
 
     def __init__(self, panel: RemotePanel) -> None:

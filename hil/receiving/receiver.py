@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.imaging import PanelClock
-from hil.errors import BadAnswer, UnusableInput
+from hil.errors import BadAnswerError, UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.markers import MarkerProjection
@@ -56,7 +56,7 @@ def serve(order: ReceiverOrder, is_over: Event) -> None:
     """Take frames until the panel is done and all have been taken; what goes wrong is left in a file for the bench to say."""
     try:
         _serve(order, is_over)
-    except (DriverError, UnusableInput, OSError) as error:
+    except (DriverError, UnusableInputError, OSError) as error:
         (order.folder / TROUBLE).write_text(str(error), encoding="utf-8")
 
 
@@ -79,7 +79,7 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
                     whose = order.panel if isinstance(order.panel, Path) else f"panel {order.panel.url}"
-                    raise UnusableInput(f"{whose}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
+                    raise UnusableInputError(f"{whose}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
                 images.write(frame.image, contiguous=True)
                 stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
                 seen = None
@@ -101,17 +101,17 @@ def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         Nothing was received, or the receiver ran into something.
-    ClocksDisagree
+    ClocksDisagreeError
         The panel's stamps do not fit the loop's pulses.
     """
     trouble = folder / TROUBLE
     if trouble.exists():
-        raise BadAnswer(trouble.read_text(encoding="utf-8"))
+        raise BadAnswerError(trouble.read_text(encoding="utf-8"))
     with (folder / STAMPS).open(newline="", encoding="utf-8") as file:
         table = np.array([[float(cell) for cell in row] for row in csv.reader(file)])
     if not len(table):
-        raise BadAnswer(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
+        raise BadAnswerError(f"{folder}: no frame came; is the panel exposing, and is this its folder?")
     clock = PanelClock(table[:, 1], table[:, 3], period_s, table[:, 0])
     return table[:, 0].astype(int), clock.to_loop(table[:, 1]), table[:, 2] * clock.rate, clock

@@ -9,7 +9,7 @@ from hil.calibration.marker.scan import SPOT_M as SPOT_ON_TUBE_M
 from hil.calibration.marker.tube_to_panel import fit_marker
 from hil.calibration.phantom.phantom_calibration import bullets_seen
 from hil.calibration.phantom.pose import fit_poses
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers import PLATES, MarkerProjection, find_marker
 from hil.imaging.nominal import nominal_beam
@@ -23,7 +23,7 @@ def phantom_in(image: np.ndarray, detector: Detector, machine: Machine, position
     try:
         points, sigma = bullets_seen(image, detector, phantom, nominal)
         fit = fit_poses(phantom.centers_m, points[None], sigma[None], nominal, nine=True)
-    except UnusableInput:
+    except UnusableInputError:
         return None
     if not fit.good[0]:
         return None
@@ -36,6 +36,6 @@ def marker_in(image: np.ndarray, detector: Detector, name: str, nominal: MarkerP
     try:
         found = find_marker(image, plate, nominal, detector)
         fit = fit_marker(found, plate, detector, nominal, spot_m=SPOT_ON_TUBE_M)
-    except UnusableInput:
+    except UnusableInputError:
         return None
     return fit.projection.values[:6], fit.covariance[:6, :6], len(found.index)

@@ -57,7 +57,7 @@ class Watch:
 
         Raises
         ------
-        ClocksDisagree
+        ClocksDisagreeError
         """
         self._panel_s.append(frame.panel_s)
         self._pulse_s.append(frame.pulse_s)

@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
@@ -66,14 +66,14 @@ def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The exposures do not turn about one axis.
     """
     normals = beam.rotation[:, :, 2]
     _, spread, directions = np.linalg.svd(normals, full_matrices=False)
     axis = directions[2]
     if spread[2] > 0.2 * spread[1]:
-        raise UnusableInput("the exposures do not turn about one axis; a cone-beam reconstruction needs a circular scan")
+        raise UnusableInputError("the exposures do not turn about one axis; a cone-beam reconstruction needs a circular scan")
     first = normals[0] - (normals[0] @ axis) * axis
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
@@ -104,19 +104,21 @@ def reconstruct(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Too few projections, too short an arc, no circular scan, or shapes that do not belong together.
     """
     projections = np.ascontiguousarray(projections, dtype=np.float32)
     if projections.shape != (len(beam), detector.rows, detector.columns):
-        raise UnusableInput(f"projections {projections.shape}; {len(beam)} exposures of {detector.rows} x {detector.columns} pixels differ")
+        raise UnusableInputError(
+            f"projections {projections.shape}; {len(beam)} exposures of {detector.rows} x {detector.columns} pixels differ"
+        )
     if detector.skew:
-        raise UnusableInput(f"the panel's pixels are skewed by {detector.skew:g} columns a row; straighten the images")
+        raise UnusableInputError(f"the panel's pixels are skewed by {detector.skew:g} columns a row; straighten the images")
     if len(beam) < FEWEST:
-        raise UnusableInput(f"{len(beam)} projections; a reconstruction needs {FEWEST} at least, 100 to be of use")
+        raise UnusableInputError(f"{len(beam)} projections; a reconstruction needs {FEWEST} at least, 100 to be of use")
     axis, arc = scan_axis(beam)
     if np.degrees(arc) < LEAST_ARC_deg:
-        raise UnusableInput(f"the scan covers {np.degrees(arc):.0f} degrees; a reconstruction needs {LEAST_ARC_deg:.0f} at least")
+        raise UnusableInputError(f"the scan covers {np.degrees(arc):.0f} degrees; a reconstruction needs {LEAST_ARC_deg:.0f} at least")
     chosen = _moving(beam, axis)
     projections, beam = projections[chosen], beam[chosen]
     to_volume = _turned_to_y(axis)
@@ -258,14 +260,14 @@ def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, floa
     """
     itk = imaging_package("itk", "reconstructions")
     if not hasattr(itk, "RTK"):
-        raise UnusableInput("reconstructions need itk-rtk beside itk: pip install 'isocenter[imaging]'")
+        raise UnusableInputError("reconstructions need itk-rtk beside itk: pip install 'isocenter[imaging]'")
     rtk = itk.RTK
     image_type = itk.Image[itk.F, 3]
     point, vector = itk.Point[itk.D, 3], itk.Vector[itk.D, 3]
     geometry = rtk.ThreeDCircularProjectionGeometry.New()
     for k, (source, panel, u, v) in enumerate(frames):
         if not geometry.AddProjection(point(1e3 * source), point(1e3 * panel), vector(u), vector(v)):
-            raise UnusableInput(f"exposure {k}: RTK does not take its geometry")
+            raise UnusableInputError(f"exposure {k}: RTK does not take its geometry")
     _, rows, columns = projections.shape
 
     def stack_of(values: np.ndarray) -> Any:

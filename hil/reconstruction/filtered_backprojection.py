@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import fftconvolve
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.extra import imaging_package
 
 
@@ -77,12 +77,12 @@ def fan_reconstruction(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Angles that do not go once around, or bins that are not even.
     """
     step, turn = np.diff(psi), np.diff(np.unwrap(angles))
     if not np.allclose(step, step[0]) or not np.allclose(turn, turn[0]) or not np.isclose(abs(turn[0]) * len(angles), 2.0 * np.pi):
-        raise UnusableInput("a fan's rays must be even, and its angles go once around in even steps")
+        raise UnusableInputError("a fan's rays must be even, and its angles go once around in even steps")
     if step[0] < 0.0:
         projections, psi, step = projections[:, ::-1], psi[::-1], -step[::-1]
     weighted = projections * source_m * np.cos(psi)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.reconstruction.fdk import Volume
 
 REACH_VOXELS = 10.0
@@ -69,7 +69,7 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The volume does not hold the wire, or nothing is where it should be.
     """
     axis = end_m - start_m
@@ -85,14 +85,14 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
     half = 0.5 * (np.array(volume.values.shape[::-1]) - 1) * volume.spacing_m
     places = places[(np.abs(places @ volume.rotation) <= half).all(axis=1)]
     if len(places) < FEWEST_SLICES:
-        raise UnusableInput(f"not in the volume, which is {1e3 * volume.spacing_m * volume.values.shape[0]:.3g} mm wide")
+        raise UnusableInputError(f"not in the volume, which is {1e3 * volume.spacing_m * volume.values.shape[0]:.3g} mm wide")
     points = places[:, None, None, :] + across[None]
     held = (np.abs(points @ volume.rotation) <= half).all(axis=(0, 3))
     sections = volume.sample(points)
     mean = sections.mean(axis=0)
     row, column = (int(index) for index in np.unravel_index(np.argmax(mean), mean.shape))
     if mean[row, column] <= 0.0:
-        raise UnusableInput("nothing attenuates where it should be")
+        raise UnusableInputError("nothing attenuates where it should be")
     widths = np.array([_width(mean[:, column], row), _width(mean[row, :], column)]) * step
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
     outside &= held

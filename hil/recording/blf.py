@@ -26,7 +26,7 @@ _MOST_AT_ONCE = 1000
 """So many equal frames at the same nanosecond are no bus's: a frame takes 47 us at 1 Mbit/s."""
 
 
-class _Damaged(Exception):
+class _DamagedError(Exception):
     """What python-can would have passed over."""
 
 
@@ -35,7 +35,7 @@ def read_blf(path: Path) -> list[CanFrame]:
     try:
         with _warnings_are_errors(), can.BLFReader(path) as reader:
             if path.stat().st_size < reader.file_size:
-                raise _Damaged(f"{path.stat().st_size} bytes of {reader.file_size}; it was cut off")
+                raise _DamagedError(f"{path.stat().st_size} bytes of {reader.file_size}; it was cut off")
             frames = list(_frames(reader))
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
@@ -56,7 +56,7 @@ def _frames(reader: can.BLFReader) -> Iterator[CanFrame]:
         frame = CanFrame(time_s, f"can{message.channel}", message.arbitration_id, message.is_extended_id, message.is_remote_frame, data)
         repeated = repeated + 1 if frame == last else 0
         if repeated > _MOST_AT_ONCE:
-            raise _Damaged("an object of length 0")
+            raise _DamagedError("an object of length 0")
         last = frame
         if not message.is_error_frame:
             yield frame
@@ -67,7 +67,7 @@ def _warnings_are_errors() -> Iterator[None]:
     """Raise what python-can says in its log about a file, instead of letting it be passed over."""
 
     def refuse(record: logging.LogRecord) -> bool:
-        raise _Damaged(record.getMessage())
+        raise _DamagedError(record.getMessage())
 
     logger = logging.getLogger("can.io.blf")
     logger.addFilter(refuse)

@@ -22,7 +22,7 @@ GENTLEST = 0.1
 """Below this share of the limits the search ends: the shaper asks for ten times what the raw reference does."""
 
 
-class BeyondLimits(ExperimentError):
+class BeyondLimitsError(ExperimentError):
     """The shaped reference exceeds a limit that the raw one keeps; a gentler raw reference helps."""
 
 
@@ -33,7 +33,7 @@ def shape_plan(plan: Plan, shaper: ShaperFile, machine: Machine) -> Plan:
     ------
     ExperimentError
         Another sample rate, an axis the machine has not, H(0) other than 1, a transient that is too long for the scan.
-    BeyondLimits
+    BeyondLimitsError
         The shaped reference would exceed a limit of range, speed, acceleration or jerk.
     """
     if abs(shaper.sample_rate_Hz / machine.sample_rate_Hz - 1.0) > 1e-9:
@@ -55,9 +55,9 @@ def shape_plan(plan: Plan, shaper: ShaperFile, machine: Machine) -> Plan:
     try:
         safety.check_reference(kind, reference, "; the shaper adds to the raw reference's: plan that more gently")
     except ExperimentError as error:
-        raise BeyondLimits(str(error)) from None
+        raise BeyondLimitsError(str(error)) from None
     if held >= 0:
-        raise BeyondLimits(f"{kind}: the shaped reference would be held at a limit of range or speed in row {held}")
+        raise BeyondLimitsError(f"{kind}: the shaped reference would be held at a limit of range or speed in row {held}")
     peaks = safety.check_motion(kind, reference)
     return Plan(
         plan.axes,
@@ -100,7 +100,7 @@ class Shaped:
         while True:
             try:
                 return [_noted(shape_plan(plan, self.shaper, machine), share) for plan in self.experiment.plans(_gentler(machine, share))]
-            except BeyondLimits:
+            except BeyondLimitsError:
                 if share * GENTLER < GENTLEST:
                     raise
                 share *= GENTLER

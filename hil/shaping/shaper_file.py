@@ -11,7 +11,7 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 
 FORMAT = 1
@@ -57,7 +57,7 @@ def read_shaper(path: str | Path) -> ShaperFile:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file is missing, no .npz archive, lacks an array, or what it holds is no shaper.
     """
     arrays = read_arrays(path, "a SHAPER file")
@@ -65,14 +65,14 @@ def read_shaper(path: str | Path) -> ShaperFile:
     needed = ["format", "axes", "sample_rate_Hz", "notes", *(f"{name}_{axis}" for axis in axes for name in _ARRAYS)]
     missing = [name for name in needed if name not in arrays]
     if missing or not axes:
-        raise UnusableInput(f"{path}: not a SHAPER file: {f'the array {missing[0]} is missing' if missing else 'it shapes no axis'}")
+        raise UnusableInputError(f"{path}: not a SHAPER file: {f'the array {missing[0]} is missing' if missing else 'it shapes no axis'}")
     if int(arrays["format"]) != FORMAT:
-        raise UnusableInput(f"{path}: SHAPER format {int(arrays['format'])}; this version reads {FORMAT}")
+        raise UnusableInputError(f"{path}: SHAPER format {int(arrays['format'])}; this version reads {FORMAT}")
     try:
         shapers = tuple(_axis(arrays, axis) for axis in axes)
         notes = json.loads(str(arrays["notes"]))
     except (DesignError, ValueError, TypeError) as error:
-        raise UnusableInput(f"{path}: {error}") from None
+        raise UnusableInputError(f"{path}: {error}") from None
     return ShaperFile(shapers, float(arrays["sample_rate_Hz"]), notes)
 
 

@@ -50,7 +50,7 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     ------
     RecordingError
         No reference (or command), a hole in it, or another sample rate than the machine's.
-    BadAnswer
+    BadAnswerError
         The simulation diverged.
     """
     whole = on_every_tick(recording)

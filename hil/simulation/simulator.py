@@ -12,7 +12,7 @@ import numpy as np
 
 from controllers.errors import ControlError, DesignError
 from controllers.feedback import Feedback
-from hil.errors import BadAnswer, BenchError, ExperimentError
+from hil.errors import BadAnswerError, BenchError, ExperimentError
 from hil.machine import Machine
 from hil.simulation.inputs import Inputs
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
@@ -69,7 +69,7 @@ class Simulator:
         ------
         ExperimentError
             The machine cannot stand where the run began.
-        BadAnswer
+        BadAnswerError
             The simulation diverged; the message names the time.
         """
         prepared = self._prepared(inputs, values, effects)
@@ -133,16 +133,16 @@ class Simulator:
         sections = 0 if not self.machine.controllers else len(self._feedback.arrays[0])
         return SideBySide(self.plant, sections)
 
-    def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswer:
+    def _of_lane(self, taken: Taken, inputs: Inputs) -> Outputs | BadAnswerError:
         if inputs.command is None and not np.isfinite(taken.command).all():
             return self._diverged(int(np.argmin(np.isfinite(taken.command).all(axis=1))))
         if not taken.ends_finite:
             return self._diverged(-1)
         return Outputs(taken.command, taken.effort, taken.position, taken.link_position, taken.speed, taken.imu)
 
-    def _diverged(self, row: int) -> BadAnswer:
+    def _diverged(self, row: int) -> BadAnswerError:
         at = f"at {row / self.machine.sample_rate_Hz:.4g} s" if row >= 0 else "in its last sample"
-        return BadAnswer(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
+        return BadAnswerError(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
 
     def _prepared(self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None) -> Prepared:
         model = self.plant.model(values, effects)

@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,21 +71,21 @@ def refuse_unwritable(file: Path, named: str) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         `named` and what is wrong.
     """
     folder = file.absolute().parent
     if not folder.is_dir():
-        raise UnusableInput(f"{named}: there is no folder {file.parent}; make it first")
+        raise UnusableInputError(f"{named}: there is no folder {file.parent}; make it first")
     if file.is_dir():
-        raise UnusableInput(f"{named}: is a folder; give a file in it")
+        raise UnusableInputError(f"{named}: is a folder; give a file in it")
     try:
         if file.is_file():
             file.open("ab").close()
         elif not file.exists():
             refuse_unwritable_folder(folder, named)
     except OSError as error:
-        raise UnusableInput(f"{named}: cannot be written: {error.strerror}; give another place") from None
+        raise UnusableInputError(f"{named}: cannot be written: {error.strerror}; give another place") from None
 
 
 def refuse_unwritable_folder(folder: Path, named: str) -> None:
@@ -93,13 +93,13 @@ def refuse_unwritable_folder(folder: Path, named: str) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         `named` and what is wrong.
     """
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise UnusableInput(f"{named}: cannot be written to: {error.strerror}; give another place") from None
+        raise UnusableInputError(f"{named}: cannot be written to: {error.strerror}; give another place") from None
 
 
 def plain(value: Any) -> Any:
@@ -126,13 +126,13 @@ def save_figure(figure: Figure, path: Path) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file cannot be written, or its suffix is no picture's.
     """
     try:
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+        raise UnusableInputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], None]:

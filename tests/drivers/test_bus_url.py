@@ -10,13 +10,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.bus_url import open_bus, parse_bus_url
-from drivers.errors import BusUnavailable
+from drivers.errors import BusUnavailableError
 
 IP_RECVTTL = 12  # linux/in.h; Python's socket module does not name it
 
 
 def refusal(url: str, bitrate: int = 1_000_000) -> str:
-    with pytest.raises(BusUnavailable) as caught:
+    with pytest.raises(BusUnavailableError) as caught:
         open_bus(url, bitrate).shutdown()
     assert "\n" not in str(caught.value)
     assert caught.value.exit_status == 2
@@ -38,7 +38,7 @@ def _udp_url() -> str:
         port = probe.getsockname()[1]
     try:
         open_bus(f"udp:239.74.163.2@{port}", 1).shutdown()
-    except BusUnavailable as error:
+    except BusUnavailableError as error:
         pytest.skip(f"this host joins no multicast group: {error}")
     return f"udp:239.74.163.2@{port}"
 
@@ -80,7 +80,7 @@ def test_udp_buses_of_one_group_hear_each_other():
         port = probe.getsockname()[1]
     try:
         left, right = open_bus(f"udp:239.74.163.2@{port}", 1), open_bus(f"udp:@{port}", 1)
-    except BusUnavailable as error:
+    except BusUnavailableError as error:
         pytest.skip(f"this host joins no multicast group: {error}")
     with left, right:
         try:
@@ -99,7 +99,7 @@ def test_udp_buses_of_two_groups_do_not_hear_each_other():
         port = probe.getsockname()[1]
     try:
         buses = [open_bus(f"udp:239.74.163.{k}@{port}", 1) for k in (21, 22, 22)]
-    except BusUnavailable as error:
+    except BusUnavailableError as error:
         pytest.skip(f"this host joins no multicast group: {error}")
     other, sender, same = buses
     try:
@@ -137,7 +137,7 @@ def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
     try:
         ours = open_bus(f"udp:239.74.163.23@{port}", 1)
         theirs = can.Bus(interface="udp_multicast", channel="239.74.163.23", port=port, fd=False)
-    except (BusUnavailable, can.CanError) as error:
+    except (BusUnavailableError, can.CanError) as error:
         pytest.skip(f"this host joins no multicast group: {error}")
     with ours, theirs:
         try:
@@ -232,7 +232,7 @@ def test_a_back_end_without_its_vendor_library_is_one_line():
 def test_any_text_is_a_bus_url_or_one_clear_error(text):
     try:
         parsed = parse_bus_url(text)
-    except BusUnavailable as error:
+    except BusUnavailableError as error:
         assert str(error)
     else:
         assert parsed.interface == "lockstep" or parsed.interface in can.interfaces.VALID_INTERFACES

@@ -6,8 +6,8 @@ import ast
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).parents[2]
 FLOORS = ("hil", "virtual_bus", "controllers", "drivers")
 
 WIRE_AGREEMENTS = ("drivers.canopen.eds", "drivers.canopen.objects", "drivers.serial.xbus", "drivers.modbus.registers")

@@ -6,7 +6,8 @@ import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from places import ROOT
+
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 

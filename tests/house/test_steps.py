@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from test_floors import ROOT, imports_of
+from places import ROOT
+from test_floors import imports_of
 
 STEPS = (
     "recorded",

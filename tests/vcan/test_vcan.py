@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT
 from prepared import prepare
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 INSIDE = Path(__file__).parent / "inside"
-ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 1200.0
 
 

@@ -28,7 +28,7 @@ DEVICE_STATE = 0x08000022
 NO_DATA = 0x08000024
 
 
-class SdoAbort(Exception):
+class SdoAbortError(Exception):
     """A transfer the device refuses; `code` goes out on the wire. Never leaves this package."""
 
     def __init__(self, code: int) -> None:

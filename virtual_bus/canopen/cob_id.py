@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 
 INVALID = 1 << 31  # bit 31: the object or PDO does not exist
 NO_RTR = 1 << 30  # TPDO: no RTR allowed; SYNC: the device generates SYNC
@@ -27,13 +27,13 @@ def is_restricted(can_id: int) -> bool:
 
 
 def check_change(old: int, new: int, *, exists: bool) -> None:
-    """SdoAbort unless a COB-ID may become `new`.
+    """SdoAbortError unless a COB-ID may become `new`.
 
     `exists` says whether the object of `old` is alive: then only its bits 30 and 31 may change.
     """
     if new & EXTENDED or new & 0x1FFF_F800:
-        raise SdoAbort(abort.INVALID_VALUE)  # 29-bit identifiers are not supported
+        raise SdoAbortError(abort.INVALID_VALUE)  # 29-bit identifiers are not supported
     if new & INVALID:
         return
     if is_restricted(new & CAN_ID) or (exists and (new ^ old) & CAN_ID):
-        raise SdoAbort(abort.INVALID_VALUE)
+        raise SdoAbortError(abort.INVALID_VALUE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from virtual_bus.canopen import abort, cob_id
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Objects, Value, key_of
 
 GENERATES_SYNC = cob_id.NO_RTR  # bit 30 of 1005h
@@ -17,7 +17,7 @@ def install(objects: Objects) -> None:
     def check_sync(value: Value) -> None:
         old = objects.number(0x1005)
         if int(value) & GENERATES_SYNC and not can_generate_sync:
-            raise SdoAbort(abort.INVALID_VALUE)
+            raise SdoAbortError(abort.INVALID_VALUE)
         cob_id.check_change(old, int(value) & ~cob_id.INVALID, exists=bool(old & GENERATES_SYNC))
 
     def check_plain(index: int) -> None:
@@ -29,9 +29,9 @@ def install(objects: Objects) -> None:
 
     def check_counter(value: Value) -> None:
         if value == 1 or int(value) > _MAX_COUNTER:
-            raise SdoAbort(abort.INVALID_VALUE)
+            raise SdoAbortError(abort.INVALID_VALUE)
         if objects.number(0x1006):
-            raise SdoAbort(abort.DEVICE_STATE)
+            raise SdoAbortError(abort.DEVICE_STATE)
 
     objects.checks[key_of(0x1005)] = check_sync
     check_plain(0x1012)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, HomingState, Reference
 from virtual_bus.canopen.motion import SpeedMeter, VelocityGains, VelocityLoop
 from virtual_bus.canopen.node import Emit, Node
@@ -84,7 +84,7 @@ class Cia402Drive(Node):
         def one_of(allowed: frozenset[int]):  # type: ignore[no-untyped-def]
             def check(value: Value) -> None:
                 if value not in allowed:
-                    raise SdoAbort(abort.INVALID_VALUE)
+                    raise SdoAbortError(abort.INVALID_VALUE)
 
             return check
 

@@ -7,7 +7,7 @@ import struct
 from collections import deque
 
 from virtual_bus.canopen import abort, cob_id
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.port import Port
 
@@ -106,13 +106,13 @@ class Emergency:
 
     def _history(self, subindex: int) -> Value:
         if subindex > self._node.objects.number(0x1003):
-            raise SdoAbort(abort.NO_DATA)
+            raise SdoAbortError(abort.NO_DATA)
         return self._node.objects.find(0x1003, subindex).value
 
     @staticmethod
     def _check_history_count(value: Value) -> None:
         if value != 0:
-            raise SdoAbort(abort.INVALID_VALUE)
+            raise SdoAbortError(abort.INVALID_VALUE)
 
     def _clear_history(self, value: Value) -> None:
         for subindex in range(self._history_room + 1):

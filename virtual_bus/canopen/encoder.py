@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.settings import EmulatedEncoder
@@ -52,11 +52,11 @@ class Cia406Encoder(Node):
     @staticmethod
     def _check_parameters(value: Value) -> None:
         if int(value) & ~_SUPPORTED_PARAMETERS:
-            raise SdoAbort(abort.INVALID_VALUE)
+            raise SdoAbortError(abort.INVALID_VALUE)
 
     def _check_preset(self, value: Value) -> None:
         if int(value) >= self._range:
-            raise SdoAbort(abort.VALUE_TOO_HIGH)
+            raise SdoAbortError(abort.VALUE_TOO_HIGH)
 
     def _take_parameters(self) -> None:
         parameters = self.objects.number(0x6000)

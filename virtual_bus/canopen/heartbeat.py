@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.port import Port
@@ -66,7 +66,7 @@ class HeartbeatConsumer:
         if int(value) >> 24 or not (node_id and time_ms):
             return  # such an entry is not used
         if any(entry.key != key and entry.value & 0xFFFF and int(entry.value) >> 16 == node_id for entry in self._entries):  # type: ignore[operator]
-            raise SdoAbort(abort.INCOMPATIBLE)
+            raise SdoAbortError(abort.INCOMPATIBLE)
 
     def configure(self) -> None:
         """Take over 1016h; supervision of an unchanged entry goes on."""

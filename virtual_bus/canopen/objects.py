@@ -9,7 +9,7 @@ import canopen
 from canopen.objectdictionary import ODVariable, datatypes
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 
 Value = int | float | bytes
 
@@ -92,24 +92,24 @@ class Entry:
         return (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
     def decode(self, data: bytes) -> Value:
-        """The value in `data`; SdoAbort where its length is wrong for the type."""
+        """The value in `data`; SdoAbortError where its length is wrong for the type."""
         if not self.bits:
             if len(data) > _MAX_STRING_BYTES:
-                raise SdoAbort(abort.OUT_OF_MEMORY)
+                raise SdoAbortError(abort.OUT_OF_MEMORY)
             return bytes(data)
         size = (self.bits + 7) // 8
         if len(data) != size:
-            raise SdoAbort(abort.TOO_LONG if len(data) > size else abort.TOO_SHORT)
+            raise SdoAbortError(abort.TOO_LONG if len(data) > size else abort.TOO_SHORT)
         if self.data_type in datatypes.FLOAT_TYPES:
             return float(struct.unpack("<f" if size == 4 else "<d", data)[0])
         return int.from_bytes(data, "little", signed=self.signed)
 
     def check_limits(self, value: Value) -> None:
-        """SdoAbort where the data sheet's limits are passed."""
+        """SdoAbortError where the data sheet's limits are passed."""
         if self.high is not None and value > self.high:  # type: ignore[operator]
-            raise SdoAbort(abort.VALUE_TOO_HIGH)
+            raise SdoAbortError(abort.VALUE_TOO_HIGH)
         if self.low is not None and value < self.low:  # type: ignore[operator]
-            raise SdoAbort(abort.VALUE_TOO_LOW)
+            raise SdoAbortError(abort.VALUE_TOO_LOW)
 
 
 class Objects:
@@ -117,8 +117,8 @@ class Objects:
 
     Hooks
     -----
-    `checks[key](value)` runs before a write over the bus and may raise SdoAbort; `effects[key](value)` runs after any write that came over
-    the bus; `readings[key]()` gives the value for a read, or raises.
+    `checks[key](value)` runs before a write over the bus and may raise SdoAbortError; `effects[key](value)` runs after any write that
+    came over the bus; `readings[key]()` gives the value for a read, or raises.
     """
 
     def __init__(self, dictionary: canopen.ObjectDictionary) -> None:
@@ -145,10 +145,10 @@ class Objects:
         return iter(self.entries.values())
 
     def find(self, index: int, subindex: int = 0) -> Entry:
-        """The entry, or SdoAbort: no such object, no such subindex."""
+        """The entry, or SdoAbortError: no such object, no such subindex."""
         entry = self.entries.get(index << 8 | subindex)
         if entry is None:
-            raise SdoAbort(abort.NO_SUBINDEX if index in self._indices else abort.NO_OBJECT)
+            raise SdoAbortError(abort.NO_SUBINDEX if index in self._indices else abort.NO_OBJECT)
         return entry
 
     def get(self, index: int, subindex: int = 0) -> Entry | None:
@@ -164,7 +164,7 @@ class Objects:
         """What an SDO upload transfers."""
         entry = self.find(index, subindex)
         if not entry.readable:
-            raise SdoAbort(abort.WRITE_ONLY)
+            raise SdoAbortError(abort.WRITE_ONLY)
         reading = self.readings.get(entry.key)
         return entry.encode(reading() if reading else entry.value)
 
@@ -172,7 +172,7 @@ class Objects:
         """The entry an SDO download may write to."""
         entry = self.find(index, subindex)
         if not entry.writable:
-            raise SdoAbort(abort.READ_ONLY)
+            raise SdoAbortError(abort.READ_ONLY)
         return entry
 
     def write(self, index: int, subindex: int, data: bytes) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from virtual_bus.canopen import abort, cob_id
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.canopen.pdo import EVENT_DRIVEN, MAX_SYNCHRONOUS, dummy_entry, split_mapping
 
@@ -24,20 +24,20 @@ def install(objects: Objects, communication: int, mapping: int, *, receive: bool
 
     def check_transmission_type(value: Value) -> None:
         if MAX_SYNCHRONOUS < int(value) < EVENT_DRIVEN[0]:
-            raise SdoAbort(abort.INVALID_VALUE)  # 241 to 251 are reserved, 252 and 253 need RTR, which is not supported
+            raise SdoAbortError(abort.INVALID_VALUE)  # 241 to 251 are reserved, 252 and 253 need RTR, which is not supported
 
     def check_while_off(value: Value) -> None:
         if exists():
-            raise SdoAbort(abort.INVALID_VALUE)
+            raise SdoAbortError(abort.INVALID_VALUE)
 
     def check_count(value: Value) -> None:
         if exists():
-            raise SdoAbort(abort.UNSUPPORTED_ACCESS)
+            raise SdoAbortError(abort.UNSUPPORTED_ACCESS)
         check_mapping(objects, mapping, int(value), receive=receive)
 
     def check_entry(value: Value) -> None:
         if exists() or objects.number(mapping):
-            raise SdoAbort(abort.UNSUPPORTED_ACCESS)
+            raise SdoAbortError(abort.UNSUPPORTED_ACCESS)
         if value:
             mappable_entry(objects, int(value), receive=receive)
 
@@ -54,28 +54,28 @@ def install(objects: Objects, communication: int, mapping: int, *, receive: bool
 
 
 def check_mapping(objects: Objects, mapping: int, count: int, *, receive: bool) -> None:
-    """SdoAbort unless the first `count` entries make a PDO."""
+    """SdoAbortError unless the first `count` entries make a PDO."""
     if count and objects.get(mapping, count) is None:
-        raise SdoAbort(abort.PDO_LENGTH)
+        raise SdoAbortError(abort.PDO_LENGTH)
     bits = 0
     for subindex in range(1, count + 1):
         bits += mappable_entry(objects, objects.number(mapping, subindex), receive=receive).bits
     if bits > MAX_PDO_BITS:
-        raise SdoAbort(abort.PDO_LENGTH)
+        raise SdoAbortError(abort.PDO_LENGTH)
 
 
 def mappable_entry(objects: Objects, value: int, *, receive: bool) -> Entry:
-    """The entry a mapping value names, or SdoAbort: no such object, too long, not mappable in this direction."""
+    """The entry a mapping value names, or SdoAbortError: no such object, too long, not mappable in this direction."""
     index, subindex, bits = split_mapping(value)
     if bits > MAX_PDO_BITS:
-        raise SdoAbort(abort.PDO_LENGTH)
+        raise SdoAbortError(abort.PDO_LENGTH)
     if index in _BASIC_DUMMY_TYPES and subindex == 0:
         entry, allowed = dummy_entry(index), receive
     else:
         found = objects.get(index, subindex)
         if found is None:
-            raise SdoAbort(abort.NO_OBJECT)
+            raise SdoAbortError(abort.NO_OBJECT)
         entry, allowed = found, found.mappable_in_rpdo if receive else found.mappable_in_tpdo
     if not allowed or not entry.bits or bits != entry.bits:
-        raise SdoAbort(abort.NOT_MAPPABLE)
+        raise SdoAbortError(abort.NOT_MAPPABLE)
     return entry

@@ -6,7 +6,7 @@ import binascii
 import struct
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Objects
 
 _MAX_BLOCK = 127
@@ -35,25 +35,25 @@ class BlockUpload:
     @staticmethod
     def _checked_size(size: int) -> int:
         if not 1 <= size <= _MAX_BLOCK:
-            raise SdoAbort(abort.INVALID_BLOCK_SIZE)
+            raise SdoAbortError(abort.INVALID_BLOCK_SIZE)
         return size
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
         step = frame[0] & 3
         if self._ending:
             if step != 1:
-                raise SdoAbort(abort.UNKNOWN_COMMAND)
+                raise SdoAbortError(abort.UNKNOWN_COMMAND)
             return [], True
         if step == 3 and not self._in_flight:
             return self._block(), False
         if step == 2 and self._in_flight:
             return self._acknowledged(frame)
-        raise SdoAbort(abort.UNKNOWN_COMMAND)
+        raise SdoAbortError(abort.UNKNOWN_COMMAND)
 
     def _acknowledged(self, frame: bytes) -> tuple[list[bytes], bool]:
         received = frame[1]
         if received > len(self._in_flight):
-            raise SdoAbort(abort.INVALID_SEQUENCE_NUMBER)
+            raise SdoAbortError(abort.INVALID_SEQUENCE_NUMBER)
         self._block_size = self._checked_size(frame[2])
         if received < len(self._in_flight):
             self._position = self._in_flight[received]  # repeat what was lost
@@ -93,7 +93,7 @@ class BlockDownload:
         entry = objects.writable_entry(index, subindex)
         size = (entry.bits + 7) // 8
         if self._announced is not None and size and self._announced != size:
-            raise SdoAbort(abort.TOO_LONG if self._announced > size else abort.TOO_SHORT)
+            raise SdoAbortError(abort.TOO_LONG if self._announced > size else abort.TOO_SHORT)
         self.opening = _HEAD.pack(0xA4, index, subindex, _MAX_BLOCK)
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
@@ -116,12 +116,12 @@ class BlockDownload:
 
     def _end(self, frame: bytes) -> tuple[list[bytes], bool]:
         if frame[0] >> 5 != 6 or frame[0] & 1 != 1:
-            raise SdoAbort(abort.UNKNOWN_COMMAND)
+            raise SdoAbortError(abort.UNKNOWN_COMMAND)
         unused = frame[0] >> 2 & 7
         data = bytes(self._data[: len(self._data) - unused])
         if self._with_crc and crc16(data) != struct.unpack_from("<H", frame, 1)[0]:
-            raise SdoAbort(abort.CRC_ERROR)
+            raise SdoAbortError(abort.CRC_ERROR)
         if self._announced is not None and len(data) != self._announced:
-            raise SdoAbort(abort.TOO_LONG if len(data) > self._announced else abort.TOO_SHORT)
+            raise SdoAbortError(abort.TOO_LONG if len(data) > self._announced else abort.TOO_SHORT)
         self._objects.write(self.index, self.subindex, data)
         return [bytes((0xA1,)) + bytes(7)], True

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Objects
 from virtual_bus.canopen.sdo_block import BlockDownload, BlockUpload
 
@@ -23,9 +23,9 @@ class _Upload:
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
         if frame[0] >> 5 != 3:
-            raise SdoAbort(abort.UNKNOWN_COMMAND)
+            raise SdoAbortError(abort.UNKNOWN_COMMAND)
         if frame[0] & 0x10 != self._toggle:
-            raise SdoAbort(abort.TOGGLE_BIT)
+            raise SdoAbortError(abort.TOGGLE_BIT)
         piece = self._data[self._sent : self._sent + 7]
         self._sent += len(piece)
         last = self._sent >= len(self._data)
@@ -44,16 +44,16 @@ class _Download:
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
         if frame[0] >> 5 != 0:
-            raise SdoAbort(abort.UNKNOWN_COMMAND)
+            raise SdoAbortError(abort.UNKNOWN_COMMAND)
         if frame[0] & 0x10 != self._toggle:
-            raise SdoAbort(abort.TOGGLE_BIT)
+            raise SdoAbortError(abort.TOGGLE_BIT)
         self._data += frame[1 : 8 - (frame[0] >> 1 & 7)]
         last = bool(frame[0] & 1)
         if self._announced is not None and len(self._data) > self._announced:
-            raise SdoAbort(abort.TOO_LONG)
+            raise SdoAbortError(abort.TOO_LONG)
         if last:
             if self._announced is not None and len(self._data) < self._announced:
-                raise SdoAbort(abort.TOO_SHORT)
+                raise SdoAbortError(abort.TOO_SHORT)
             self._objects.write(self.index, self.subindex, bytes(self._data))
         answer = bytes((_SCS_SEGMENT_DOWNLOAD | self._toggle,)) + bytes(7)
         self._toggle ^= 0x10
@@ -92,7 +92,7 @@ class SdoServer:
             else:
                 self._transfer = None
                 self._initiate(frame, index, subindex)
-        except SdoAbort as refusal:
+        except SdoAbortError as refusal:
             self._transfer = None
             self._send(_HEAD.pack(0x80, index, subindex, refusal.code))
 
@@ -110,7 +110,7 @@ class SdoServer:
             self._transfer = BlockDownload(self._objects, index, subindex, frame)
             self._send(self._transfer.opening)
         else:
-            raise SdoAbort(abort.UNKNOWN_COMMAND)
+            raise SdoAbortError(abort.UNKNOWN_COMMAND)
 
     def _initiate_upload(self, index: int, subindex: int) -> None:
         data = self._objects.read(index, subindex)
@@ -130,7 +130,7 @@ class SdoServer:
         else:
             announced = struct.unpack_from("<I", frame, 4)[0] if sized else None
             if announced is not None and size and announced != size:
-                raise SdoAbort(abort.TOO_LONG if announced > size else abort.TOO_SHORT)
+                raise SdoAbortError(abort.TOO_LONG if announced > size else abort.TOO_SHORT)
             self._transfer = _Download(self._objects, index, subindex, announced)
         self._send(_HEAD.pack(_SCS_INITIATE_DOWNLOAD, index, subindex, 0))
 

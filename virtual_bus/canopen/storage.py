@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from virtual_bus.canopen import abort
-from virtual_bus.canopen.abort import SdoAbort
+from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.errors import EmulatorError
 
@@ -50,7 +50,7 @@ class Storage:
 
         def check(value: Value) -> None:
             if value != signature:
-                raise SdoAbort(abort.NOT_STORED)
+                raise SdoAbortError(abort.NOT_STORED)
 
         self._objects.checks[entry.key] = check
         self._objects.effects[entry.key] = lambda value: action(group)
@@ -86,7 +86,7 @@ class Storage:
             for key, data in kept.items():
                 if key in self._objects.entries:
                     self._objects.entries[key].decode(data)
-        except (OSError, ValueError, TypeError, AttributeError, SdoAbort) as error:
+        except (OSError, ValueError, TypeError, AttributeError, SdoAbortError) as error:
             advice = "delete it to start from the data sheet's defaults"
             raise EmulatorError(f"{self._path}: not a device's stored parameters ({error}); {advice}") from error
         return kept
@@ -100,4 +100,4 @@ class Storage:
             part.write_text(json.dumps(text, indent=1), encoding="utf-8")
             os.replace(part, self._path)
         except OSError as error:
-            raise SdoAbort(abort.HARDWARE) from error
+            raise SdoAbortError(abort.HARDWARE) from error

@@ -39,7 +39,7 @@ class IoLayout:
     temperature_registers: Mapping[str, int]
 
 
-class _Refusal(Exception):
+class _RefusalError(Exception):
     """A request the device does not carry out."""
 
     def __init__(self, code: ExceptionCode) -> None:
@@ -154,7 +154,7 @@ class EmulatedIo:
         function = pdu[0]
         try:
             return bytes((function,)) + self._carry_out(function, pdu[1:])
-        except _Refusal as refusal:
+        except _RefusalError as refusal:
             return bytes((function | 0x80, refusal.code))
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
@@ -168,18 +168,18 @@ class EmulatedIo:
             return _write_coil(self.coils, data)
         if function == FunctionCode.WRITE_MULTIPLE_COILS:
             return _write_coils(self.coils, data)
-        raise _Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+        raise _RefusalError(ExceptionCode.ILLEGAL_FUNCTION)
 
 
 def _range(data: bytes, size: int, available: int, most: int) -> tuple[int, int]:
     """(address, count) of a request's first four bytes, checked in the order of the specification: value, then address."""
     if len(data) != size:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     address, count = struct.unpack_from(">HH", data)
     if not 1 <= count <= most:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     if address + count > available:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_ADDRESS)
     return address, count
 
 
@@ -197,22 +197,22 @@ def _read_registers(registers: list[int], data: bytes) -> bytes:
 
 def _write_coil(coils: list[bool], data: bytes) -> bytes:
     if len(data) != 4:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     address, value = struct.unpack(">HH", data)
     if value not in (COIL_ON, COIL_OFF):
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     if address >= len(coils):
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_ADDRESS)
     coils[address] = value == COIL_ON
     return data
 
 
 def _write_coils(coils: list[bool], data: bytes) -> bytes:
     if len(data) < 6 or data[4] != len(data) - 5:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     address, count = _range(data, 5 + data[4], len(coils), MAX_WRITE_BITS)
     if data[4] != (count + 7) // 8:
-        raise _Refusal(ExceptionCode.ILLEGAL_DATA_VALUE)
+        raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     packed = int.from_bytes(data[5:], "little")
     coils[address : address + count] = [bool(packed >> position & 1) for position in range(count)]
     return data[:4]

@@ -10,7 +10,7 @@ import numpy as np
 from hil.calibration.data_driven.observed_beam import ObservedBeam
 from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.calibration.data_driven.values import Calibration, Parameters
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import nominal_beam
@@ -60,11 +60,13 @@ class DataFile:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             Another machine's, or of other parameters.
         """
         if self.machine != model.machine.name or self.names != model.names:
-            raise UnusableInput(f"the calibration is of {self.machine} with {len(self.names)} parameters; {model.machine.name} has others")
+            raise UnusableInputError(
+                f"the calibration is of {self.machine} with {len(self.names)} parameters; {model.machine.name} has others"
+            )
         return Parameters(self.values, self.covariance)
 
     def beam(self, machine: Machine, time_s: np.ndarray) -> ConeBeam:
@@ -72,11 +74,11 @@ class DataFile:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             Another machine's, or a time outside of the recording.
         """
         if self.machine != machine.name or self.axes != machine.axes:
-            raise UnusableInput(f"the calibration is of {self.machine} with axes {', '.join(self.axes)}, not of {machine.name}")
+            raise UnusableInputError(f"the calibration is of {self.machine} with axes {', '.join(self.axes)}, not of {machine.name}")
         found = ObservedBeam(self.time_s, self.positions, self.final, np.zeros((len(self.time_s), 3)), np.zeros(6))
         positions, deviation, _ = found.at(time_s)
         return nominal_beam(machine, positions).moved(deviation)
@@ -116,15 +118,15 @@ def read_data_file(path: Path) -> DataFile:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, or another file.
     """
     arrays = read_arrays(path, "a data-driven calibration")
     if int(arrays.get("data_calibration_format", -1)) != FORMAT:
-        raise UnusableInput(f"{path}: no data-driven calibration of format {FORMAT}; `isocenter calibrate data` writes one")
+        raise UnusableInputError(f"{path}: no data-driven calibration of format {FORMAT}; `isocenter calibrate data` writes one")
     absent = [name for name in ("machine", "axes", "names", *_ARRAYS) if name not in arrays]
     if absent:
-        raise UnusableInput(f"{path}: holds no {', '.join(absent)}; `isocenter calibrate data` writes a whole one")
+        raise UnusableInputError(f"{path}: holds no {', '.join(absent)}; `isocenter calibrate data` writes a whole one")
     text = {name: tuple(str(each) for each in arrays[name]) for name in ("axes", "names")}
     static = arrays.get("static", np.zeros((4, 9)))  # files of before it was kept: as without an observer
     return DataFile(str(arrays["machine"]), text["axes"], text["names"], *(*(arrays[name] for name in _ARRAYS), static))

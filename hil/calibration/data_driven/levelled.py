@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.calibration.data_driven.quasi_static import QuasiStatic
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.recording import Channel, Recording
 
@@ -23,11 +23,11 @@ def levelled(machine: Machine, recording: Recording, model: QuasiStatic, values:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The machine has no IMU.
     """
     if not machine.plant.imus:
-        raise UnusableInput(f"{machine.name}: has no IMU; there is nothing to turn back")
+        raise UnusableInputError(f"{machine.name}: has no IMU; there is nothing to turn back")
     imu = machine.plant.imus[0]
     gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
     names = [[f"{first}_{axis}" for axis in "xyz"] for first in (imu.name, gyro)]

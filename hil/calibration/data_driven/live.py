@@ -22,7 +22,7 @@ from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, SLOW_H
 from hil.calibration.data_driven.parameter_filter import STRAYS_S, DataDrivenFilter, displacement_columns, place_sigma, take_in
 from hil.calibration.data_driven.quasi_static import QuasiStatic, marker_view
 from hil.calibration.data_driven.values import CHANGE, REFUSED
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.mailbox import Sighting
 from hil.machine import Machine
@@ -86,7 +86,7 @@ class LiveCalibration:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The earlier calibration is another machine's, or was made without an observer.
     """
 
@@ -94,7 +94,7 @@ class LiveCalibration:
         self.model = QuasiStatic.of(machine)
         self._start = start.parameters(self.model).aged(self.model)
         if not start.static.any():
-            raise UnusableInput("the calibration was made without an observer; make it with isocenter calibrate data --design")
+            raise UnusableInputError("the calibration was made without an observer; make it with isocenter calibrate data --design")
         self.machine, self._inbox, self.until_m, self.poses, self.static = machine, inbox, until_m, poses, start.static
         self._period_s = 1.0 / machine.sample_rate_Hz
         self._chain = chain_of(machine)
@@ -103,7 +103,7 @@ class LiveCalibration:
         names, measured = [name for name, _ in observer.channels], observer.model.channels()
         wanted = imu_channels(machine.plant.imus[0].name) if machine.plant.imus else []
         if not wanted or any(name not in measured for name in wanted):
-            raise UnusableInput(f"{machine.name}: the observer does not look at the detector's IMU, which offsets turn back")
+            raise UnusableInputError(f"{machine.name}: the observer does not look at the detector's IMU, which offsets turn back")
         self._imu_at = np.array([measured.index(name) for name in wanted])
         self._link = np.array([names.index(f"estimate_link_position_{axis}") for axis in machine.axes])
         self._nine = slice(names.index("estimate_source_x"), names.index("estimate_source_x") + 9)

@@ -10,7 +10,7 @@ from hil.calibration.data_driven.data_file import write_data_file
 from hil.calibration.data_driven.live import LiveCalibration
 from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, ObservedBeam
 from hil.calibration.data_driven.values import CHANGE, REFUSED, Calibration
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.imaging.mailbox import KINDS, LARGEST, Sighting
 
@@ -57,7 +57,7 @@ class KeptSightings:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, or another file.
     """
 
@@ -65,7 +65,7 @@ class KeptSightings:
         arrays = read_arrays(path, "sightings of a live calibration")
         wanted = ("until_m", "poses", "row", "exposure_id", "time_s", "kind", "positions", "values", "covariance")
         if arrays.get("sightings_format", np.array(-1)).tolist() != FORMAT or any(name not in arrays for name in wanted):
-            raise UnusableInput(f"{path}: no sightings of a live calibration; `isocenter run ... --data` leaves them with its images")
+            raise UnusableInputError(f"{path}: no sightings of a live calibration; `isocenter run ... --data` leaves them with its images")
         rows, poses = arrays["row"].shape, arrays["poses"].shape
         shapes = {
             "until_m": (),
@@ -78,7 +78,7 @@ class KeptSightings:
         }
         bent = [name for name, shape in shapes.items() if arrays[name].shape != shape]
         if bent:
-            raise UnusableInput(f"{path}: damaged: {bent[0]} has shape {arrays[bent[0]].shape}, expected {shapes[bent[0]]}")
+            raise UnusableInputError(f"{path}: damaged: {bent[0]} has shape {arrays[bent[0]].shape}, expected {shapes[bent[0]]}")
         self.until_m, self.poses = float(arrays["until_m"]), arrays["poses"]
         self._by_row: dict[int, list[Sighting]] = {}
         for k, row in enumerate(arrays["row"]):

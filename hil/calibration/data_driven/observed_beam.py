@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
@@ -68,12 +68,12 @@ class ObservedBeam:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             A time lies outside of the recording.
         """
         first, last = self.time_s[0], self.time_s[-1]
         if len(time_s) and (np.min(time_s) < first or np.max(time_s) > last):
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"exposures from {np.min(time_s):.3f} to {np.max(time_s):.3f} s, recording from {first:.3f} to {last:.3f} s:"
                 " the panel's clock is not the loop's, or the recording is another run's"
             )
@@ -88,14 +88,14 @@ def unobserved_beam(machine: Machine, recording: Recording) -> ObservedBeam:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         A position is missing.
     """
     names = [f"link_position_{axis}" if f"link_position_{axis}" in recording else f"position_{axis}" for axis in machine.axes]
     positions = recording.matrix(names)
     if not np.isfinite(positions).all():
         row = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-        raise UnusableInput(f"the recording's axis positions are missing in row {row}; without an observer nothing stands for them")
+        raise UnusableInputError(f"the recording's axis positions are missing in row {row}; without an observer nothing stands for them")
     swings = np.repeat([UNOBSERVED_M, UNOBSERVED_RAD], 3)
     return ObservedBeam(recording.time, positions, np.zeros((len(positions), 9)), _load(machine, positions), swings)
 
@@ -105,7 +105,7 @@ def observed_beam(machine: Machine, recording: Recording) -> ObservedBeam:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         There are none, or one of them is not a number.
     """
     link = [f"estimate_link_position_{axis}" for axis in machine.axes]
@@ -113,13 +113,13 @@ def observed_beam(machine: Machine, recording: Recording) -> ObservedBeam:
     turned = [f"estimate_detector_{name}" for name in ("x", "y", "z", "rx", "ry", "rz")]
     absent = [name for name in (*link, *nine, *turned) if name not in recording]
     if absent:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"the recording has no {absent[0]}: run the observer along with the scan (--observer), or over it (isocenter observe)"
         )
     values = recording.matrix([*link, *nine])
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-        raise UnusableInput(f"the recording's estimates are not numbers from row {row} on; observe it again")
+        raise UnusableInputError(f"the recording's estimates are not numbers from row {row} on; observe it again")
     axes = len(machine.axes)
     positions, parameters = values[:, :axes], values[:, axes:]
     # The observer speaks of the detector's frame at position zero; here orientations are in the world's.

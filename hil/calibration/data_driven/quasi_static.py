@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.nominal import imaging_geometry, nominal_beam
 from hil.machine import Machine
 
@@ -64,13 +64,15 @@ class QuasiStatic:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             No [geometry], or an axis that is not revolute.
         """
         imaging_geometry(machine)
         for units in machine.units:
             if units.position != "rad":
-                raise UnusableInput(f"{machine.name}: axis {units.axis} is in {units.position}; data-driven calibration knows turning axes")
+                raise UnusableInputError(
+                    f"{machine.name}: axis {units.axis} is in {units.position}; data-driven calibration knows turning axes"
+                )
         names, prior, between = [], [], []
 
         def add(where: str, place: float, turn: float | None, changes: tuple[float, float] | None = None) -> None:

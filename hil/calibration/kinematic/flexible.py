@@ -12,7 +12,7 @@ from controllers.models.flexible_chain import SOURCE_NAMES, FlexibleChain
 from hil.calibration.kinematic.identify import free_parameters
 from hil.calibration.kinematic.observable import NullCombination, combinations_seen, fit_seen
 from hil.calibration.use.lookup_table import LookUp
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.geometry import ConeBeam
 
 TOLERANCE = {"m": 5e-3, "rad": 0.02, "-": 0.01}
@@ -99,16 +99,18 @@ def fit_flexible(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Fewer equations than parameters, an unknown name in `frozen`, or parallel moving axes.
-    BadAnswer
+    BadAnswerError
         The iteration does not converge.
     """
     held = _source_held(covariance)
     used = SIX if held else NINE
     free = free_parameters(start.chain, start.names, start.angles(positions), {*frozen, *(SOURCE_NAMES if held else ())})
     if used.size * len(positions) <= free.size:
-        raise UnusableInput(f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more")
+        raise UnusableInputError(
+            f"{len(positions)} exposures give {used.size * len(positions)} equations for {free.size} parameters; take more"
+        )
     nominal, tolerance = start.values, tolerances(start)
     values, unmodelled = nominal, FIRST_UNMODELLED_M
     for _ in range(ROUNDS):
@@ -221,15 +223,17 @@ def joined(tables: Sequence[LookUp]) -> LookUp:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Six and nine parameters, or other axes, side by side.
     """
     first = tables[0]
     for table in tables[1:]:
         if table.axes != first.axes:
-            raise UnusableInput(f"one table is over {', '.join(first.axes)}, another over {', '.join(table.axes)}; calibrate one machine")
+            raise UnusableInputError(
+                f"one table is over {', '.join(first.axes)}, another over {', '.join(table.axes)}; calibrate one machine"
+            )
         if bool(table.notes.get("six")) != bool(first.notes.get("six")):
-            raise UnusableInput("one table has six parameters, another nine; calibrate the phantom the same way for all")
+            raise UnusableInputError("one table has six parameters, another nine; calibrate the phantom the same way for all")
     return replace(
         first,
         positions=np.concatenate([table.positions for table in tables]),

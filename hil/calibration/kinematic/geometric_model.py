@@ -15,7 +15,7 @@ from controllers.models.flexible_chain import FlexibleChain
 from hil.calibration.kinematic.flexible import beam_of
 from hil.calibration.kinematic.nominal_chain import nominal_chain
 from hil.calibration.use.lookup_table import LookUp, look_up_from
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
@@ -49,10 +49,10 @@ class GeometricModel:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
         """
         if machine.name != self.machine.name or machine.axes != self.machine.axes:
-            raise UnusableInput(f"the model is of {self.machine.name}; calibrate {machine.name}")
+            raise UnusableInputError(f"the model is of {self.machine.name}; calibrate {machine.name}")
 
     def at(self, positions: np.ndarray) -> np.ndarray:
         """(M, 9) deviations from the nominal geometry at positions (M, axes), as `ConeBeam.moved` takes them; static poses."""
@@ -97,7 +97,7 @@ def read_calibration(path: Path, machine: Machine) -> Calibration:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, neither of the two, or another machine's.
     """
     arrays = read_arrays(path, "a calibration of isocenter calibrate phantom or model")
@@ -112,16 +112,18 @@ def _model(path: Path, machine: Machine, arrays: Mapping[str, np.ndarray]) -> Ge
     size = len(chain.names)
     try:
         if int(arrays["format"]) != FORMAT:
-            raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+            raise UnusableInputError(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
         notes = json.loads(str(arrays["notes"]))
         made_for, names = notes["machine"], tuple(str(name) for name in arrays["names"])
         values, covariance = arrays["values"], arrays["covariance"]
-    except UnusableInput:
+    except UnusableInputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
-        raise UnusableInput(f"{path}: no model of isocenter calibrate model ({error})") from None
+        raise UnusableInputError(f"{path}: no model of isocenter calibrate model ({error})") from None
     if made_for != machine.name or names != chain.names:
-        raise UnusableInput(f"{path}: a model of {made_for} with {len(names)} parameters; {machine.name} has {size}")
+        raise UnusableInputError(f"{path}: a model of {made_for} with {len(names)} parameters; {machine.name} has {size}")
     if values.shape != (size,) or covariance.shape != (size, size):
-        raise UnusableInput(f"{path}: values and covariance must be of {size} parameters; they are {values.shape} and {covariance.shape}")
+        raise UnusableInputError(
+            f"{path}: values and covariance must be of {size} parameters; they are {values.shape} and {covariance.shape}"
+        )
     return GeometricModel(machine, chain.with_values(values), covariance, notes)

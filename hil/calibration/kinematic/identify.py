@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.models.denavit_hartenberg import DenavitHartenberg
 from hil.calibration.kinematic.observable import NullCombination, fit_seen
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 
 PARALLEL = 0.05
 """Consecutive moving axes with |sin(alpha)| below this need Hayati's parameter, which the chain does not have."""
@@ -93,17 +93,17 @@ def identify_kinematics(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Fewer equations than parameters, an unknown name in `frozen`, or parallel moving axes.
-    BadAnswer
+    BadAnswerError
         The iteration does not converge.
     """
     angles = np.atleast_2d(np.asarray(angles, dtype=float))
     if angles.shape[1] != len(start.joints):
-        raise UnusableInput(f"{angles.shape[1]} angles a pose; the chain has {len(start.joints)} joints: {', '.join(start.joints)}")
+        raise UnusableInputError(f"{angles.shape[1]} angles a pose; the chain has {len(start.joints)} joints: {', '.join(start.joints)}")
     free = free_parameters(start, start.names, angles, frozen)
     if 6 * len(angles) < free.size:
-        raise UnusableInput(f"{len(angles)} poses give {6 * len(angles)} equations for {free.size} parameters; measure more poses")
+        raise UnusableInputError(f"{len(angles)} poses give {6 * len(angles)} equations for {free.size} parameters; measure more poses")
     weight = 1.0 / np.repeat([noise.position_m, noise.angle_rad], 3)
     origin = start.values
 
@@ -139,17 +139,17 @@ def free_parameters(chain: DenavitHartenberg, names: Sequence[str], angles: np.n
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         An unknown name, or parallel moving axes.
     """
     unknown = sorted(set(frozen) - set(names))
     if unknown:
-        raise UnusableInput(f"unknown parameters {', '.join(unknown)}; the model has {', '.join(names)}")
+        raise UnusableInputError(f"unknown parameters {', '.join(unknown)}; the model has {', '.join(names)}")
     moves = np.ptp(angles, axis=0) > MOVES_RAD
     moving = np.flatnonzero(moves)
     for first, second in pairwise(moving):
         if second == first + 1 and abs(np.sin(chain.table[first, 2])) < PARALLEL:
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"axes {chain.joints[first]} and {chain.joints[second]} are parallel (alpha {chain.table[first, 2]:.4g} rad);"
                 " Denavit-Hartenberg parameters cannot say where the one is from the other"
             )

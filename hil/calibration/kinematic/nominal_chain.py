@@ -10,7 +10,7 @@ from controllers.models.denavit_hartenberg import DenavitHartenberg
 from controllers.models.flexible_chain import AT_PANEL, AT_TUBE, IN_CHAIN, ElasticJoint, FlexibleChain
 from controllers.models.gravity import GravityTree
 from controllers.models.motions import frames_of
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.nominal import body_frame, imaging_geometry, nominal_beam
 from hil.machine import Machine
 from virtual_bus.settings import Body
@@ -35,7 +35,7 @@ def nominal_chain(machine: Machine) -> FlexibleChain:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No [geometry], a sliding axis on the way to the panel, or an axis that moves tube and panel apart.
     """
     geometry = imaging_geometry(machine)
@@ -47,9 +47,9 @@ def nominal_chain(machine: Machine) -> FlexibleChain:
             continue
         axis = machine.axes[driven[body.joint.name]]
         if body.joint.kind != "revolute":
-            raise UnusableInput(f"{machine.name}: {axis} slides; the kinematic model knows turning axes")
+            raise UnusableInputError(f"{machine.name}: {axis} slides; the kinematic model knows turning axes")
         if body not in panel_path or body not in tube_path:
-            raise UnusableInput(f"{machine.name}: {axis} moves tube and panel apart; the kinematic model holds them together")
+            raise UnusableInputError(f"{machine.name}: {axis} moves tube and panel apart; the kinematic model holds them together")
     on_the_way = [body for body in panel_path if body.joint is not None and body.joint.name in driven]
     zero = np.zeros((1, len(machine.axes)))
     frame = {name: _pose(machine, name, zero) for name in bodies}

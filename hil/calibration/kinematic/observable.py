@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 
 VISIBLE = 1e-6
 """Singular values of the scaled Jacobian below this share of the largest are null: rounding leaves 1e-16, the weakest seen combination of
@@ -82,7 +82,7 @@ def fit_seen(
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         The iteration does not converge.
     """
     values, damping = origin.copy(), FIRST_DAMPING
@@ -108,7 +108,7 @@ def fit_seen(
         if fall <= CONVERGED * cost:
             break
     else:
-        raise BadAnswer(f"no convergence in {MOST_STEPS} steps; the start is too far off, or the angles are of other exposures")
+        raise BadAnswerError(f"no convergence in {MOST_STEPS} steps; the start is too far off, or the angles are of other exposures")
     seen = _seen(jacobian_of(values)[:, free])
     covariance = np.zeros((len(origin), len(origin)))
     half = seen.to_parameters / seen.s

@@ -11,7 +11,7 @@ from hil.calibration.kinematic.flexible import tolerances
 from hil.calibration.kinematic.identify import free_parameters
 from hil.calibration.kinematic.nominal_chain import nominal_chain
 from hil.calibration.kinematic.observable import NullCombination, combinations_seen
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.experiments import Tour
 from hil.machine import Machine
 
@@ -88,7 +88,7 @@ def propose_scan(machine: Machine, model: FlexibleChain, sweeps: int, exposures:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         An axis without limits.
     """
     axes, ends = _range(machine, model, share)
@@ -123,14 +123,14 @@ def grid_tour(machine: Machine, step: float, share: float, pace: float, dwell_s:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         An axis without limits, or more poses than anybody waits for.
     """
     axes, ends = _range(machine, nominal_chain(machine), share)
     lines = {k: np.linspace(ends[k, 0], ends[k, 1], int(np.ceil(np.ptp(ends[k]) / step)) + 1) for k in axes}
     count = int(np.prod([len(line) for line in lines.values()]))
     if count > MOST_POSES:
-        raise UnusableInput(f"a step of {np.degrees(step):g} deg makes {count} poses; at most {MOST_POSES}")
+        raise UnusableInputError(f"a step of {np.degrees(step):g} deg makes {count} poses; at most {MOST_POSES}")
     poses: list[dict[str, float]] = [{}]
     for axis, line in lines.items():
         poses = [
@@ -144,7 +144,7 @@ def _range(machine: Machine, model: FlexibleChain, share: float) -> tuple[list[i
     axes = [k for k, row in enumerate(model.driven) if row >= 0]
     limits = np.array([[limit.lower, limit.upper] for limit in machine.limits])
     if not np.isfinite(limits[axes]).all():
-        raise UnusableInput(f"{machine.name}: its file has no limits.AXIS.range_deg; a calibration stays within it")
+        raise UnusableInputError(f"{machine.name}: its file has no limits.AXIS.range_deg; a calibration stays within it")
     ends = np.zeros_like(limits)
     middle = limits[axes].mean(axis=1, keepdims=True)
     ends[axes] = middle + share * (limits[axes] - middle)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.marker.scan import calibrate_marker, nominal_marker
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import MarkerPlate, MarkerProjection
 from hil.imaging.scan_folder import ImageScan
@@ -85,18 +85,18 @@ def spot_track(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Too few exposures, or the machine moved.
     """
     if len(scan) < FEWEST:
-        raise UnusableInput(f"{scan.folder}: {len(scan)} exposures; a spectrum of the focal spot needs {FEWEST} at least")
+        raise UnusableInputError(f"{scan.folder}: {len(scan)} exposures; a spectrum of the focal spot needs {FEWEST} at least")
     if np.nanmax(np.ptp(scan.positions, axis=0), initial=0.0) > STOOD_RAD:
-        raise UnusableInput(f"{scan.folder}: the axes moved during the exposures; the focal spot is followed on a machine at rest")
+        raise UnusableInputError(f"{scan.folder}: the axes moved during the exposures; the focal spot is followed on a machine at rest")
     count = len(scan)
     first = calibrate_marker(scan, plate, nominal_marker(beam, distance_m), jobs=jobs, progress=lambda done, _: progress(done, 2 * count))
     if first.unusable:
         number, reason = next(iter(first.unusable.items()))
-        raise UnusableInput(f"{scan.folder}: exposure {number} shows no plate: {reason}")
+        raise UnusableInputError(f"{scan.folder}: exposure {number} shows no plate: {reason}")
     held = MarkerProjection(np.median(first.values, axis=0))
     offsets = ("offset_x", "offset_y")
     found = calibrate_marker(scan, plate, [held] * count, offsets, jobs, lambda done, _: progress(count + done, 2 * count))

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.calibration.marker.image_quality import ImageQuality, quality_of
 from hil.calibration.marker.tube_to_panel import LINEAR, NONLINEAR, MarkerFit, fit_marker, fit_marker_linear
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import write_arrays
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection, find_marker
@@ -79,7 +79,7 @@ def calibrate_marker(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No image shows the plate, or the parameters cannot be told apart.
     """
     look = partial(_look, scan, plate, list(nominal), tuple(free))
@@ -105,7 +105,7 @@ def calibrate_marker(
     else:
         take(map(look, range(count)))
     if len(unusable) == count:
-        raise UnusableInput(f"{scan.folder}: no image of {count} could be used; the first: {unusable[0]}")
+        raise UnusableInputError(f"{scan.folder}: no image of {count} could be used; the first: {unusable[0]}")
     names = tuple(name for name in PARAMETERS if name in free)
     nominal_values = np.array([each.values for each in nominal])
     seen = ImageQuality(quality[:, 0], quality[:, 1:])
@@ -122,7 +122,7 @@ def _look(
         if set(free) == set(LINEAR):
             return fit_marker_linear(found, plate, scan.detector, nominal[k], SPOT_M), found
         return fit_marker(found, plate, scan.detector, nominal[k], free, SPOT_M), found
-    except UnusableInput as error:
+    except UnusableInputError as error:
         return str(error)
 
 

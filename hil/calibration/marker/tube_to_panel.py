@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers import MarkerPlate, MarkerPoints, MarkerProjection
 from hil.imaging.markers.projection import PARAMETERS
@@ -82,7 +82,7 @@ def fit_marker(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         A name that is none, or parameters that this image cannot tell apart.
     """
     columns = _columns(free)
@@ -125,9 +125,9 @@ def fit_marker_linear(
 def _columns(free: Sequence[str]) -> list[int]:
     unknown = [name for name in free if name not in PARAMETERS]
     if unknown or not free:
-        raise UnusableInput(f"{', '.join(unknown) or 'nothing'} to fit: the parameters of a marker are {', '.join(PARAMETERS)}")
+        raise UnusableInputError(f"{', '.join(unknown) or 'nothing'} to fit: the parameters of a marker are {', '.join(PARAMETERS)}")
     if {"focal_length", "plate_distance"} <= set(free):
-        raise UnusableInput("focal_length and plate_distance: a flat plate shows their ratio alone; hold one of them")
+        raise UnusableInputError("focal_length and plate_distance: a flat plate shows their ratio alone; hold one of them")
     return [k for k, name in enumerate(PARAMETERS) if name in free]
 
 
@@ -169,7 +169,7 @@ def _result(
     if strength[-1] < 1e-10 * strength[0] or (np.sqrt(np.diag(of_free)) > limit).any():
         strongest = np.argsort(-np.abs(combinations[-1]))[:3]
         together = [PARAMETERS[columns[k]] for k in strongest if abs(combinations[-1, k]) > 0.1]
-        raise UnusableInput(f"{', '.join(together)}: this image cannot tell them apart; hold one of them")
+        raise UnusableInputError(f"{', '.join(together)}: this image cannot tell them apart; hold one of them")
     full = np.zeros((9, 9))
     full[np.ix_(columns, columns)] = of_free
     projection = MarkerProjection(values)

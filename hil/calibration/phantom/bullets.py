@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.pixels import without_dead_pixels
 
 SHADOW = 0.5
@@ -51,7 +51,7 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The image is saturated, empty or not of two dimensions.
     """
     image = _usable(image)
@@ -96,13 +96,15 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
 
 def _usable(image: np.ndarray) -> np.ndarray:
     if image.ndim != 2:
-        raise UnusableInput(f"an image has rows and columns; this one has shape {image.shape}")
+        raise UnusableInputError(f"an image has rows and columns; this one has shape {image.shape}")
     values = np.asarray(image, dtype=float)
     full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
     if np.mean(values >= full) > 0.05:
-        raise UnusableInput(f"{np.mean(values >= full):.0%} of the pixels are saturated at {full}; expose less")
+        raise UnusableInputError(f"{np.mean(values >= full):.0%} of the pixels are saturated at {full}; expose less")
     if values.max() <= 0.0 or np.median(values) < 20.0:
-        raise UnusableInput(f"the image is dark (median {np.median(values):g} counts); a calibration needs a few hundred photons a pixel")
+        raise UnusableInputError(
+            f"the image is dark (median {np.median(values):g} counts); a calibration needs a few hundred photons a pixel"
+        )
     return values
 
 

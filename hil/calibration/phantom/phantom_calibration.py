@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.calibration.phantom.bullets import find_bullets
 from hil.calibration.phantom.pose import PoseFit, fit_poses, observe
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.phantoms import BulletPhantom
@@ -62,11 +62,11 @@ def look_for_bullets(
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Unusable images.
     """
     if len(nominal) != len(scan):
-        raise UnusableInput(f"{len(scan)} exposures, expected geometry of {len(nominal)}")
+        raise UnusableInputError(f"{len(scan)} exposures, expected geometry of {len(nominal)}")
     look = partial(_look, scan, phantom, nominal)
     observed = np.full((len(scan), len(phantom.centers_m), 2), np.nan)
     sigma = np.full((len(scan), len(phantom.centers_m)), np.nan)
@@ -92,7 +92,7 @@ def bullets_seen(image: np.ndarray, detector: Detector, phantom: BulletPhantom, 
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Unusable image.
     """
     to_phantom = np.linalg.norm(nominal.source_m[0] - nominal.phantom_m[0])

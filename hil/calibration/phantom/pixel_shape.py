@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 
@@ -49,12 +49,12 @@ class PixelFit:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             No exposure could be used.
         """
         good = np.isfinite(self.covariance[:, 9, 9])
         if not good.any():
-            raise UnusableInput(f"no exposure shows {FEWEST} bullets; aspect and skew cannot be fitted")
+            raise UnusableInputError(f"no exposure shows {FEWEST} bullets; aspect and skew cannot be fitted")
         values, sigma = [], []
         for number, each in ((9, self.aspect), (10, self.skew)):
             deviation = np.sqrt(self.covariance[good, number, number])

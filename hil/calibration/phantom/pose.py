@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 
@@ -113,18 +113,20 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Shapes that do not belong together, or no exposure with enough bullets.
     """
     count, bullets = len(start), len(points_m)
     if observed_m.shape != (count, bullets, 2) or sigma_m.shape != (count, bullets):
-        raise UnusableInput(f"observations {observed_m.shape}, deviations {sigma_m.shape}; {count} exposures of {bullets} bullets differ")
+        raise UnusableInputError(
+            f"observations {observed_m.shape}, deviations {sigma_m.shape}; {count} exposures of {bullets} bullets differ"
+        )
     fitted = NINE if nine else SIX
     size = 9 if nine else 6
     present = np.isfinite(observed_m).all(axis=2) & np.isfinite(sigma_m)
     needed = FEWEST["nine" if nine else "six"]
     if not (present.sum(axis=1) >= needed).any():
-        raise UnusableInput(
+        raise UnusableInputError(
             f"no exposure shows {needed} bullets (the most is {int(present.sum(axis=1).max(initial=0))}); is the phantom in the beam?"
         )
     beam = start

@@ -13,7 +13,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import QhullError
 
 from hil.calibration.phantom.pose import PoseFit
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.imaging.geometry import ConeBeam
 from hil.machine import Machine
@@ -84,12 +84,12 @@ class LookUp:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             Another machine's name, other axes, or another order of them.
         """
         made_for = self.notes.get("machine", machine.name)
         if made_for != machine.name or self.axes != machine.axes:
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"the look-up table is of {made_for} with axes {', '.join(self.axes)};"
                 f" {machine.name} has {', '.join(machine.axes)}: calibrate this machine"
             )
@@ -106,7 +106,7 @@ class LookUp:
 
         Raises
         ------
-        UnusableInput
+        UnusableInputError
             A position is outside of what was calibrated.
         """
         positions = np.atleast_2d(positions)
@@ -114,7 +114,7 @@ class LookUp:
         for k in range(len(self.axes)):
             off = np.abs(positions[:, k] - np.median(self.positions[:, k])).max()
             if k not in moved and off > STANDS:
-                raise UnusableInput(
+                raise UnusableInputError(
                     f"{self.axes[k]} stood at {np.median(self.positions[:, k]):.3f} in the calibration; the scan is {off:.3f} away."
                     " Calibrate this scan type"
                 )
@@ -126,10 +126,10 @@ class LookUp:
             found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
         except QhullError:
             named = " and ".join(self.axes[k] for k in moved)
-            raise UnusableInput(f"{len(self.positions)} poses that span no area of {named}; calibrate a grid of both") from None
+            raise UnusableInputError(f"{len(self.positions)} poses that span no area of {named}; calibrate a grid of both") from None
         if np.isnan(found).any():
             worst = positions[np.flatnonzero(np.isnan(found).any(axis=1))[0]]
-            raise UnusableInput(f"pose {np.round(worst, 3)} is outside of the calibrated grid; calibrate farther out")
+            raise UnusableInputError(f"pose {np.round(worst, 3)} is outside of the calibrated grid; calibrate farther out")
         return found
 
     def _along(self, axis: int, positions: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ class LookUp:
         known, wanted = self.positions[order, axis], positions[:, axis]
         step = np.max(np.diff(known), initial=0.0)
         if wanted.min() < known[0] - step or wanted.max() > known[-1] + step:
-            raise UnusableInput(
+            raise UnusableInputError(
                 f"{self.axes[axis]} goes from {wanted.min():.3f} to {wanted.max():.3f}; calibrated from {known[0]:.3f} to {known[-1]:.3f}"
             )
         return np.column_stack([np.interp(wanted, known, self.deviation[order, k]) for k in range(9)])
@@ -148,14 +148,14 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The scan's axis positions are not known, or most exposures do not fit the phantom.
     """
     if np.isnan(positions).any():
-        raise UnusableInput("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
+        raise UnusableInputError("the exposures have no axis positions; give the recording of the scan, a look-up table goes by position")
     good = fit.good
     if good.sum() < FEWEST_SHARE * len(good):
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected: is it this phantom, are the images those of"
             " these positions, in their order and not mirrored?"
         )
@@ -167,13 +167,15 @@ def standing(table: LookUp) -> LookUp:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No two exposures in a row at one pose.
     """
     moved = np.abs(np.diff(table.positions, axis=0)).max(axis=1, initial=0.0) > SAME_POSE
     runs = [run for run in np.split(np.arange(len(table.positions)), np.flatnonzero(moved) + 1) if len(run) >= 2]
     if not runs:
-        raise UnusableInput(f"no two exposures in a row within {SAME_POSE:g} rad (m): the machine never stood; use a tour with dwell_s")
+        raise UnusableInputError(
+            f"no two exposures in a row within {SAME_POSE:g} rad (m): the machine never stood; use a tour with dwell_s"
+        )
     names = ("positions", "deviation", "covariance")
     positions, deviation, covariance = ([getattr(table, name)[run].mean(axis=0) for run in runs] for name in names)
     covariance = [each / len(run) for each, run in zip(covariance, runs, strict=True)]
@@ -199,7 +201,7 @@ def read_look_up(path: Path) -> LookUp:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, or no look-up table.
     """
     return look_up_from(path, read_arrays(path, "a look-up table"))
@@ -214,26 +216,28 @@ def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         An array is missing or of another shape, or of another version.
     """
     try:
         if int(arrays["format"]) != FORMAT:
-            raise UnusableInput(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
+            raise UnusableInputError(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
         axes, notes = tuple(str(axis) for axis in arrays["axes"]), json.loads(str(arrays["notes"]))
         numbers = [np.asarray(arrays[name], dtype=float) for name in ("positions", "deviation", "covariance")]
         table = LookUp(axes, numbers[0], numbers[1], numbers[2], notes)
-    except UnusableInput:
+    except UnusableInputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
-        raise UnusableInput(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None
+        raise UnusableInputError(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None
     count = len(table.positions) if table.positions.ndim else 0
     shapes = (table.positions.shape, table.deviation.shape, table.covariance.shape)
     if not count or shapes != ((count, len(axes)), (count, 9), (count, 9, 9)) or not isinstance(notes, dict):
-        raise UnusableInput(f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance")
+        raise UnusableInputError(
+            f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance"
+        )
     if not all(np.isfinite(each).all() for each in numbers):
-        raise UnusableInput(f"{path}: a number is not finite; take the table as isocenter calibrate phantom wrote it")
+        raise UnusableInputError(f"{path}: a number is not finite; take the table as isocenter calibrate phantom wrote it")
     speed = notes.get("speed")
     if speed is not None and (not isinstance(speed, list) or len(speed) != len(axes) or not all(map(_is_speed, speed))):
-        raise UnusableInput(f"{path}: notes: speed = {speed!r}; it is a list of {len(axes)} numbers, null where none is known")
+        raise UnusableInputError(f"{path}: notes: speed = {speed!r}; it is a list of {len(axes)} numbers, null where none is known")
     return table

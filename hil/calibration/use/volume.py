@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 
@@ -35,18 +35,18 @@ def reconstruction_volume(beam: ConeBeam, detector: Detector) -> ReconstructionV
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         No point is seen by all exposures.
     """
     faces = _faces(beam, detector)
     inside = _deepest(faces)
     if inside is None:
-        raise BadAnswer("no point is seen by all exposures; their volumes do not overlap")
+        raise BadAnswerError("no point is seen by all exposures; their volumes do not overlap")
     try:
         corners = HalfspaceIntersection(faces, inside).intersections
         hull = ConvexHull(corners)
     except QhullError as error:
-        raise BadAnswer(f"the reconstruction volume has no extent: {str(error).splitlines()[0]}") from None
+        raise BadAnswerError(f"the reconstruction volume has no extent: {str(error).splitlines()[0]}") from None
     return ReconstructionVolume(corners[hull.vertices], float(hull.volume), max(0.0, float(-faces[:, 3].max())))
 
 

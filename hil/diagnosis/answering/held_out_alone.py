@@ -10,7 +10,7 @@ from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.residuals.mismatch import Mismatch
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.tuning.retune import Tuning, retune
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 
 FAR = 25.0
 """Misfit of held-out recordings, in units of the noise of training's repeats, from which no disturbance explains it: five times the rms. A
@@ -63,7 +63,7 @@ def only_held_out(runs: FreeRuns, tuning: Tuning, judged: HeldOut | None, found:
     with FreeRuns({TRAIN: found}, runs.noise, jobs) as own:
         try:
             tuned = retune(own)
-        except BadAnswer:  # it cannot be simulated along this motion, however it is tuned
+        except BadAnswerError:  # it cannot be simulated along this motion, however it is tuned
             return OnlyHeldOut()
         left = own.measured() - tuned.predicted
         misfit, entries = float(left @ left + tuned.offset @ tuned.offset), max(float(len(left)), 1.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from hil.files.toml_text import toml_text
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
@@ -25,7 +25,7 @@ def retuned_text(machine: Machine, parameters: Sequence[PlantParameter], values:
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         What was written does not read back as these parameters.
     """
     document = tomllib.loads(machine.text)
@@ -36,7 +36,7 @@ def retuned_text(machine: Machine, parameters: Sequence[PlantParameter], values:
     # by their order: a body and a sensor may have the same name
     for read, value in zip(plant_parameters(machine_from_text(text, machine.path).plant), values, strict=True):
         if abs(read.value - value) > AGREEMENT * max(abs(value), 1e-12):
-            raise BadAnswer(f"{machine.name}: re-tuned {read.name} = {value:g} cannot be written into its file")
+            raise BadAnswerError(f"{machine.name}: re-tuned {read.name} = {value:g} cannot be written into its file")
     return text
 
 

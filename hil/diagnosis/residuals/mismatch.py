@@ -107,7 +107,7 @@ def mismatch(
     RecordingError
         No recording, no channel in common with the simulation, a recording without one of `channels`, or a simulation cannot be driven by
         a recording.
-    BadAnswer
+    BadAnswerError
         The simulation diverged.
 
     Warns

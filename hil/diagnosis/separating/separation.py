@@ -30,7 +30,7 @@ from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.starting.candidates import setting_of
 from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.retune import LARGEST_CHANGE, PRIOR, Tuning
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from hil.experiments import Plan
 from hil.machine import Machine
 from hil.simulation import Inputs, Simulator
@@ -263,7 +263,7 @@ class Separation:
         """
         tuned = self._tuned(plan)
         if tuned is None:
-            raise BadAnswer("a hypothesis cannot be simulated along this plan; its separation is not known")
+            raise BadAnswerError("a hypothesis cannot be simulated along this plan; its separation is not known")
         recorded = self._runner.whitened(plan, measured)
         squares = np.array([self._distance(model, plan, tuned, recorded) ** 2 for model in self._models])
         excess = squares[1:] - squares[0]

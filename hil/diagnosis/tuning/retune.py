@@ -17,7 +17,7 @@ import numpy as np
 from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns, Trial
 from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.rigid_bodies import Shortage, rigid, shortages, some_are_short
-from hil.errors import BadAnswer
+from hil.errors import BadAnswerError
 from virtual_bus.plant.parameters import PlantParameter
 from virtual_bus.plant.same import Same
 from virtual_bus.settings import EffectSetting
@@ -155,7 +155,7 @@ def retune(runs: FreeRuns) -> Tuning:
 
     Raises
     ------
-    BadAnswer
+    BadAnswerError
         The nominal machine cannot be simulated.
     """
     indices = tunable(runs.parameters)
@@ -163,7 +163,7 @@ def retune(runs: FreeRuns) -> Tuning:
     runs.correct(Trial(runs.nominal))
     measured, predicted = runs.measured(), runs.run_one(Trial(runs.nominal))
     if predicted is None:
-        raise BadAnswer(f"{runs.machine.name}: its free run cannot be simulated; check the machine with `isocenter machine check`")
+        raise BadAnswerError(f"{runs.machine.name}: its free run cannot be simulated; check the machine with `isocenter machine check`")
     tuning = Tuning(
         runs.parameters, indices, scale, np.zeros(len(indices)), runs.nominal, predicted,
         np.zeros((len(predicted), len(indices))), np.eye(len(indices)),

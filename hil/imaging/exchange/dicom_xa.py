@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
@@ -71,7 +71,7 @@ def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = Non
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No pydicom, or the file cannot be written.
     """
     pydicom = _pydicom()
@@ -106,7 +106,7 @@ def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = Non
     try:
         pydicom.dcmwrite(path, data, enforce_file_format=True)
     except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def read_xa(path: Path) -> Positioner:
@@ -114,22 +114,22 @@ def read_xa(path: Path) -> Positioner:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         No pydicom, no DICOM file, or an attribute is missing or malformed.
     """
     pydicom = _pydicom()
     try:
         data = pydicom.dcmread(path, stop_before_pixels=True)
     except OSError as error:
-        raise UnusableInput(f"{path}: {error.strerror or error}") from None
+        raise UnusableInputError(f"{path}: {error.strerror or error}") from None
     except pydicom.errors.InvalidDicomError:
-        raise UnusableInput(f"{path}: no DICOM file") from None
+        raise UnusableInputError(f"{path}: no DICOM file") from None
     try:
         return _positioner(path, data)
-    except UnusableInput:
+    except UnusableInputError:
         raise
     except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise UnusableInput(f"{path}: an attribute is no number, or not as many as it should be ({error})") from None
+        raise UnusableInputError(f"{path}: an attribute is no number, or not as many as it should be ({error})") from None
 
 
 def _positioner(path: Path, data: Any) -> Positioner:
@@ -152,18 +152,18 @@ def _angles(path: Path, data: Any, name: str, count: int) -> np.ndarray:
     increments = data.get(f"Positioner{name}AngleIncrement")
     if increments is None or increments == "":
         if count > 1 and data.get("PositionerMotion") == "DYNAMIC":
-            raise UnusableInput(f"{path}: the positioner moves over {count} frames, and there is no Positioner{name}AngleIncrement")
+            raise UnusableInputError(f"{path}: the positioner moves over {count} frames, and there is no Positioner{name}AngleIncrement")
         return np.full(count, np.radians(first))
     values = np.atleast_1d(np.array(increments, dtype=float))
     if len(values) != count:
-        raise UnusableInput(f"{path}: {len(values)} values of Positioner{name}AngleIncrement for {count} frames")
+        raise UnusableInputError(f"{path}: {len(values)} values of Positioner{name}AngleIncrement for {count} frames")
     return np.radians(first + values)
 
 
 def _number(path: Path, data: Any, name: str) -> float:
     value = data.get(name)
     if value is None or value == "":
-        raise UnusableInput(f"{path}: no {name}; is it an X-ray angiography image?")
+        raise UnusableInputError(f"{path}: no {name}; is it an X-ray angiography image?")
     return float(value)
 
 

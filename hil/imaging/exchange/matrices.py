@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.scan_folder import detector_from
@@ -27,7 +27,7 @@ def write_matrices(path: Path, beam: ConeBeam, detector: Detector) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file cannot be written.
     """
     matrices = beam.matrices(detector) @ MILLIMETRES
@@ -43,7 +43,7 @@ def write_matrices(path: Path, beam: ConeBeam, detector: Detector) -> None:
             rows.writerow(HEADER)
             rows.writerows([k, *(repr(float(value)) for value in matrix.ravel())] for k, matrix in enumerate(matrices))
     except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
@@ -51,13 +51,13 @@ def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, of another form, or a matrix that is no projection with square-angled axes on this detector.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+        raise UnusableInputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if path.suffix.lower() == ".json":
         matrices, detector = _from_json(path, text, detector)
     else:
@@ -65,7 +65,7 @@ def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
     try:
         beam = ConeBeam.from_matrices(matrices @ np.linalg.inv(MILLIMETRES), detector)
     except ValueError as error:
-        raise UnusableInput(f"{path}: {error}") from None
+        raise UnusableInputError(f"{path}: {error}") from None
     _same(path, beam, matrices, detector)
     return beam, detector
 
@@ -78,7 +78,7 @@ def _same(path: Path, beam: ConeBeam, matrices: np.ndarray, detector: Detector) 
     off = np.abs(seen[..., :2] / seen[..., 2:] - again[..., :2] / again[..., 2:]).max(axis=(1, 2))
     if not off.max() < OFF_PIXELS:
         worst = int(np.argmax(np.nan_to_num(off, nan=np.inf)))
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{path}: matrix {worst} has other pixels than {1e3 * detector.pitch_m:g} mm with aspect {detector.aspect:g} and skew"
             f" {detector.skew:g} (points within 50 mm differ by {off[worst]:.2g} pixels); give the binning the images have"
         )
@@ -91,13 +91,13 @@ OFF_PIXELS = 1e-3
 def _from_csv(path: Path, text: str) -> np.ndarray:
     lines = list(csv.reader(text.splitlines()))
     if not lines or [cell.strip() for cell in lines[0]] != HEADER:
-        raise UnusableInput(f"{path}: the first line must be {','.join(HEADER)}")
+        raise UnusableInputError(f"{path}: the first line must be {','.join(HEADER)}")
     try:
         values = np.array([[float(cell) for cell in line[1:]] for line in lines[1:]])
     except ValueError as error:
-        raise UnusableInput(f"{path}: {error}") from None
+        raise UnusableInputError(f"{path}: {error}") from None
     if values.ndim != 2 or values.shape[1] != 12:
-        raise UnusableInput(f"{path}: no matrix; every line holds an exposure and twelve numbers")
+        raise UnusableInputError(f"{path}: no matrix; every line holds an exposure and twelve numbers")
     return values.reshape(-1, 3, 4)
 
 
@@ -105,14 +105,14 @@ def _from_json(path: Path, text: str, detector: Detector) -> tuple[np.ndarray, D
     try:
         document = json.loads(text)
         if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("unit") != "mm":
-            raise UnusableInput(f'{path}: must be {{"format": {FORMAT}, "unit": "mm", "matrices": [...]}}')
+            raise UnusableInputError(f'{path}: must be {{"format": {FORMAT}, "unit": "mm", "matrices": [...]}}')
         matrices = np.array(document["matrices"], dtype=float)
         if document.get("detector") is not None:
             detector = detector_from(path, document["detector"])
-    except UnusableInput:
+    except UnusableInputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
-        raise UnusableInput(f"{path}: no matrices ({type(error).__name__}: {error})") from None
+        raise UnusableInputError(f"{path}: no matrices ({type(error).__name__}: {error})") from None
     if matrices.ndim != 3 or matrices.shape[1:] != (3, 4) or not len(matrices):
-        raise UnusableInput(f"{path}: matrices must be of 3 rows and 4 columns each; this array has shape {matrices.shape}")
+        raise UnusableInputError(f"{path}: matrices must be of 3 rows and 4 columns each; this array has shape {matrices.shape}")
     return matrices, detector

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.geometry import ConeBeam
 
 ROOT = "RTKThreeDCircularGeometry"
@@ -36,7 +36,7 @@ def write_rtk(path: Path, beam: ConeBeam, rows_up: bool = False) -> None:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The file cannot be written.
     """
     root = ElementTree.Element(ROOT, version="3")
@@ -68,7 +68,7 @@ def write_rtk(path: Path, beam: ConeBeam, rows_up: bool = False) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UnusableInput(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise UnusableInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
@@ -76,27 +76,27 @@ def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         Missing, no such file, a cylindrical panel, or a source in the panel's plane.
     """
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
-        raise UnusableInput(f"{path}: {error.strerror or error}") from None
+        raise UnusableInputError(f"{path}: {error.strerror or error}") from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: no XML: {error}") from None
+        raise UnusableInputError(f"{path}: no XML: {error}") from None
     if root.tag != ROOT:
-        raise UnusableInput(f"{path}: <{root.tag}>; RTK's geometry is <{ROOT}>")
+        raise UnusableInputError(f"{path}: <{root.tag}>; RTK's geometry is <{ROOT}>")
     common = _numbers(path, root)
     found = [common | _numbers(path, each) for each in root.iter("Projection")]
     if not found:
-        raise UnusableInput(f"{path}: no <Projection>")
+        raise UnusableInputError(f"{path}: no <Projection>")
     if any(each.get("RadiusCylindricalDetector", 0.0) for each in found):
-        raise UnusableInput(f"{path}: a cylindrical detector; this version knows flat ones")
+        raise UnusableInputError(f"{path}: a cylindrical detector; this version knows flat ones")
     table = np.array([[each.get(name, 0.0) for name in (*LENGTHS, *OFFSETS, *ANGLES)] for each in found])
     distance, to_panel = table[:, 1], table[:, 0] - table[:, 1]
     if not np.isfinite(table).all() or (np.abs(distance) < 1e-6).any() or (np.sign(distance) != np.sign(distance[0])).any():
-        raise UnusableInput(f"{path}: SourceToDetectorDistance must be given, all of one sign and none zero")
+        raise UnusableInputError(f"{path}: SourceToDetectorDistance must be given, all of one sign and none zero")
     turns = Rotation.from_euler("yxz", -np.radians(table[:, [6, 8, 7]])).as_matrix()  # Rz Rx Ry
     source = 1e-3 * np.column_stack([table[:, 2:4], table[:, 0]])
     center = 1e-3 * np.column_stack([table[:, 4:6], to_panel])
@@ -118,7 +118,7 @@ def _numbers(path: Path, element: ElementTree.Element) -> dict[str, float]:
         try:
             result[child.tag] = float(child.text or "")
         except ValueError:
-            raise UnusableInput(f"{path}: <{child.tag}> {child.text!r} is no number") from None
+            raise UnusableInputError(f"{path}: <{child.tag}> {child.text!r} is no number") from None
     return result
 
 

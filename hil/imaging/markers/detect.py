@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import UnusableInput
+from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.hybrid_median import hybrid_median
 from hil.imaging.markers.lines import CoarseLine, Edges, edges_of, fit_edges, hough_lines, matched
@@ -81,7 +81,7 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
 
     Raises
     ------
-    UnusableInput
+    UnusableInputError
         The image is none of this detector, is dark or saturated, or shows too little of the plate.
     """
     counts = _usable(image, detector)
@@ -109,7 +109,7 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     bent = refused_lines(fine, plate, detector)
     refused |= crossed | bent
     if len(refused) > MOST_REFUSED * plate.lines:
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; is it this plate, and where"
             " it should be?"
         )
@@ -148,7 +148,7 @@ class _Expected:
         ends, before, after = (detector.to_pixels(expected.project(points)) for points in (ends_m, ends_m - aside, ends_m + aside))
         across = np.concatenate([(after - before)[:count, :, 0], (after - before)[count:, :, 1]]).mean(axis=1)
         if (across <= 0.0).any():
-            raise UnusableInput("the plate's x and y must run with the image's columns and rows; turn its frame by half a turn")
+            raise UnusableInputError("the plate's x and y must run with the image's columns and rows; turn its frame by half a turn")
         ends[:count] = ends[:count, :, ::-1]
         order = np.argsort(ends[:, :, 0], axis=1)
         return cls(np.take_along_axis(ends, order[..., None], axis=1), across)
@@ -160,12 +160,12 @@ class _Expected:
 
 def _usable(image: np.ndarray, detector: Detector) -> np.ndarray:
     if image.shape != (detector.rows, detector.columns):
-        raise UnusableInput(f"an image of shape {image.shape}; the detector has {detector.rows} rows and {detector.columns} columns")
+        raise UnusableInputError(f"an image of shape {image.shape}; the detector has {detector.rows} rows and {detector.columns} columns")
     full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
     if np.mean(image[::4, ::4] >= full) > 0.05:
-        raise UnusableInput(f"{np.mean(image >= full):.0%} of the pixels are saturated at {full}; expose less")
+        raise UnusableInputError(f"{np.mean(image >= full):.0%} of the pixels are saturated at {full}; expose less")
     if not np.isfinite(image[::4, ::4]).all() or float(np.median(image[::4, ::4])) < 5.0:
-        raise UnusableInput(f"the image is dark (median {np.median(image):g} counts); lines need 5 counts a pixel behind the metal")
+        raise UnusableInputError(f"the image is dark (median {np.median(image):g} counts); lines need 5 counts a pixel behind the metal")
     return np.ascontiguousarray(image, dtype=np.float32)
 
 
@@ -219,7 +219,7 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
     flat = len(lines) - upright
     if min(upright, flat) < 2 or len(lines) < 5:
         why = "; ".join(f"line {k}: {reason}" for k, reason in sorted(refused.items())[:3])
-        raise UnusableInput(
+        raise UnusableInputError(
             f"{upright} of {len(plate.x_m)} lines along y and {flat} of {len(plate.y_m)} along x of the {plate.name} plate are in the"
             f" image; two of each and five in all are needed ({why})"
         )

@@ -1,0 +1,75 @@
+"""The IMU over a real file descriptor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imu_wiring import IMU, PERIOD_S, PORT, no_wait
+from modbus_wiring import eventually
+
+from drivers.errors import BusUnavailableError
+from drivers.interface import Sample
+from drivers.serial.imu import ImuDriver
+from drivers.serial.stream import SerialStream
+from virtual_bus.serial.pty import Pty
+from virtual_bus.serial.xsens_imu import EmulatedImu
+
+
+def test_over_a_pseudo_terminal_the_driver_configures_and_reads():
+    pty = Pty()
+    device = EmulatedImu()
+    pty.write(device.power_on())  # old bytes in the port are dropped when it is opened
+    stream = SerialStream(pty.path, 921600)
+    driver = ImuDriver(replace(PORT, device=pty.path), stream)
+
+    def serve(seconds: float) -> None:
+        if pty.wait(seconds):
+            pty.write(device.receive(pty.read()))
+
+    driver.configure(serve)
+    sample = Sample(2)
+    for number in range(1, 50):
+        driver.before_sync()
+        packet = device.on_sync(IMU * number, number * PERIOD_S)
+        pty.write(packet[:11])
+        pty.write(packet[11:])
+        assert eventually(lambda: driver.poll(sample))  # the kernel hands bytes over in its own time
+        assert np.array_equal(sample.imu, IMU * number)
+    assert not driver.poll(sample)
+    assert driver.lost_packets == driver.late_packets == driver.checksum_errors == 0
+    stream.close()
+    pty.close()
+
+
+def test_a_line_that_is_hung_up_is_a_fault_in_words():
+    pty = Pty()
+    stream = SerialStream(pty.path, 921600)
+    driver = ImuDriver(PORT, stream)
+    sample = Sample(2)
+    assert not driver.poll(sample)
+    assert sample.imu_fault == ""
+    pty.close()
+
+    def fault_told():
+        assert not driver.poll(sample)
+        return "is gone" in sample.imu_fault
+
+    assert eventually(fault_told)
+    assert np.all(np.isnan(sample.imu))
+    with pytest.raises(BusUnavailableError, match="is gone"):
+        driver.configure(no_wait)
+    stream.close()
+
+
+def test_a_port_that_does_not_exist_is_named():
+    with pytest.raises(BusUnavailableError, match=r"/dev/no_such_port at 921600 baud: No such file or directory"):
+        SerialStream("/dev/no_such_port", 921600)
+
+
+def test_a_port_in_use_is_named():
+    pty = Pty()
+    first = SerialStream(pty.path, 921600)
+    with pytest.raises(BusUnavailableError, match=pty.path):
+        SerialStream(pty.path, 921600)
+    first.close()
+    pty.close()

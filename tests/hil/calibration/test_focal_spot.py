@@ -1,0 +1,69 @@
+"""The focal spot on a machine at rest: drift and wobble as the emulated tube has them, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from commands import isocenter
+
+from hil.calibration.marker.focal_spot import SpotTrack, spot_track
+from hil.calibration.marker.image_quality import ImageQuality
+from hil.errors import UnusableInputError
+from hil.imaging.detector import Detector
+from hil.imaging.geometry import ConeBeam
+from hil.imaging.markers import PLATES
+from hil.imaging.scan_folder import ImageScan
+
+
+def track(seconds=8.0, rate=30.0, wobble=7e-6, anode=48.3, drift=8e-6):
+    time = np.arange(0.1, seconds, 1.0 / rate)
+    averaged = wobble * np.sinc(anode * 0.008)
+    along = averaged * np.sin(2.0 * np.pi * anode * time + 0.3) + drift * (1.0 - np.exp(-(time - 0.1) / 4.0))
+    noise = np.random.default_rng(0).normal(0.0, 0.3e-6, (len(time), 2))
+    return SpotTrack(time, np.column_stack([along, np.zeros(len(time))]) + noise, np.full((len(time), 2), 0.3e-6), 0.008)
+
+
+def test_the_anode_shows_at_its_alias_with_its_own_amplitude():
+    seen = track()
+    alias, amplitude = seen.line(48.3)
+    assert alias == pytest.approx(11.7) and amplitude[0] == pytest.approx(7e-6, rel=0.03) and amplitude[1] < 0.2e-6
+    frequencies, amplitudes = seen.spectrum()
+    assert frequencies[np.argmax(amplitudes[:, 0])] == pytest.approx(11.7, abs=0.13)
+    assert seen.drift_m[0] == pytest.approx(8e-6 * (1.0 - np.exp(-7.8 / 4.0)), rel=0.1)
+
+
+def test_the_command_measures_the_emulated_tube(tmp_path):
+    still = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "1.2", "--truth", tmp_path / "t.csv", "-o", tmp_path / "r.mf4"]
+    assert isocenter(*still) == 0
+    shown = ["--truth", tmp_path / "t.csv", "--marker", "clinical", "--rate", "20", "-o", tmp_path / "images"]
+    assert isocenter("expose", "carm", tmp_path / "r.mf4", *shown) == 0
+    answers = ["--anode", "48.3", "--figure", tmp_path / "f.png", "--json", tmp_path / "a.json"]
+    assert isocenter("calibrate", "spot", "carm", tmp_path / "images", *answers) == 0
+    answer = json.loads((tmp_path / "a.json").read_text())
+    assert answer["anode_alias_Hz"] == pytest.approx(8.3, abs=0.01)
+    assert answer["anode_wobble_m"][0] == pytest.approx(10e-6, rel=0.15) and answer["anode_wobble_m"][1] < 1.5e-6
+    assert (tmp_path / "f.png").stat().st_size > 10_000
+
+
+def test_exposures_of_a_machine_that_moves_or_too_few_are_refused(tmp_path):
+    detector = Detector(64, 48, 1e-3)
+
+    def scan(count, ends):
+        places = np.column_stack([np.zeros(count), np.linspace(0.0, ends, count)])
+        return ImageScan(
+            tmp_path, detector, np.arange(count), 0.05 * np.arange(count), np.full(count, 8e-3), ("a", "b"), ("rad", "rad"), places, {}
+        )
+
+    beam = ConeBeam.from_parameters(np.zeros((1, 9)))
+    for count, ends, line in ((15, 0.0, "needs 16 at least"), (20, 0.1, "the axes moved during the exposures")):
+        with pytest.raises(UnusableInputError, match=line):
+            spot_track(scan(count, ends), PLATES["clinical"](), beam, 0.25)
+
+
+def test_an_exposure_that_is_blurred_or_noisy_stands_out():
+    generator = np.random.default_rng(1)
+    deviation, blur = 0.01 + generator.normal(0.0, 2e-4, 40), 1.2 + generator.normal(0.0, 0.01, (40, 2))
+    assert ImageQuality(deviation, blur).suspects == []
+    blur[7, 1] = 1.6
+    deviation[20] = 0.014
+    assert ImageQuality(deviation, blur).suspects == [7, 20]

@@ -1,0 +1,94 @@
+"""Whatever text an option is given: it is a value that can be written again, or the one line that says what would be right."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from bench_machines import CARM
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from drivers.errors import BusUnavailableError
+from drivers.modbus.transport import parse_io_url
+from hil.cli.options import edge_scale, parse_band, parse_pose, parse_whole_numbers
+from hil.errors import UnusableInputError
+
+ANY = st.text(max_size=40)
+NUMBER = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+def one_line(error: Exception, text: str) -> bool:
+    """It names what was given, and is a line if that was one."""
+    return text in str(error) and len(str(error).splitlines()) <= max(1, len(text.splitlines()) + 1)
+
+
+def nearly(*texts: str) -> st.SearchStrategy[str]:
+    """Any text, and texts of the pieces of a right one."""
+    return ANY | st.lists(st.sampled_from([*texts, "nan", "-inf", "1e999", "", " ", "٣"]), max_size=6).map("".join)
+
+
+@given(nearly("roll", "propeller", "=", ",", "30", "-1.5"))
+@example("roll=nan")
+@example("roll=30,roll=40")
+@example("=")
+def test_any_text_for_a_pose(text):
+    try:
+        pose = parse_pose(text, CARM)
+    except UnusableInputError as error:
+        assert one_line(error, text) and any(
+            right in str(error) for right in ("AXIS=NUMBER", "it has propeller, roll", "say where it is once")
+        )
+        return
+    again = ",".join(f"{axis}={value / edge_scale(CARM, axis)!r}" for axis, value in pose.items())
+    assert parse_pose(again, CARM) == pytest.approx(pose, rel=1e-15)
+    assert set(pose) <= set(CARM.axes) and all(map(math.isfinite, pose.values()))
+
+
+@given(st.dictionaries(st.sampled_from(CARM.axes), NUMBER))
+def test_a_pose_that_was_written_is_read(pose):
+    text = ",".join(f"{axis} = {degrees!r}" for axis, degrees in pose.items())
+    assert parse_pose(text, CARM) == pytest.approx({axis: math.radians(degrees) for axis, degrees in pose.items()}, rel=1e-15)
+
+
+@given(nearly("0.5", ":", "40", "-3"))
+@example("40:0.5")
+@example("1:2:3")
+@example("nan:1")
+def test_any_text_for_a_band(text):
+    try:
+        low, high = parse_band("--band", text)
+    except UnusableInputError as error:
+        assert one_line(error, text) and "LOW:HIGH" in str(error)
+        return
+    assert low < high and parse_band("--band", f"{low!r}:{high!r}") == (low, high)
+
+
+@given(nearly("1", ",", "35", "-3", "0", "+7"))
+@example("1,,2")
+@example("0")
+def test_any_text_for_whole_numbers(text):
+    try:
+        numbers = parse_whole_numbers("--lines", text)
+    except UnusableInputError as error:
+        assert one_line(error, text) and "whole numbers from 1" in str(error)
+        return
+    assert min(numbers) >= 1 and parse_whole_numbers("--lines", ",".join(map(str, numbers))) == numbers
+
+
+@given(nearly("tcp:", "rtu:", "host", ":", "502", "@", "/dev/ttyUSB0", "115200", "[::1]"))
+@example("tcp:[::1]:502")
+@example("tcp:host:0")
+@example("tcp:host:65536")
+@example("rtu:/dev/ttyUSB0@0")
+@example("tcp:[]:1")
+@example("tcp:host:٣")
+def test_any_text_for_where_the_io_is(text):
+    try:
+        kind, place, number = parse_io_url(text)
+    except BusUnavailableError as error:
+        assert "tcp:HOST:PORT or rtu:DEVICE@BAUD" in str(error) and "\n" not in str(error)
+        return
+    assert place and number > 0
+    again = f"tcp:[{place}]:{number}" if kind == "tcp" else f"rtu:{place}@{number}"
+    assert parse_io_url(again) == (kind, place, number)

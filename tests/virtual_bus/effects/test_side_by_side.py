@@ -1,0 +1,162 @@
+"""Several machines at a time: every one's answer is what it gives alone, whatever the others are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from effect_examples import EXAMPLES, ROWS, jog
+from places import CONCEALED_MACHINES
+
+from hil.diagnosis.residuals.simulated import smooth
+from hil.errors import BadAnswerError, BenchError
+from hil.machine import load_machine
+from hil.simulation import Inputs, Outputs, Simulator
+from virtual_bus.errors import EmulatorError
+from virtual_bus.plant.lanes import LANES
+from virtual_bus.settings import EffectSetting
+
+MACHINES = CONCEALED_MACHINES
+CARM = smooth(load_machine("carm"))
+PARTS = ("command", "effort", "position", "link_position", "speed", "imu")
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Simulator:
+    return Simulator(CARM)
+
+
+@pytest.fixture(scope="module")
+def inputs() -> Inputs:
+    return jog(CARM.sample_rate_Hz)
+
+
+def difference(one: object, other: Outputs) -> float:
+    """The largest, over the channels, in shares of each one's range."""
+    assert isinstance(one, Outputs), one
+    found = [0.0]
+    for name in PARTS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert np.array_equal(np.isnan(a), np.isnan(b))
+        if a.size and not np.isnan(b).all():
+            found.append(float(np.nanmax(np.abs(a - b)) / max(float(np.nanmax(np.abs(b - b[0]))), 1e-9)))
+    return max(found)
+
+
+def drawn(simulator: Simulator, seed: int) -> np.ndarray:
+    """Plant parameters within a hundredth of the nominal ones."""
+    nominal = simulator.plant.nominal
+    return nominal * (1.0 + 0.01 * np.random.default_rng(seed).uniform(-1.0, 1.0, len(nominal)))
+
+
+def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(simulator: Simulator, inputs: Inputs) -> None:
+    trials = [(drawn(simulator, seed), (setting,)) for seed, setting in enumerate(EXAMPLES.values())]
+    together = simulator.run_all(inputs, trials)
+    for (values, effects), answer in zip(trials, together, strict=True):
+        assert difference(answer, simulator.run(inputs, values, effects)) < 1e-7, effects
+    moved = [difference(answer, simulator.run(inputs, values, ())) for (values, _), answer in zip(trials, together, strict=True)]
+    assert min(moved) > 1e-6  # every one of them shows, and at its own place
+
+
+def test_pairs_of_effects_too(simulator: Simulator, inputs: Inputs) -> None:
+    names = ("coulomb_friction", "presliding_hysteresis", "axis_coupling", "delay", "clock_offset", "structural_mode", "torque_ripple")
+    trials = [(None, (EXAMPLES[one], EXAMPLES[other])) for one, other in pairwise(names)]
+    for (_, effects), answer in zip(trials, simulator.run_all(inputs, trials), strict=True):
+        assert difference(answer, simulator.run(inputs, None, effects)) < 1e-7, effects
+
+
+def test_an_answer_does_not_depend_on_what_is_asked_beside_it(simulator: Simulator, inputs: Inputs) -> None:
+    asked = (drawn(simulator, 1), (EXAMPLES["coulomb_friction"],))
+    others = [(drawn(simulator, seed), (EXAMPLES[name],)) for seed, name in enumerate(("delay", "cogging", "end_stop"), 2)]
+    first, *_ = simulator.run_all(inputs, [asked, others[0]])
+    *_, last = simulator.run_all(inputs, [*others, asked])
+    assert isinstance(first, Outputs) and isinstance(last, Outputs)
+    for name in PARTS:
+        np.testing.assert_array_equal(getattr(first, name), getattr(last, name))
+
+
+@pytest.mark.parametrize("count", [1, 2, LANES, LANES + 1])
+def test_as_many_answers_come_as_were_asked_for_in_their_order(simulator: Simulator, inputs: Inputs, count: int) -> None:
+    trials = [(drawn(simulator, seed), ()) for seed in range(count)]
+    for answer, trial in zip(simulator.run_all(inputs, trials), trials, strict=True):
+        assert difference(answer, simulator.run(inputs, *trial)) < 1e-7
+
+
+def test_one_that_diverges_says_when_and_leaves_the_others_alone(simulator: Simulator, inputs: Inputs) -> None:
+    unstable = EffectSetting("viscous_friction", "roll", {"Fv": -1e7})
+    wild, still = simulator.run_all(inputs, [(None, (unstable,)), (None, ())])
+    with pytest.raises(BadAnswerError) as alone:
+        simulator.run(inputs, None, (unstable,))
+    assert isinstance(wild, BadAnswerError) and "diverged at 0.0" in str(wild) and "diverged at 0.0" in str(alone.value)
+    assert difference(still, simulator.run(inputs)) < 1e-7
+
+
+def test_one_that_diverges_in_its_last_sample_is_found_out(simulator: Simulator, inputs: Inputs) -> None:
+    unstable = EffectSetting("viscous_friction", "roll", {"Fv": -1e7})
+    parts = (inputs.reference, inputs.excitation, inputs.feedforward)
+    first = replace(inputs, **dict(zip(("reference", "excitation", "feedforward"), (part[:1] for part in parts), strict=True)))
+    with pytest.raises(BadAnswerError, match="in its last sample"):
+        simulator.run(first, None, (unstable,))
+    wild, _ = simulator.run_all(first, [(None, (unstable,)), (None, ())])
+    assert isinstance(wild, BadAnswerError) and "in its last sample" in str(wild)
+
+
+def test_one_that_cannot_stand_says_so_in_its_place(simulator: Simulator, inputs: Inputs) -> None:
+    values = simulator.plant.with_values({"gravity.z_m_s2": -9e3})
+    _, answer, _ = simulator.run_all(inputs, [(None, ()), (values, ()), (None, ())])
+    assert isinstance(answer, (BenchError, EmulatorError))
+    with pytest.raises(type(answer)) as alone:
+        simulator.run(inputs, values)
+    assert str(alone.value) == str(answer)
+
+
+def test_an_imu_without_low_pass_is_run_alone_and_the_same(inputs: Inputs) -> None:
+    imus = tuple(replace(imu, accelerometer_bandwidth_Hz=0.0) for imu in CARM.plant.imus)
+    simulator = Simulator(replace(CARM, plant=replace(CARM.plant, imus=imus)))
+    for answer in simulator.run_all(inputs, [(None, ()), (None, ())]):
+        assert difference(answer, simulator.run(inputs)) == 0.0
+
+
+def test_lattices_and_targets_are_rounded_as_alone(inputs: Inputs) -> None:
+    machine = load_machine("carm")
+    simulator = Simulator(machine)
+    alone = simulator.run(inputs)
+    for answer in simulator.run_all(inputs, [(None, ()), (None, ())]):
+        assert isinstance(answer, Outputs)
+        for one, other, sensors in (
+            (answer.position, alone.position, machine.plant.encoders),
+            (answer.effort, alone.effort, machine.plant.currents),
+        ):
+            assert sensors[0].resolution > 0.0
+            is_other = np.abs(one - other) > 1e-6 * sensors[0].resolution  # unrounded, nearly all of them
+            assert np.mean(is_other) < 0.01  # a rounding error that falls on a step's edge is a step
+
+
+@pytest.mark.parametrize("name", ["slider", "spring_mass", "tilted_arm"])
+def test_machines_that_slide_or_have_no_imu_too(name: str) -> None:
+    machine = smooth(load_machine(str(MACHINES / f"{name}.toml")))
+    simulator, axes = Simulator(machine), len(machine.axes)
+    time_s = np.arange(ROWS) / machine.sample_rate_Hz
+    sweep = np.tile(0.02 * (1.0 - np.cos(2.0 * np.pi * 0.9 * time_s))[:, None], (1, axes))
+    excitation = 0.01 * np.random.default_rng(5).standard_normal((ROWS, axes))
+    friction = EffectSetting("coulomb_friction", machine.axes[0], {"Fc": 0.2})
+    command = None if machine.controllers else excitation
+    given = Inputs(None if command is not None else sweep, excitation, np.zeros((ROWS, axes)), command, np.zeros(axes))
+    for trial in ((None, ()), (None, (friction,)), (drawn(simulator, 3), (friction,))):
+        one, _ = simulator.run_all(given, [trial, (None, ())])
+        assert difference(one, simulator.run(given, *trial)) < 1e-7
+
+
+@pytest.mark.parametrize("name, largest", [("emps", 0.05), ("emps", 20.0), ("coupled_electric_drives", 0.5)])
+def test_an_open_loop_that_begins_in_motion_too_saturated_or_without_encoders(name: str, largest: float) -> None:
+    machine = smooth(load_machine(name))
+    simulator = Simulator(replace(machine, controllers=()))
+    time_s = np.arange(ROWS) / machine.sample_rate_Hz
+    still = np.zeros((ROWS, len(machine.axes)))
+    command = still + largest * np.sin(2.0 * np.pi * 3.0 * time_s)[:, None]
+    given = Inputs(None, still, still, command, still[0], start_speed=still[0] + 0.1)
+    trials = [(None, ()), (drawn(simulator, 1), ())]
+    for answer, trial in zip(simulator.run_all(given, trials), trials, strict=True):
+        assert difference(answer, simulator.run(given, *trial)) < 1e-7
