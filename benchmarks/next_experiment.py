@@ -40,7 +40,7 @@ from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
 RESULTS = Path(__file__).resolve().parent / "results" / "next_experiment.json"
-TABLE = Path(__file__).with_name("turntable.toml")
+TABLE = "turntable"
 FIRST_SEEDS, HELD_OUT_SEED, NEXT_SEEDS = range(1, 5), 11, range(21, 24)
 ROUNDS = 2
 SHAKEN_BY, SHAKEN_Nm = 16, 0.02

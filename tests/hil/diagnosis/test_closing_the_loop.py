@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import BENCHMARKS
 
 from hil.cli.app import main
 from hil.diagnosis import files
@@ -18,7 +17,7 @@ from hil.experiments import read_experiment
 from hil.machine import load_machine
 from hil.recording import read_recording
 
-TABLE = BENCHMARKS / "turntable.toml"
+TABLE = "turntable"
 CABLE = '[[effect]]\nname = "cable_spring"\nat = "turn"\nkc_Nm_rad = 2.0\nkc3_Nm_rad3 = 0.0\ntheta0_rad = 0.3\n'
 """Slack at 0.3 rad, far outside of a jog of 3 degrees, within which a weight on a lever pulls in the same way: of the same load and slope,
 its bend is 0.0008 Nm at the ends of the jog, and the table is shaken by 0.05 Nm."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from places import BENCHMARKS
 
 from hil.cli.app import main
 from hil.diagnosis.diagnose import diagnose
 from hil.machine import load_machine
 from hil.recording import read_recording
 
-TABLE = BENCHMARKS / "turntable.toml"
+TABLE = "turntable"
 FRICTION = '[[effect]]\nname = "coulomb_friction"\nat = "turn"\nFc_Nm = 0.3\n'
 
 

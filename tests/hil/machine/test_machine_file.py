@@ -58,7 +58,7 @@ def slide():
 
 
 def test_both_shipped_machines_are_listed():
-    assert set(list_shipped()) == {"carm", "coupled_electric_drives", "emps", "laas_anti_cogging", "silverbox"}
+    assert set(list_shipped()) == {"carm", "coupled_electric_drives", "emps", "laas_anti_cogging", "silverbox", "turntable"}
 
 
 def test_the_c_arm_has_the_contracts_axes_rate_and_units():

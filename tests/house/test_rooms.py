@@ -1,0 +1,177 @@
+"""No circle of files anywhere, and every room of `hil` knows only the rooms that it may."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+from test_floors import FLOORS, imports_of
+
+ROOMS: dict[str, tuple[str, ...]] = {
+    "errors": (),
+    "processes": (),
+    "files": (),
+    "machine": (),
+    "recording": ("files", "machine"),
+    "simulation": ("machine", "recording"),
+    "experiments": ("files", "machine", "simulation"),
+    "identification": ("files", "recording"),
+    "imaging": ("files", "machine"),
+    "calibration": ("experiments", "files", "imaging", "machine", "processes", "recording"),
+    "reconstruction": ("imaging",),
+    "shaping": ("experiments", "files", "identification", "machine"),
+    "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
+    "emulated": ("imaging", "machine", "processes", "recording"),
+    "receiving": ("calibration", "emulated", "imaging", "machine", "processes", "recording"),
+    "bench": ("emulated", "experiments", "machine", "observing", "processes", "recording"),
+    "diagnosis": ("experiments", "files", "machine", "processes", "recording", "simulation"),
+    "figures": ("calibration", "identification", "imaging", "observing", "reconstruction", "shaping"),
+    "terminal": ("recording",),
+    "demo": ("bench", "experiments", "figures", "identification", "machine", "recording", "simulation", "terminal"),
+    "cli": (
+        "bench",
+        "calibration",
+        "demo",
+        "diagnosis",
+        "emulated",
+        "experiments",
+        "figures",
+        "identification",
+        "imaging",
+        "machine",
+        "observing",
+        "processes",
+        "receiving",
+        "reconstruction",
+        "recording",
+        "shaping",
+        "simulation",
+        "terminal",
+    ),
+    "__main__": ("cli",),
+}
+"""What a room of `hil` may import beside itself and `errors`; each stands on rooms above it in this table."""
+
+
+def files_of(root: Path) -> dict[str, Path]:
+    """Every module of the four packages by its dotted name."""
+    found = {}
+    for floor in FLOORS:
+        for path in sorted((root / floor).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def graph_of(root: Path) -> dict[str, set[str]]:
+    """Which module imports which: in functions and under TYPE_CHECKING too."""
+    files = files_of(root)
+    graph: dict[str, set[str]] = {}
+    for name, path in files.items():
+        wanted = set()
+        for _, module in imports_of(path, root):
+            while module and module not in files:  # `from a.b import c` names a.b.c, where c may be no module
+                module = module.rpartition(".")[0]
+            wanted.add(module)
+        graph[name] = wanted - {name, ""}
+    return graph
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other, directly or through others (Tarjan 1972)."""
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    open_: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        number[node] = lowest[node] = len(number)
+        open_.append(node)
+        for other in sorted(graph[node]):
+            if other not in number:
+                visit(other)
+            if other in open_:
+                lowest[node] = min(lowest[node], lowest[other])
+        if lowest[node] == number[node]:
+            group = open_[open_.index(node) :]
+            del open_[-len(group) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, 4 * len(graph) + 1000))
+    try:
+        for node in graph:
+            if node not in number:
+                visit(node)
+    finally:
+        sys.setrecursionlimit(before)
+    return found
+
+
+def room_of(module: str) -> str:
+    """The room of a module of `hil`, "" for any other."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "hil" and len(parts) > 1 else ""
+
+
+def trespasses(root: Path) -> list[str]:
+    """Every import between rooms of `hil` that the table does not have, as `file:line imports module`."""
+    wrong = []
+    for name, path in files_of(root).items():
+        room = room_of(name)
+        if not room:
+            continue
+        for line, module in imports_of(path, root):
+            other = room_of(module)
+            if other and other not in (room, "errors", *ROOMS.get(room, ())):
+                wrong.append(f"{path.relative_to(root)}:{line} imports {module}")
+    return wrong
+
+
+def house(root: Path, files: dict[str, str]) -> Path:
+    """A small house with these files."""
+    for name, text in {"hil/__init__.py": "", **files}.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (path.parent / "__init__.py").touch()
+        path.write_text(text)
+    return root
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    assert circles(graph_of(ROOT)) == []
+
+
+def test_every_room_knows_only_rooms_that_it_may() -> None:
+    assert trespasses(ROOT) == []
+
+
+def test_every_room_has_a_row_and_stands_on_rooms_above_it() -> None:
+    rooms = {path.name for path in (ROOT / "hil").iterdir() if path.is_dir() and list(path.glob("*.py"))}
+    loose = {path.stem for path in (ROOT / "hil").glob("*.py")} - {"__init__"}
+    assert rooms | loose == set(ROOMS)
+    order = list(ROOMS)
+    assert [(room, other) for room, others in ROOMS.items() for other in others if order.index(other) >= order.index(room)] == []
+
+
+@pytest.mark.parametrize(
+    "late",
+    ["from hil.b import g\n", "def f():\n    from hil.b import g\n", "if TYPE_CHECKING:\n    import hil.b\n", "from hil import b\n"],
+)
+def test_a_circle_is_found(tmp_path: Path, late: str) -> None:
+    root = house(tmp_path, {"hil/a.py": late, "hil/b.py": "from hil.c import h\n", "hil/c.py": "import hil.a\n"})
+    assert circles(graph_of(root)) == [["hil.a", "hil.b", "hil.c"]]
+
+
+def test_a_package_that_imports_a_file_which_imports_it_is_a_circle(tmp_path: Path) -> None:
+    root = house(tmp_path, {"hil/room/inner.py": "from hil.room import public\n"})
+    (root / "hil/room/__init__.py").write_text("from hil.room.inner import public\n")
+    assert circles(graph_of(root)) == [["hil.room", "hil.room.inner"]]
+
+
+def test_a_trespass_is_found(tmp_path: Path) -> None:
+    root = house(tmp_path, {"hil/machine/load.py": "def late():\n    from hil.bench.open import open_bench\n"})
+    assert trespasses(root) == ["hil/machine/load.py:2 imports hil.bench.open.open_bench"]
