@@ -60,7 +60,7 @@ def score(places: Places, results: Path, numbers: Collection[int], *, partial: b
     table = {"seeds": places.seeds, "cases": len(judged), "missing": missing, "commits": commits, "judged_before": sorted(before)}
     table |= {"bars": bars, "strata": strata, "kinds": kinds, "curve": curve}
     table["cases_judged"] = [asdict(each) for each in judged]
-    (results / f"scores_{places.seeds}.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (results / f"scores_{places.seeds}.json").write_text(_in_lines(table), encoding="utf-8")
     draw_curves(curve, results / f"detectability_{places.seeds}.svg")
     return text(table)
 
@@ -248,3 +248,12 @@ def _curve(judged: list[Judgement]) -> list[dict[str, Any]]:
             "detected": [sum(each.found for each in detected), len(detected)], "named": [sum(each.right for each in named), len(named)],
         })  # fmt: skip
     return rows
+
+
+def _in_lines(table: dict[str, Any]) -> str:
+    """JSON with a line for every key, and for every entry of a list."""
+
+    def value(entry: Any) -> str:
+        return "[\n" + ",\n".join(json.dumps(each) for each in entry) + "\n]" if isinstance(entry, list) else json.dumps(entry)
+
+    return "{\n" + ",\n".join(f"{json.dumps(name)}: {value(entry)}" for name, entry in table.items()) + "\n}\n"

@@ -9,11 +9,15 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import zip_longest
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
 from hil.errors import UnusableInputError
+from hil.version import software_version
+
+if TYPE_CHECKING:
+    from typer._click.exceptions import ClickException
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 
@@ -35,6 +39,19 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        print(software_version())
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.", callback=_say_version, is_eager=True)] = False,
+) -> None:
+    """Take the options that stand before a command."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -102,17 +119,24 @@ def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         shown_by_python = warnings.showwarning
 
-        def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
             if category.__name__ == "RecordingWarning":  # by name: importing it takes longer than --help may
                 _say(str(message), 0)
             else:
-                shown_by_python(message, category, *where, **more)
+                shown_by_python(message, category, filename, lineno, file, line)
 
-        warnings.showwarning = show  # type: ignore[assignment]
+        warnings.showwarning = show
         yield
 
 
-def _say_usage(error: Any) -> int:
+def _say_usage(error: ClickException) -> int:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "isocenter"
     if type(error).__name__ == "NoArgsIsHelpError":  # a group without a command: its message is its whole help

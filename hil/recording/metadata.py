@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol
 
 from hil.errors import RecordingError
 from hil.files.toml_text import plain, toml_text
+from hil.version import software_version
 
 RECORDING_FORMAT = 1
 """Key `recording_format`: marks a TOML text as a recording's metadata, so that a machine file of the same name is not taken for it."""
@@ -25,14 +25,6 @@ class MachineFile(Protocol):
     def hash(self) -> str: ...
     @property
     def axes(self) -> tuple[str, ...]: ...
-
-
-def software_version() -> str:
-    """Name and version of what writes the recording."""
-    try:
-        return f"isocenter {version('isocenter')}"
-    except PackageNotFoundError:
-        return "isocenter"
 
 
 def machine_table(machine: MachineFile) -> dict[str, Any]:

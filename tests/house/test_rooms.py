@@ -11,10 +11,11 @@ from test_floors import FLOORS, imports_of
 
 ROOMS: dict[str, tuple[str, ...]] = {
     "errors": (),
+    "version": (),
     "processes": (),
     "files": (),
     "machine": (),
-    "recording": ("files", "machine"),
+    "recording": ("files", "machine", "version"),
     "simulation": ("machine", "recording"),
     "experiments": ("files", "machine", "simulation"),
     "identification": ("files", "recording"),
@@ -49,6 +50,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "shaping",
         "simulation",
         "terminal",
+        "version",
     ),
     "__main__": ("cli",),
 }
