@@ -27,26 +27,26 @@ def tracked_texts() -> list[Path]:
     return [ROOT / name for name in names if Path(name).suffix in text and (ROOT / name).is_file()]
 
 
-def test_no_file_is_longer_than_a_sitting():
+def test_no_file_is_longer_than_a_sitting() -> None:
     assert {str(path.relative_to(ROOT)): n for path in SOURCES if (n := len(path.read_text().splitlines())) > A_SITTING} == {}
 
 
-def test_nothing_is_left_unfinished():
+def test_nothing_is_left_unfinished() -> None:
     assert [str(path.relative_to(ROOT)) for path in SOURCES if UNFINISHED.search(path.read_text())] == []
 
 
-def test_no_two_files_of_tests_share_a_name():
-    """pytest imports them by their names alone and collects only the first."""
+def test_no_two_files_of_tests_share_a_name() -> None:
+    """Pytest imports them by their names alone and collects only the first."""
     names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
     assert sorted(name for name in set(names) if names.count(name) > 1) == []
 
 
-def test_no_path_of_one_persons_machine_is_tracked():
+def test_no_path_of_one_persons_machine_is_tracked() -> None:
     assert [str(path.relative_to(ROOT)) for path in tracked_texts() if PRIVATE_PATH.search(path.read_text(errors="replace"))] == []
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_every_module_and_public_definition_says_what_it_is(package):
+def test_every_module_and_public_definition_says_what_it_is(package: str) -> None:
     silent = []
     for path in SOURCES:
         if path.relative_to(ROOT).parts[0] != package:

@@ -49,7 +49,7 @@ def violations(root: Path) -> list[str]:
     return wrong
 
 
-def test_every_import_stays_on_its_floor_or_goes_down():
+def test_every_import_stays_on_its_floor_or_goes_down() -> None:
     assert violations(ROOT) == []
 
 
@@ -63,7 +63,7 @@ def test_every_import_stays_on_its_floor_or_goes_down():
         ("controllers/models/modal.py", "from virtual_bus.physics import Physics\n"),
     ],
 )
-def test_a_climbing_import_is_found(tmp_path, file, text):
+def test_a_climbing_import_is_found(tmp_path: Path, file: str, text: str) -> None:
     for floor in FLOORS:
         (tmp_path / floor).mkdir()
     (tmp_path / file).parent.mkdir(exist_ok=True)
@@ -71,7 +71,7 @@ def test_a_climbing_import_is_found(tmp_path, file, text):
     assert len(violations(tmp_path)) == 1
 
 
-def test_a_wire_agreement_may_be_shared(tmp_path):
+def test_a_wire_agreement_may_be_shared(tmp_path: Path) -> None:
     for floor in FLOORS:
         (tmp_path / floor).mkdir()
     (tmp_path / "virtual_bus/node.py").write_text("from drivers.canopen.eds import load_object_dictionary\n")

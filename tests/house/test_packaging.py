@@ -11,7 +11,7 @@ from places import ROOT
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_every_data_file_of_a_package_is_declared():
+def test_every_data_file_of_a_package_is_declared() -> None:
     declared = SETTINGS["tool"]["setuptools"]["package-data"]
     for package in ("hil", "drivers", "controllers", "virtual_bus"):
         for path in (ROOT / package).rglob("*"):
@@ -21,7 +21,7 @@ def test_every_data_file_of_a_package_is_declared():
                 assert any(fnmatch(Path(name).name, pattern) for pattern in patterns), f"{package}/{name} is in no package-data pattern"
 
 
-def test_every_folder_of_a_package_with_modules_is_a_package():
+def test_every_folder_of_a_package_with_modules_is_a_package() -> None:
     for package in ("hil", "drivers", "controllers", "virtual_bus"):
         for path in (ROOT / package).rglob("*.py"):
             folder = path.parent

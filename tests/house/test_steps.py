@@ -52,7 +52,7 @@ def climbing_steps(root: Path) -> list[str]:
     return wrong
 
 
-def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it():
+def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it() -> None:
     folders = {path.parent.name for path in (ROOT / "hil" / "diagnosis").glob("*/*.py")}
     assert folders == {*STEPS, "report"}
     assert climbing_steps(ROOT) == []
@@ -75,7 +75,7 @@ def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it():
         ("__init__.py", "from hil.diagnosis.diagnose import diagnose"),
     ],
 )
-def test_a_climbing_step_is_found(tmp_path, file, text):
+def test_a_climbing_step_is_found(tmp_path: Path, file: str, text: str) -> None:
     path = tmp_path / "hil" / "diagnosis" / file
     path.parent.mkdir(parents=True)
     path.write_text(text + "\n")
@@ -86,7 +86,7 @@ def test_a_climbing_step_is_found(tmp_path, file, text):
     "text",
     ["from hil.diagnosis.result import EffectAt", "import hil.diagnosis.result", "from hil.diagnosis import fitting", "from . import gate"],
 )
-def test_a_step_down_is_none(tmp_path, text):
+def test_a_step_down_is_none(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hil" / "diagnosis" / "judging" / "gate.py"
     path.parent.mkdir(parents=True)
     path.write_text(text + "\n")

@@ -8,59 +8,16 @@ import os
 import select
 import subprocess
 import threading
-import time
 import tty
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-import can
 import pytest
 from patient import AT_REST, patient, since_the_bench_came
 from processes import Done, Started, start, start_until_ready
+from witnesses import DEADLINE_S, START, Candump, SlcanAdapter
 
 from hil.cli import main
-
-PROBE = 0x7FF
-"""An identifier nobody on a CANopen bus uses; seen in candump's output, it proves that candump listens."""
-
-START, END = b"\x01", b"\x02"
-DEADLINE_S = 30.0
-POLL_S = 0.05
-
-
-@dataclass
-class Candump:
-    """A running candump, the independent witness of the frames on an interface. It writes to a file, so nobody has to keep reading."""
-
-    process: subprocess.Popen[bytes]
-    interface: str
-    log: Path
-
-    def frames(self) -> list[str]:
-        """Stop listening; every frame since the start as `ID#DATA`, in order."""
-        _send_probe(self.interface, END)
-        self.wait_for(END)
-        self.process.terminate()
-        self.process.wait(DEADLINE_S)
-        seen = [line.split()[2] for line in self.log.read_text().splitlines()]
-        return [frame for frame in seen if not frame.startswith(f"{PROBE:03X}#")]
-
-    def wait_for(self, mark: bytes) -> None:
-        """Wait until a probe with this mark stands in the log."""
-        text = f"{PROBE:03X}#{mark.hex().upper()}"
-        deadline = time.monotonic() + DEADLINE_S
-        while text not in self.log.read_text():
-            if time.monotonic() > deadline:
-                pytest.fail(f"candump has not seen {text} on {self.interface} within {DEADLINE_S:.0f} s")
-            if mark == START:
-                _send_probe(self.interface, mark)
-            select.select([], [], [], POLL_S)
-
-
-def _send_probe(interface: str, mark: bytes) -> None:
-    with can.Bus(interface, interface="socketcan") as bus:
-        bus.send(can.Message(arbitration_id=PROBE, data=mark, is_extended_id=False))
 
 
 @pytest.fixture
@@ -93,14 +50,6 @@ def candump(tmp_path: Path) -> Iterator[Callable[[str], Candump]]:
     for witness in running:
         witness.process.kill()
         witness.process.wait(DEADLINE_S)
-
-
-@dataclass(frozen=True)
-class SlcanAdapter:
-    """A service laptop's serial CAN adapter: a pty to open with python-can's slcan, and the CAN interface on its far side."""
-
-    pty: str
-    interface: str
 
 
 @pytest.fixture
@@ -148,7 +97,7 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
 
 
 @pytest.fixture
-def emulate(tmp_path) -> Iterator[Callable[..., dict[str, str]]]:
+def emulate(tmp_path: Path) -> Iterator[Callable[..., dict[str, str]]]:
     """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line."""
     running: list[Started] = []
 
@@ -165,13 +114,13 @@ def emulate(tmp_path) -> Iterator[Callable[..., dict[str, str]]]:
 
 
 @pytest.fixture
-def run(tmp_path) -> Callable[..., Done]:
+def run(tmp_path: Path) -> Callable[..., Done]:
     """`isocenter run ...` to its end."""
     return lambda *arguments: start(tmp_path, "run", *arguments, "--no-real-time").wait()
 
 
 @pytest.fixture(scope="session")
-def lockstep_frames(tmp_path_factory) -> list[str]:
+def lockstep_frames(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """The frames of a second at rest in lockstep; run in this process, which has then loaded all that the others are forked with."""
     folder = tmp_path_factory.mktemp("lockstep")
     log = folder / "frames.log"

@@ -11,7 +11,7 @@ AT_REST = ("static", "--seconds", "1", "--seed", "3")
 
 
 def patient(tmp_path: Path, *, can_only: bool = False) -> str:
-    """carm with time-outs that a user-mode kernel on a loaded machine keeps: there a second of the bus may take several.
+    """Write carm with time-outs that a user-mode kernel on a loaded machine keeps: there a second of the bus may take several.
 
     With `can_only` without Modbus I/O and serial IMU: what is left is on the CAN bus, where every frame is ordered.
     """

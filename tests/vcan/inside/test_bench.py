@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import select
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import can
 import pytest
 from patient import AT_REST, patient, since_the_bench_came
-from processes import start
+from processes import Done, start
+from witnesses import Candump
 
 from hil.recording import read_recording
 
@@ -19,7 +22,14 @@ ATTEMPTS = 5
 """A user-mode kernel stalls now and then for so long that the emulated machine's time goes on: then it is not the same run."""
 
 
-def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, run, candump, tmp_path, lockstep_frames):
+def test_frames_are_those_of_a_lockstep_run_byte_for_byte(
+    interface: str,
+    emulate: Callable[..., dict[str, str]],
+    run: Callable[..., Done],
+    candump: Callable[[str], Candump],
+    tmp_path: Path,
+    lockstep_frames: list[str],
+) -> None:
     machine, lockstep = patient(tmp_path, can_only=True), lockstep_frames
     for attempt in range(ATTEMPTS):
         witness = candump(interface)
@@ -39,7 +49,9 @@ def test_frames_are_those_of_a_lockstep_run_byte_for_byte(interface, emulate, ru
     assert len(lockstep) > 256 * 7
 
 
-def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_reads(interface, emulate, tmp_path):
+def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_reads(
+    interface: str, emulate: Callable[..., dict[str, str]], tmp_path: Path
+) -> None:
     machine = patient(tmp_path)
     emulate(machine, "--bus", f"socketcan:{interface}")
     path = tmp_path / "killed.mf4"
