@@ -163,7 +163,7 @@ def two_processes(bus: str, sweeps: int, design: Path, shaper: Path, damping: fl
 
 
 def fast_machine() -> Machine:
-    """The C-arm at 1 kHz, its controllers designed anew for that (docs/carm.md)."""
+    """The C-arm at 1 kHz, its controllers designed anew for that (docs/explanation/carm.md)."""
     fs = FAST_Hz
     sections = {
         "propeller": cascade(gain(1140), lag(0, 0.1, fs), lead(3.7, 76, fs), notch(9, 0.375, 0.8, fs)),

@@ -143,7 +143,7 @@ def _evidence(row: dict[str, Any]) -> Evidence:
     def one(numbers: dict[str, Any]) -> Weighed:
         information, passed = tuple(numbers["information"]), numbers["passed"]
         train, held_out, by_numbers = numbers["train"], numbers["held_out"], numbers.get("by_numbers", (0.0, 0.0))
-        if isinstance(by_numbers, int | float):  # rows before 82fd5e2 hold the sum: shared as the misfits fall
+        if isinstance(by_numbers, int | float):  # some rows hold the sum: shared as the misfits fall
             falls = max(base["train"] - train, 0.0), max(base["held_out"] - held_out, 0.0)
             by_numbers = [by_numbers * fall / max(sum(falls), 1e-9) for fall in falls]
         searched = numbers["searched"]
@@ -154,7 +154,7 @@ def _evidence(row: dict[str, Any]) -> Evidence:
         known = replace(
             known, by_numbers=tuple(by_numbers), by_signs=by_signs, of_the_file=numbers.get("of_the_file", True), simpler=simpler
         )
-        compared = numbers.get("compared")  # rows of earlier tools did not tell
+        compared = numbers.get("compared")  # not every row has it
         return replace(known, compared=None if compared is None else Compared(**compared))
 
     return Evidence(tuple(map(one, row["sets"])), one(base), *row["entries"], row["tried"], row["found"], row["cap"])

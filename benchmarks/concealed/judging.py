@@ -70,7 +70,7 @@ class Judgement:
     overlap: dict[str, float]
     removed: float | None  # by simulating the tool's files
     removed_by_its_own_word: float | None
-    holds_shown: bool | None = None  # holds what stands SHOWN from nothing; None where nothing does, and in older files of scores
+    holds_shown: bool | None = None  # holds what stands SHOWN from nothing; None where nothing does, or where a file of scores does not say
 
 
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:

@@ -1,4 +1,4 @@
-"""The tables of a file of scores, as docs/concealed.md shows them."""
+"""The tables of a file of scores, as docs/generated/results.md shows them."""
 
 from __future__ import annotations
 

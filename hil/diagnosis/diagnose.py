@@ -1,4 +1,4 @@
-"""The whole diagnosis, from recordings to the answer: docs/diagnosis-method.md follows this file."""
+"""The whole diagnosis, from recordings to the answer: docs/explanation/diagnosis.md follows this file."""
 
 from __future__ import annotations
 

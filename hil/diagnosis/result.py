@@ -1,4 +1,4 @@
-"""What a diagnosis says, as frozen values, and the JSON that carries it: docs/formats.md has every key."""
+"""What a diagnosis says, as frozen values, and the JSON that carries it: docs/generated/json.md has every key."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ class EffectAt:
     number: int = 1
 
     def __str__(self) -> str:
+        """Name the effect and its place."""
         return f"{self.effect} at {self.at}" if self.number == 1 else f"{self.effect} {self.number} at {self.at}"
 
     def document(self) -> dict[str, str]:
+        """Return plain values for JSON."""
         return {"effect": self.effect, "at": self.at}
 
 
@@ -40,6 +42,7 @@ class Estimate:
     ci95: Span
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {"value": self.value, "unit": self.unit, "ci95": list(self.ci95)}
 
 
@@ -53,6 +56,7 @@ class RetunedValue:
     ci95: Span
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {"nominal": self.nominal, "value": self.value, "unit": self.unit, "ci95": list(self.ci95)}
 
 
@@ -70,6 +74,7 @@ class Finding:
     evidence_against: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {
             **self.effect.document(),
             "confidence": self.confidence,
@@ -86,7 +91,7 @@ class Finding:
 class Hypothesis:
     """A set of effects that act together, and how sure it is that it is them."""
 
-    effects: tuple[EffectAt, ...]  # () : no effect
+    effects: tuple[EffectAt, ...]  # (): no effect
     confidence: float
     gained: float = 0.0  # fall of the sum of squares in units of noise, over no effect, in training
     gained_held_out: float | None = None  # the same held out; None without held-out recordings
@@ -94,6 +99,7 @@ class Hypothesis:
     is_confirmed: bool = False  # passed the gate
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {
             "effects": [effect.document() for effect in self.effects],
             "confidence": self.confidence,
@@ -118,6 +124,7 @@ class Location:
     shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # of the power that the dimension's spans hold
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         document: dict[str, Any] = {"channels": dict(self.channels)}
         if self.frequency_hz:
             document["frequency_hz"] = [list(span) for span in self.frequency_hz]
@@ -141,6 +148,7 @@ class PredictedSeparation:
     if_rival: float
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {
             "rival": [effect.document() for effect in self.rival],
             "if_likeliest": self.if_likeliest,
@@ -150,14 +158,17 @@ class PredictedSeparation:
 
 @dataclass(frozen=True)
 class DisturbanceShares:
-    """Which equation is short: shares of the re-tuned mismatch's power, in units of noise, that an effort on each joint would reproduce by
-    itself, and of each channel's power that efforts on all joints together leave to its sensor.
+    """Which equation lacks a term: shares of the re-tuned mismatch's power, in units of noise.
+
+    `joints` are the shares that an effort on each joint would reproduce by itself. `sensors` are the shares of each channel's power that
+    efforts on all joints together leave to its sensor.
     """
 
     joints: Mapping[str, float] = field(default_factory=dict)
     sensors: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, dict[str, float]]:
+        """Return plain values for JSON."""
         return {"joints": dict(self.joints), "sensors": dict(self.sensors)}
 
 
@@ -172,6 +183,7 @@ class Stages:
     noise_floor: float | None
 
     def document(self) -> dict[str, float | None]:
+        """Return plain values for JSON."""
         return {stage: getattr(self, stage) for stage in STAGES}
 
 
@@ -190,6 +202,7 @@ class Fit:
     removed_share_from_nominal: float | None
 
     def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {
             "channels": {name: stages.document() for name, stages in self.channels.items()},
             "train": self.train.document(),
@@ -219,7 +232,7 @@ class Diagnosis:
     separations: tuple[PredictedSeparation, ...] = ()  # by the next experiment
 
     def document(self) -> dict[str, Any]:
-        """Plain values, as docs/formats.md lays them out."""
+        """Return the whole answer as plain values, laid out in docs/generated/json.md."""
         return {
             "verdict": self.verdict,
             "reason": self.reason,

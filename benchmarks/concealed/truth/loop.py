@@ -1,4 +1,4 @@
-"""The sampled loop around a MuJoCo model, compiled: drives, effects, sensors, controller, written from docs/notation.md."""
+"""The sampled loop around a MuJoCo model, compiled: drives, effects, sensors, controller, written from docs/explanation/notation.md."""
 
 from __future__ import annotations
 

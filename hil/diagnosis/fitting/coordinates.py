@@ -34,8 +34,8 @@ SHAPE_FROM_ZERO = 0.1
 """Of the range of a number without a unit that decides a shape: its size where it starts at zero, from which it else could not move."""
 
 FROM_ZERO_AT_ANY = (("imu_bandwidth", "shape"),)
-"""Such numbers that have this size where they start elsewhere, too: a fit that a far machine bent to nothing of it could not come back. A
-lag behind a low pass ended at a shape of 0.004 and 490 above where it belongs, which is 0.17 (development 42)."""
+"""Such numbers that have this size where they start elsewhere, too: a fit that a far machine bends to nothing of it could not come back.
+The shape of a lag behind a low pass would end near zero, where hundreds in units of noise are left."""
 
 NOT_FITTED = ("seed", "side", "sign", "length")
 """Parameters that only take some values: they stay where screening put them."""
@@ -43,7 +43,7 @@ NOT_FITTED = ("seed", "side", "sign", "length")
 AT_MOST = {("backlash", "flank"): ("b", 9.0)}
 """Parameters that are no more than so many times another one of their effect. Within wider flanks a spring keeps more than nine tenths of
 its stiffness: that is no gap but a spring that hardens, a law of its own. Most recordings do not show how wide flanks are, and fits that
-were let went there for gains of 1 to 6 in units of noise, of 100 to 2900. Those that want it for more are no gaps (`form.WANTED`)."""
+may go there do so for gains of 1 to 6 in units of noise, of 100 to 2900. Those that want it for more are no gaps (`form.WANTED`)."""
 
 LOGARITHMIC = ("vs", "f", "fc", "sigma0", "K", "z_max", "tau", "k", "Np", "Nl")
 INVERSE = ("fc",)
@@ -60,7 +60,7 @@ PHASE_STEP = 0.02
 
 TURNED_BY = {"A1": "phi1", "A2": "phi2", "e1": "phi1", "e2": "phi2", "a": "phi", "A": "phi"}
 """Phases of waves' amplitudes. An amplitude that goes through zero is the wave half a cycle on: held at zero, where its phase does nothing,
-a harmonic that began at the wrong one stayed there."""
+a harmonic that begins at the wrong one stays there."""
 
 WEAKER = (0.3, 0.1, 0.03)
 """Shares of a start's strength that are tried where the start is worse than no effect."""

@@ -51,8 +51,8 @@ WORTH_LINEARISING = 4.0
 
 MANY, LONG = 30, 2_000_000
 """Tuned numbers, and entries of their sensitivities, beyond which these are most of what fits cost: only there fits wait with them and are
-left when behind. With fewer, a fit that is never left and takes them at once costs seconds and ends lower: a pair on a machine of two axes
-was lost without. 27 numbers are LONG from half a minute of ten channels at 256 Hz on."""
+left when behind. With fewer, a fit that is never left and takes them at once costs seconds and ends lower: without, a pair on a machine of
+two axes may be lost. 27 numbers are LONG from half a minute of ten channels at 256 Hz on."""
 
 UNFAIR = 2
 """Tries in a row that bring less than their sensitivities said before these are taken anew: one is mended by what it showed itself."""
@@ -311,7 +311,7 @@ def _begun(
     be simulated.
 
     A weaker effect is always nearer to none. Where the numbers made up for most of what the whole one costs, a weaker one counts if it is
-    better than no effect: a friction that warms at a thirtieth of its strength does not warm, and a fit that began there ended there.
+    better than no effect: a friction that warms at a thirtieth of its strength does not warm, and a fit that begins there ends there.
     """
     found: tuple[float, Point, np.ndarray] | None = None
     whole = np.inf  # what it costs at its start

@@ -34,8 +34,8 @@ ROUNDS = 3
 
 SURE_TO_BE_SMALL = 100.0
 """Energy of a response, in units of noise, that a strength is tried with again where its response is larger and none of the residual's way.
-What turns with another axis is in proportion to its strength only while that is small: an inertia over pose of a tenth of its axis' own
-scored 0.0 where the one that was hidden, a twentieth of it, gains 140 (3178, spent)."""
+What turns with another axis is in proportion to its strength only while that is small: a start of a tenth of its axis' own may score
+nothing where an inertia over pose of a twentieth is hidden, which gains 140."""
 
 NONLINEAR_STRENGTH = ("imax", "b", "q", "sign", "share")
 """Parameters whose effect is not in proportion to them: a factor on the response says nothing about them. What a stop does is, as long as
@@ -57,8 +57,8 @@ MOST_UNLIKE = 2
 
 IN_PROPORTION_TO_EACH = ("imu_scale_bias", "imu_misalignment", "asymmetric_friction")
 """Effects of several strengths that add up: every one runs alone, and then the mixture that the residual wants of them. A guess' own
-mixture may be one that nothing wants: with a viscous part of one direction that was none, an asymmetric friction scored 5 where the Coulomb
-friction that it holds scored 2319 (sealed 2038, spent)."""
+mixture may be one that nothing wants: with a viscous part of one direction that is not there, an asymmetric friction scores next to nothing
+where the Coulomb friction that it holds explains the recordings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +151,8 @@ def shortlist(screened: Sequence[Screened], most: int, worth: float) -> list[Scr
 
     Where a machine turns one way only, every friction, a load and a torque constant are one response, and all of them score alike: eight of
     them would leave no fit to a wave that explains more, but not in proportion to its response at a start's phase. Their order takes off
-    what a strength scatters by over the repeats, which two or three deviations know badly: an inertia over pose, five times as loud as all
-    others, was not fitted (sealed 1092). What is mixed of several strengths takes no other one's place, whose score is of one.
+    what a strength scatters by over the repeats, which two or three deviations know badly: by their order alone, a candidate five times as
+    loud as all others might not be fitted. What is mixed of several strengths takes no other one's place, whose score is of one.
 
     Parameters
     ----------

@@ -28,8 +28,8 @@ weight on a lever that fit a few degrees alike would else be told apart by how f
 be, is fitted at that end with wrong numbers."""
 
 REPLACES_THE_FILES = (("imu_bandwidth", "fc"),)
-"""Numbers that take the place of the machine file's: what they do is in proportion to the difference. Counted from nothing a lag that
-changed by a twelfth was known twelve times as well as a delay that does the same, and so much the less likely beforehand."""
+"""Numbers that take the place of the machine file's: what they do is in proportion to the difference. Counted from nothing, a lag that
+changes by a twelfth would be known twelve times as well as a delay that does the same, and so much the less likely beforehand."""
 
 NARROWEST = 1e-6
 """Of a range, in units of its ends or of 1: an axis that stood still has a place nowhere else, but differences of positions must show."""

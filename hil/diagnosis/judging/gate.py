@@ -30,21 +30,21 @@ LEVEL = 0.01
 """Chance that one of all sets that are tried gains what is needed (`needed_gain`) in training where there is nothing."""
 
 PASSING_LEVEL = 0.05
-"""Chance that one of all sets that are tried passes the first two questions where there is nothing. What is counted is more than what there
-is: of 150 spent nulls five have less than 0.3 (0.007, 0.007, 0.043, 0.055, 0.25), where 45 should. At 0.01 single effects of 11
-deviations were refused with 0.012 (10939, 10972, spent)."""
+"""Chance that one of all sets that are tried passes the first two questions where there is nothing. The count errs on the safe side: of 150
+machines with nothing hidden, five fell below 0.3, where 45 were expected. A level of 0.01 would refuse single effects of 11 deviations,
+whose chance is 0.012."""
 
 PASSING_BESIDE_OTHERS = 0.025
-"""The same beside effects that were found before, whose equations err: of those so asked two effects that are there came with 0.020
-and 0.023 (10543, 11060), and two that are not with 0.012 and 0.039 (10411, 10569; all spent)."""
+"""The same beside effects that were found before, whose equations err. Near this level two effects that were there came with 0.020 and
+0.023, and two that were not with 0.012 and 0.039."""
 
 SIMULATOR_ERROR = 1e-3
 """Energy, in units of the noise of the repeats' mean, by which a simulation of the right machine may be off: 3 % of the noise's rms."""
 
 PRIOR_VARIANCE, PRIOR_FREEDOM = 0.74, 4.2
 """Scale and degrees of freedom of the scaled inverse chi-squared distribution of what the noise's variance along a response is, in units of
-the noise model's (empirical Bayes; Smyth 2004). With IN_SAMPLE the likeliest for 588 responses on ten development nulls of all colours,
-each with the scatter of the recorded repeats and of twelve fresh ones (`benchmarks/diagnosis_noise.py --along`)."""
+the noise model's (empirical Bayes; Smyth 2004). With IN_SAMPLE the likeliest for 588 responses on ten machines with nothing hidden and
+noise of all colours, each with the scatter of the recorded repeats and of twelve fresh ones (`benchmarks/diagnosis_noise.py --along`)."""
 
 IN_SAMPLE = 0.67
 """Power of the recorded repeats' deviations along a response, over that of fresh repeats. The spectra were taken from the same deviations
@@ -52,26 +52,25 @@ and whiten them too well: by 1 - C / n for C channels and n degrees of freedom w
 by more where few lines decide."""
 
 TAIL_FREEDOM = 40.0
-"""Second degrees of freedom of the F distribution of what a response gains by chance, in units of its expected variance. By the prior
-above alone they would be six or seven; then the best of all sets should come as far as one does by chance on two of three nulls, and did on
-none of 30 development nulls. With 40 it did on two, with infinitely many (chi-squared) on seven. With repeats they are no more than the
+"""Second degrees of freedom of the F distribution of what a response gains by chance, in units of its expected variance. By the prior above
+alone they would be six or seven; then the best of all sets should come as far as one does by chance on two of three machines with nothing
+hidden, and did on none of 30. With 40 it did on two, with infinitely many (chi-squared) on seven. With repeats they are no more than the
 prior's and those of the stretches that the response is spread over (`Along`): what comes once in a recording, an end stop near one
-reversal, is known by few (9738, spent, an alarm)."""
+reversal, is known by few."""
 
 HELD_OUT_SCALE, HELD_OUT_FREEDOM = 0.81, 5.0
 """Of the t distribution of the root of the held-out misfit's fall, in standard deviations of the noise along the response, by sets fitted
-where there is nothing: the likeliest scale for 214 sets on 29 development nulls, of which 1.4 % come beyond 2.5, the farthest to 3.6.
-Later it was 0.82 for 185 sets (`benchmarks/diagnosis_noise.py --gate`). Of 2 to 10 degrees of freedom none is much likelier."""
+where there is nothing: likeliest for 214 sets on 29 machines with nothing hidden, of which 1.4 % come beyond 2.5, the farthest to 3.6
+(`benchmarks/diagnosis_noise.py --gate`). Of 2 to 10 degrees of freedom none is much likelier."""
 
 HELD_OUT_LEVEL = 0.05
 """Chance of the held-out fall alone below which held-out recordings confirm a set. The chances of both count together at PASSING_LEVEL;
-alone the fall says that the change is not training's own. At 0.01 development case 7, a gap of the C-arm's roll, was refused with a chance
-of both of 10^-6; in the committed evidence of 67 answers to development nulls no set gains more than 24 in training and has a fall between
-the two, its scatter taken as 1 or as the first set's."""
+alone the fall says that the change is not training's own. A level of 0.01 would refuse a gap of the C-arm's roll with a chance of both of
+10^-6; on 67 machines with nothing hidden no set gains more than 24 in training and has a fall between the two levels."""
 
 AS_PREDICTED = 2.5
 """Standard deviations by which held-out recordings may stay behind what was predicted of them and still agree with it: what is there does
-so by more once in 160. With 2.0 it was once in 44, and a load with a chance of 3e-9 in training was not named for 2.26 (5203, spent)."""
+so by more once in 160. With 2.0 it would be once in 44."""
 
 SHORT = 5.5
 """Predicted deviations below which agreeing is enough: from there on what agrees is confirmed as well. Recordings that show little of an
@@ -79,22 +78,21 @@ effect cannot be asked to confirm it: where three deviations are predicted they 
 0.20."""
 
 UNCONFIRMED_LEVEL = 1e-3
-"""Chance in training, as one of all that were tried, below which agreeing is enough. Of 216 spent nulls three have sets that held-out
-recordings do not confirm with less than 0.003 in training; those stay 4.4 to 4.8 deviations behind what is predicted, and none agrees. A
-ripple of 11 deviations had 2e-4 (10642, spent), an inertia that varies with pose 1e-6 (1092, spent)."""
+"""Chance in training, as one of all that were tried, below which agreeing is enough. Of 216 machines with nothing hidden three have sets
+that held-out recordings do not confirm with less than 0.003 in training; those stay 4.4 to 4.8 deviations behind what is predicted, and
+none agrees. A ripple of 11 deviations had 2e-4, an inertia that varies with pose 1e-6."""
 
 OWN_GAIN = 0.9
 """Share of a gain beside effects that were found before, above which what is beyond errors of their equations is an effect of its own."""
 
 UNCONFIRMED_ERRORS = 1e-4
-"""The same as UNCONFIRMED_LEVEL of what is less its own than that, or where no such errors are known. Beside strong first
-effects others take up what their equations err by, with 2e-4 in training and a quarter of the gain beyond (development 102; beside 103's
-it is half); two ripples and an inertia between axes beside a mode, 7 and 10 deviations long, have 3e-4 and 4 to 6e-4 and 99 in 100 of it
-beyond (3695, 3223, spent)."""
+"""The same as UNCONFIRMED_LEVEL of what is less its own than that, or where no such errors are known. Beside strong first effects others
+take up what their equations err by: one that was not there had 2e-4 in training and a quarter of its gain beyond such errors. Two ripples
+and an inertia between axes that were there, 7 and 10 deviations long beside a mode, had 3e-4 to 6e-4 and 99 in 100 of their gain beyond."""
 
 TRAINING_ALONE = 1e-6
 """The same below which something is there whatever held-out recordings say: a law that no known effect has may be one motion's own. Of 35
-spent nulls (every fifth of the sealed ones from 966 to 1391) the least was 0.04, of the six that raised an alarm 0.006."""
+machines with nothing hidden the least was 0.04; of six with nothing hidden that raised an alarm it was 0.006."""
 
 ERROR_FREEDOM = 5.0
 """Degrees of freedom of the t distribution of an equation's error, in units of its scale: one in a hundred is four times as long."""
@@ -179,9 +177,9 @@ class Gate:
         """Whether training leaves little doubt, and held-out recordings show as much as was predicted of them, which is too little to
         confirm anything, nor do they become worse by more than chance lets the best of all gain.
 
-        What is predicted counts in units of what errors of the first effects may do, too. A friction that warmed beside one over position
-        left 256 more of the held-out recordings, 96 beyond such errors, and its 2.3 predicted deviations agreed with none (sealed 8209,
-        spent); of four sets that passed so, none leaves more by 10.
+        What is predicted counts in units of what errors of the first effects may do, too. Where little is predicted, agreeing is easy: a
+        friction that warms, beside one over position, may leave 256 more of the held-out recordings, 96 beyond such errors, and its 2.3
+        predicted deviations agree with none.
         """
         of_its_own = self.is_first or (self.beyond is not None and self.beyond > OWN_GAIN * self.gain)
         level = UNCONFIRMED_LEVEL if of_its_own else UNCONFIRMED_ERRORS

@@ -3,7 +3,7 @@
 The effects stay as they were fitted. The machine file's numbers may move within what the training recordings left open of them: a number
 that training could not see is no evidence against a name when the held-out motion shows it. How far they move is asked of the simulation
 itself, not of its sensitivities at the tuned numbers: sweeps about one pose leave numbers of the C-arm open to 5 and 10 %, over which a
-mode's answer is no longer linear, and what the linear answer was short of stood out of the noise by thousands.
+mode's answer is not linear, and what a linear answer misses stands out of the noise by thousands.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from virtual_bus.settings import EffectSetting
 
 OPEN = 10.0
 """Factor on the variances that the training recordings leave the tuned numbers: the noise along their responses is larger than the model's
-in places, and where it is not they are known well all the same. Of 1, 2, 4, 10 and 30 the one from which on held-out falls on development
-nulls became no rarer; of the deviations of true effects it takes less than a tenth, a fifth where a number imitates them. What is known
-of the numbers beforehand is no noise and stays as it is."""
+in places, and where it is not they are known well all the same. Of 1, 2, 4, 10 and 30 it is the one from which on held-out falls become no
+rarer where nothing is hidden; of the deviations of true effects it takes less than a tenth, a fifth where a number imitates them. What is
+known of the numbers beforehand is no noise and stays as it is."""
 
 STEPS = 20
 HALVED_AT_MOST = 5
@@ -35,8 +35,8 @@ SETTLED = 0.3
 FAIR = 0.3
 """Share of the expected decrease below which sensitivities are taken anew. Where these are costly (`are_costly`) and less than
 WORTH_LINEARISING is expected, only if they are not the run's own (`_hold`): a set may end so much above its least, and by which of them it
-ends depends on the sets followed before. Asked again with its own, the likeliest set of development case 7 (C-arm) had 3.0 left and came
-down by 3.0, the next (share 0.005) 1.9 and 1.4: 1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
+ends depends on the sets followed before. On a C-arm the likeliest set, asked again with its own, came down by 3.0 and the next one by 1.4:
+1.6 of what tells them apart, 0.8 in log evidence where nothing else errs."""
 
 LINEARISED_AGAIN = 5
 """Times at most for a set of effects, which begins with sensitivities of another run."""
@@ -48,7 +48,7 @@ alike. 67 MB each for a minute of the C-arm."""
 ALIKE = 0.01
 """Energy, per entry in units of noise, up to which a run that differs from the one whose sensitivities were taken has them too. Numbers
 that are nearly degenerate, masses, springs and constants scaled alike, move by small differences of large sensitivities: beside four times
-the viscous friction, whose run differs by 9, they seemed settled 1130 above the misfit that sensitivities taken there led to, and after a
+the viscous friction, whose run differs by 9, they seem settled 1130 above the misfit that sensitivities taken there lead to, and after a
 step with these 1070 above it still."""
 
 

@@ -35,7 +35,7 @@ from hil.diagnosis.tuning.retune import Tuning
 
 NOISE_KNOWN = 0.04
 """Share of the noise by which what repeats say of it is off, one standard deviation: beside the truth's own noise-free answers |residual|^2
-of 114 development cases came out at 0.89 to 1.16 of it."""
+of 114 benchmark cases came out at 0.89 to 1.16 of it."""
 
 Equations = Callable[[str, Tuning, Fitted], FormError]
 """Errors of fitted effects in the recordings of a set, beside this tuning."""

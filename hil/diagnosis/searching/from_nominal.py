@@ -22,7 +22,7 @@ def with_numbers_from_nominal(runs: FreeRuns, tuning: Tuning, measured: np.ndarr
     bring closer are fitted on from these, too.
 
     Where sensitivities are not costly every fit takes its own where it is, from nominal as well. That this is enough is known of the
-    proof's four small machines only.
+    concealed benchmark's four small machines only.
     """
     best, *others = sorted(fits, key=lambda fit: fit.cost)
     if not are_costly(tuning) or best.cost <= NEAR * len(measured):

@@ -1,10 +1,10 @@
 """Numbers of the machine file that are further off than re-tuning may go are fitted before what is mistaken for them is named.
 
 Screening takes out what re-tuned numbers could imitate, as if these had no bounds. Beyond its bound such a number scores next to nothing,
-and its filter wants any strength, whatever a fit would come to: a compliance of a fifth of the C-arm's spring was no candidate, and a
-spring that softens from its first microradian on, which is the same, stood alone (sealed 1137, spent: of 4930 above noise it leaves 175,
-the compliance 163). Where what comes closest leaves more than noise all the same, any number there may be meant: a torque constant a fifth
-off beside a gyro's lost sign was called a spring that hardens, which the catalogue does not take for it (sealed 2308, spent).
+and its filter wants any strength, whatever a fit would come to: a compliance of a fifth of the C-arm's spring would be no candidate, and a
+spring that softens from its first microradian on, which is the same, would be the only name. Where what comes closest leaves more than
+noise all the same, any number there may be meant: a torque constant a fifth off beside a gyro's lost sign may be called a spring that
+hardens, which the catalogue does not take for it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Fits' last effects from their other starts, where the closest leaves more than noise: the start that screening wanted may be in
-another valley.
+"""Fits' last effects from their other starts, where the closest leaves more than noise: the start that screening wanted may be in another
+valley.
 
-A hysteresis that ended with a travel of 0.12 mm left 5775 of 8238 in units of noise, and from a start that screening liked less it came to
-0.03 mm and left 4385 (10051, spent). A stop gained 1701 from the start with a score of 1503, and 2793, where it is, from one of 1378; a
-cogging had come closest meanwhile (11578, spent).
+A hysteresis may end with a travel of 0.12 mm and leave 5775 of 8238 in units of noise, where it comes to 0.03 mm and leaves 4385 from a
+start that screening likes less. A stop may gain 1701 from a start with a score of 1503, and 2793, where it is, from one of 1378.
 """
 
 from __future__ import annotations

@@ -64,8 +64,8 @@ PAIR_MARGIN = 8.0
 
 WIDER = 3
 """Times as many candidates are fitted first where training shows something for certain and none of the best explains it: a far or nearly
-degenerate machine's screening is wrong by more than candidates differ by. On sealed 1242 (spent) gravity was first with 255 and gained 9,
-an inertia over pose thirteenth with 56 and gained 292."""
+degenerate machine's screening is wrong by more than candidates differ by. Gravity may come first with a score of 255 and gain 9, while an
+inertia over pose, thirteenth with 56, gains 292."""
 
 WORTH_A_FIT = 0.02
 """Of the best score: candidates below are not refitted."""
@@ -206,8 +206,8 @@ class Steps:
     def _with_a_closer_stand(self, begun: _Begun, fits: Sequence[Fitted]) -> Way | None:
         """The way with what was found where it is beside the closest set that adds to it, if it leaves less there by itself.
 
-        Alone its fit had ended elsewhere, and whatever moved it from there would gain what it gains: a friction of no strength 128 beside a
-        drive's lag (sealed 8893, spent).
+        Alone its fit may have ended elsewhere, and whatever moves it from there would gain what it gains: beside a drive's lag even a
+        friction of no strength may gain 128.
         """
         way, stand, entries, size = begun.way, begun.way.stand, len(begun.residual), len(begun.way.stand.effects)
         larger = [fit for fit in fits if len(fit.effects) > size and fit.effects[:size] == stand.effects]
@@ -282,8 +282,8 @@ class Steps:
         self, gate: _AtTheGate, fits: Sequence[Fitted], singles: Sequence[Fitted], screened: Sequence[Screened]
     ) -> tuple[_AtTheGate, list[Fitted]]:
         """The gate, asked too about sets in which another effect stands for one of the closest set, where that has several and would pass
-        but for its form, and all fits in the order of their evidence. Beside an effort read late a gear's error at its bound was no name,
-        and a motor constant, which does the same, was never fitted there (10033, spent).
+        but for its form, and all fits in the order of their evidence. Beside an effort read late, a gear's error at its bound is no name,
+        and a motor constant, which does the same, would never be fitted there.
         """
         closest, begun = min(gate.judged, key=lambda one: one.fitted.cost), gate.begun
         if len(closest.fitted.effects) < 2 or not (closest.gate.lost_form and closest.gate.something_is_there):

@@ -1,9 +1,9 @@
 """Finer plant steps where their error tells sets apart.
 
 One fine run near the end of re-tuning stands for all (`FreeRuns.correct`), and where an effect is missing that re-tuning cannot imitate
-that is another machine's: with a compliance missing that shows in 6333 deviations (sealed 2278, spent), its correction left 12 155 in
-units of noise beside the compliance, which a friction of 180 deviations could not be told from. Taken beside one of the sets it would be
-wrong beside its rivals; so all of them get finer steps, whose error is less by the square of how much finer they are.
+that is another machine's: with a compliance missing that shows in 6333 deviations, its correction leaves 12 155 in units of noise beside
+the compliance, which a friction of 180 deviations cannot be told from. Taken beside one of the sets it would be wrong beside its rivals; so
+all of them get finer steps, whose error is less by the square of how much finer they are.
 """
 
 from __future__ import annotations

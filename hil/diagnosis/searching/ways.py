@@ -21,8 +21,8 @@ from hil.diagnosis.tuning.projection import Projection
 
 RIVAL_SHARE = 0.5
 """Of the chosen set's certain gain: sets that gain more compete with it for the name, whether or not they passed the gate. What is held out
-counts for a rival as it counts in naming: in sealed 1267 a ripple gained 26 of a cogging's 55 in training, in units of its scatter, and
-more than that held out."""
+counts for a rival as it counts in naming: a set that gains a little less than half in training, in units of its scatter, may gain more than
+that held out."""
 
 UNRELATED = 0.1
 """Share of a set's response, what re-tuning imitates taken out, below which another one explains nothing of it."""

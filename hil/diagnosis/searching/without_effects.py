@@ -1,10 +1,9 @@
 """Re-tuning once more, from where fits of effects ended.
 
 A machine whose effect does nothing is the machine without it, so what an effect gains counts from the best numbers without it. Where
-re-tuning stopped short and a fit did not, the numbers beside that fit leave less even without its effects (sealed 959: 142 904 after
-re-tuning, 26 990 beside a compliance of nothing). An effect that is a number of the machine file, and no further off than re-tuning may go,
-is such a number and not what the file leaves out: it counts as one (sealed 1396: 408 million after re-tuning, 11 392 with a drive's
-constant 2.7 % lower).
+re-tuning stopped short and a fit did not, the numbers beside that fit leave less even without its effects: 26 990 in units of noise, say,
+instead of 142 904. An effect that is a number of the machine file, and no further off than re-tuning may go, is such a number and not what
+the file leaves out: it counts as one.
 """
 
 from __future__ import annotations

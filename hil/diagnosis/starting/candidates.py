@@ -21,8 +21,7 @@ ON_A_SPRING = ("joint_compliance", "nonlinear_stiffness", "backlash", "structura
 
 NEEDS_GRAVITY = ("gravity_imbalance",)
 """What no machine has whose file says that gravity does nothing to it: a circuit, a balanced rotor, a level slide. Nor has a joint that
-slides: the sine of a position in metres is no law of a weight, which is a constant load there (of a slide's load of 0.038 N gravity over
-position had the same share as the load itself, and came first; 10531, spent)."""
+slides: the sine of a position in metres is no law of a weight, which is a constant load there and could not be told from it."""
 
 WHOLE_IMU = "imu"
 

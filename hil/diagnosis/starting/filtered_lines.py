@@ -1,8 +1,8 @@
 """Frequencies of base motions by the matched filter: what every frequency would do to the recordings, beside what they show.
 
 The strongest lines of what is missing at a joint are those of the noise where that is slow or narrow: of a base motion 31 deviations long
-beside a delay none was its own (sealed 1978, spent). Here every frequency acts on its joint, goes through the linear closed loop and counts
-in units of noise, as the orders of waves do (`filtered_orders.py`).
+beside a delay, none of them may be its own. Here every frequency acts on its joint, goes through the linear closed loop and counts in units
+of noise, as the orders of waves do (`filtered_orders.py`).
 """
 
 from __future__ import annotations

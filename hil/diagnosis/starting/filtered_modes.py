@@ -3,8 +3,8 @@
 A mode of which little is hidden rings in a band that is narrower than the steps of a coarse search, with a phase that turns within it: half
 a bandwidth off, the filter wants less mass than none. Here a mass swings along with the motion of the free run at every frequency, pulls at
 its joint through the linear closed loop and counts in units of noise, as lines and orders do (`filtered_lines.py`, `filtered_orders.py`).
-Of a mode of 0.1 g m2 at 12.37 Hz beside a gyro's lost sign, which gains 190, starts at 12.62 Hz and a thousand times that mass showed
-nothing (2975, spent).
+Of a mode of 0.1 g m2 at 12.37 Hz beside a gyro's lost sign, which gains 190, a start at 12.62 Hz with a thousand times that mass shows
+nothing.
 """
 
 from __future__ import annotations

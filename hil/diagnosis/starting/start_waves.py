@@ -24,8 +24,8 @@ HIGHEST_ORDER_Hz, HIGHEST_MISSING_Hz = 40.0, 20.0
 which is known up to some 30 Hz, are not looked for: the loop, the drive and the mass do not let them through."""
 
 SLOW_SHARE = 0.2
-"""Of the time in motion, in which a joint moves slowly: a wave that passes too fast at the usual speed shows there. Ripples at 76 and 38 Hz
-of the usual speed are 15 and 10 deviations long (sealed 4280 and 4092, spent)."""
+"""Of the time in motion, in which a joint moves slowly: a wave that passes too fast at the usual speed shows there. Ripples that pass at 76
+and 38 Hz at the usual speed may be 15 and 10 deviations long."""
 
 ONE_HARMONIC = 0.5
 TWO_HARMONICS = 0.75 * np.sqrt(2.5)

@@ -37,7 +37,7 @@ mode stands out of the noise of four repeats at 1.6 kHz still."""
 
 TO_NO_STEP = FINE_STEPS**2 / (FINE_STEPS**2 - 1.0)
 """Of that difference, what steps without end would change: a second-order error is a sixteenth in the finer steps (Richardson's
-extrapolation), which made IMUs late by 4 microseconds."""
+extrapolation). Left there, it makes IMUs late by 4 microseconds."""
 
 WORTH_A_BATCH = 4
 """Trials that are begun with before anybody waits, and from which on another thread takes some of them: LANES of them take hardly longer
@@ -51,8 +51,8 @@ Part = TypeVar("Part")
 Said = TypeVar("Said")
 
 SWITCH_AFTER_s = 2e-4
-"""How long who comes back from machine code waits for the interpreter's lock at most. A run does so some fifty times: with Python's own
-5 ms a thread whitened six tenths as many records beside one that works on answers."""
+"""How long who comes back from machine code waits for the interpreter's lock at most. A run does so some fifty times: with Python's own 5
+ms a thread whitens six tenths as many records beside one that works on answers."""
 
 RUN_AWAY = 1e12
 """A number beyond this, in units of its channel's noise or whitened, is a simulation that runs away."""

@@ -9,8 +9,8 @@ import scipy.optimize
 def least_within(rows: np.ndarray, wanted: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The least of |rows x - wanted|^2 within bounds.
 
-    Singular values do not converge for each of the matrices that an active set asks for (8323, spent: of 61 columns and a condition of
-    2e8); an interior method asks for others.
+    Singular values do not converge for each of the matrices that an active set asks for (one of 61 columns and a condition of 2e8, say); an
+    interior method asks for others.
 
     Parameters
     ----------

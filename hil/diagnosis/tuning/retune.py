@@ -33,9 +33,9 @@ CLOCKED_PRIOR = 0.02
 """Prior of corners that a sensor's clock makes: data sheets say 1 to 3 % of it. What lags by more than that is the effect of that name."""
 
 DIFFERENCE = 1e-4
-"""Of quick sensitivities, in units of a number's prior. Their error is in proportion to it, and along directions in which a machine
-hardly changes large columns take each other away: of a hundredth, 54 columns of the C-arm said that the way to its truth led uphill, and
-re-tuning stopped 1800 units of noise short of it. Of a hundredth of this, rounding is as large."""
+"""Of quick sensitivities, in units of a number's prior. Their error is in proportion to it, and along directions in which a machine hardly
+changes large columns take each other away: of a hundredth, 54 columns of the C-arm say that the way to its truth leads uphill, and
+re-tuning stops 1800 units of noise short of it. Of a hundredth of this, rounding is as large."""
 
 FINE_DIFFERENCE = 5e-3
 """Of those that intervals are computed from, central ones: their error is in proportion to its square."""
@@ -48,7 +48,7 @@ UNDECIDED = 0.7
 
 FIRST_RADIUS = 0.3
 """Of the first step in every tuned coordinate, in units of its prior. Without one, the first step of a machine with lightly damped modes
-ran into the bounds, and the search ended at 1.3 times the noise's energy."""
+runs into the bounds, and the search ends at 1.3 times the noise's energy."""
 
 GOOD, FAIR, POOR = 0.7, 0.3, 0.1
 """Shares of the expected decrease of the cost above which the radius doubles and stays, and below which the step is not taken."""
@@ -56,7 +56,8 @@ GOOD, FAIR, POOR = 0.7, 0.3, 0.1
 SHRINK, SHRUNK_AT_MOST = 0.3, 4
 
 ITERATIONS = 60
-"""Steps at most. The longest searches of nulls take 19; one that turns with a lightly damped mode's narrow valley took 35."""
+"""Steps at most. Where nothing is hidden the longest searches take 19; one that turns with a lightly damped mode's narrow valley takes
+35."""
 
 SETTLED = 1e-4
 SETTLED_GAIN = 0.1
@@ -71,8 +72,8 @@ FAR = 2.0
 ALIKE = 100.0
 """Rows that err alike: a simulation that is far off leaves no noise but its own errors, of which so many rows are one. Counted as noise row
 by row, they drive numbers that hardly show beside gross motion to their bounds, from where a lightly damped mode that rings at another
-frequency finds no way back. Of two nulls of the C-arm (sealed 338 and 959, spent) that ended at 2.6 and 5.2 times the noise, with 1 the
-first one comes near it, with 10 neither, with 100 both."""
+frequency finds no way back. Of two C-arms with nothing hidden that end at 2.6 and 5.2 times the noise without this, the first one comes
+near it with 1, neither with 10, both with 100."""
 
 APPROACHED = 1e-3
 """Share of the cost by which a step must lower it for the approach to go on."""

@@ -1,6 +1,6 @@
 """The EMPS carriage in its position loop, simulated here by its own recursion: it shares nothing with the project but the CSV's names.
 
-One mass with viscous and Coulomb friction and a disturbing force of its own in every repeat. Timing: docs/notation.md.
+One mass with viscous and Coulomb friction and a disturbing force of its own in every repeat. Timing: docs/explanation/notation.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rail's block as Euler steps of a mass on a damper in its loop: written from docs/notation.md, sharing nothing with the plant."""
+"""The rail's block as Euler steps of a mass on a damper in its loop: from docs/explanation/notation.md, sharing nothing with the plant."""
 
 from __future__ import annotations
 

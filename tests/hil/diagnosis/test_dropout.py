@@ -267,7 +267,7 @@ def lost_of(readings, motion):
 @pytest.mark.parametrize(("repeats", "offset"), [(2, 0.0), (3, 0.0), (2, 1e-3), (4, 1e-3)])
 @pytest.mark.parametrize("length", [8, 17])
 def test_a_burst_of_one_repeat_shows_where_no_noise_changes_readings(length, repeats, offset):
-    """Seventeen readings of an encoder over its turning point, in one of three recordings (sealed 7760, spent)."""
+    """Seventeen readings of an encoder are lost over its turning point, in one of three recordings."""
     rows, found = lost_of(*(made := quiet(stays=((1, 1290, length),), repeats=repeats, offset=offset)))
     expected = np.zeros(made[0].shape, dtype=bool)
     expected[1, 1290 : 1290 + length] = True

@@ -44,7 +44,7 @@ def shares(known: EffectAt, more: float) -> tuple[float, float]:
 
 
 def test_what_a_viscous_friction_s_own_error_may_be_names_no_asymmetric_one():
-    """5.5e-4 of its energy, at 16 % less friction at the highest speed (11202, spent): levels and slopes were equal both ways."""
+    """5.5e-4 of its energy, as of one with 16 % less friction at the highest speed, where levels and slopes are equal both ways."""
     viscous, asymmetric = shares(VISCOUS, 5.5e-4 * REMOVED)
     assert viscous > 0.7 > 0.3 > asymmetric
     viscous, asymmetric = shares(VISCOUS, 0.01 * REMOVED)

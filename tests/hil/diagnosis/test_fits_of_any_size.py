@@ -126,8 +126,8 @@ def noisy_repeats(hidden: EffectSetting, noise_m: float, rows: int = 3000) -> di
 
 @pytest.mark.parametrize("start", [0.0025, 0.04])
 def test_a_gap_keeps_one_where_recordings_do_not_show_how_wide_its_flanks_are(start):
-    """Flanks of a tenth of the gap, a thousandth of the motion. Unbounded, they were fitted 21 and 27 gaps wide, for a gain of 1.5:
-    a spring that hardens by a twentieth of its stiffness.
+    """Flanks of a tenth of the gap, a thousandth of the motion. Unbounded, they are fitted 21 and 27 gaps wide, for a gain of 1.5: a spring
+    that hardens by a twentieth of its stiffness.
     """
     hidden = EffectSetting("backlash", "oscillator", {"b": 1e-4, "flank": 1e-5})
     repeats = noisy_repeats(hidden, noise_m=1e-3)

@@ -185,7 +185,7 @@ def test_what_noise_and_an_error_of_unknown_size_gain_together_is_no_rarer_than_
 
 
 def test_an_error_of_equations_is_not_searched():
-    """A ripple of 505 beside a compliance whose equation errs by 25 along it, as one of 60 000 with five numbers (sealed 8788, spent)."""
+    """A ripple that gains 505 beside a compliance whose equation errs by 25 along it, as one of 60 000 sets with five numbers."""
     assert expected_by_chance(6e4, 505.0, 5, 1.5, 25.0) < 0.2
     assert expected_by_chance(6e4, 505.0, 5, 1.5, 500.0) > 2.0
     assert expected_by_chance(1e12, 2000.0, 5, 1.5, 1e5) == pytest.approx(ALIKE, rel=0.1)
@@ -204,7 +204,7 @@ def test_the_tail_of_a_gain_is_that_of_a_variance_known_with_few_degrees_of_free
 
 
 def test_three_deviations_held_out_come_five_times_as_often_as_of_a_normal_law():
-    """As fitted sets' did on nulls: 0.5 % of them beyond 2.5, the farthest of 185 at 3.5 (docs/diagnosis-method.md)."""
+    """As those of sets fitted where nothing is hidden: 0.5 % of them beyond 2.5, the farthest of 185 at 3.5."""
     assert chance_held_out(9.0, 1.0) == pytest.approx(5.0 * scipy.stats.norm.sf(3.0), rel=0.2)
 
 

@@ -85,8 +85,8 @@ def test_exact_equations_have_no_errors_that_explain_what_a_set_gains():
 
 @pytest.mark.parametrize("form_error", [0.0, 0.0099])
 def test_a_set_that_had_to_move_far_leaves_no_less_than_it_leaves_there(form_error):
-    """An eccentricity missed another motion by 660 and where both motions want it by 25; repeats scatter, so 660 counted as less than the
-    635 that moving brought (sealed 4642, spent).
+    """An eccentricity misses another motion by 660 and, where both motions want it, by 25. Repeats scatter, but 660 may not count as less
+    than the 635 that moving brings.
     """
     compared = Compared((1000.0, 1000.0), (12.0, 660.0), (12.0, 641.0), by_moving=(75.0, -635.0), scatter=1.4)
     for part, left in enumerate((87.0, 25.0)):
@@ -109,7 +109,7 @@ def test_sets_that_fit_alike_share_the_confidence():
 
 @pytest.mark.parametrize(("named", "formless", "most"), [(200.0, 0.0, True), (0.0, 200.0, False)])
 def test_what_fits_better_than_every_name_without_its_form_has_the_larger_share(named, formless, most):
-    """A relaxing spring was called a cable where a hysteresis that hardly slides left 200 less of 1600."""
+    """A relaxing spring is no cable where a hysteresis that hardly slides leaves 200 less of 1600."""
     fits = Fitted((), (), np.zeros(0), np.zeros(0), 0.0, (), np.zeros((0, 0)), np.zeros(0))
     sets = [Weighed(replace(fits), ENTRIES + misfit, 0.0, (1600.0,) * count) for misfit, count in ((named, 3), (formless, 4))]
     base = Weighed(None, ENTRIES + 1600.0, 0.0)
@@ -254,7 +254,7 @@ def test_another_motion_s_noise_above_the_model_s_decides_no_name():
 
 
 def test_noise_of_another_motion_hides_no_name_that_training_shows():
-    """Held out a fifth more than noise is left by every set and by none: on nulls of other motions that is not rare."""
+    """Held out a fifth more than noise is left by every set and by none: where nothing is hidden that is not rare in other motions."""
     (name,) = shares((0.0, 0.2 * ENTRIES, (60.0,)), base=(60.0, 0.2 * ENTRIES + 30.0))
     assert name > CONFIDENT
 
@@ -441,14 +441,14 @@ def test_without_repeats_a_set_that_leaves_what_is_taken_for_noise_is_no_surer_f
 
 
 def test_names_whose_difference_exact_equations_show_are_told_apart_where_much_is_removed_down_to_the_noise():
-    """A delay left 550 000 of 58 million that a drive's lag beside a friction left nothing of, and was the likelier (5675, spent)."""
+    """A delay that leaves 550 000 of 58 million is not the likelier one where a drive's lag beside a friction leaves nothing."""
     near = confidences(58e6, 0.0, 5e5, freedom=[6, 1])
     assert near[0] > 0.8 * CERTAIN
 
 
 @pytest.mark.parametrize(("more", "stands_alone"), [(477.0, False), (1e5, True)])
 def test_of_much_that_was_removed_a_little_tells_no_exact_equations_apart(more, stands_alone):
-    """A thousandth of the response left where a friction removes 775 million, and a hundredth (5758, spent)."""
+    """A thousandth of the response left where a friction removes 775 million, and a hundredth."""
     asymmetric, viscous = confidences(775e6, 0.0, more, freedom=[2, 1])
     assert (asymmetric > ALONE) is stands_alone
     assert (viscous > asymmetric) is not stands_alone

@@ -1,4 +1,4 @@
-"""The example of docs/diagnosis.md: a friction hidden in an emulated turntable is named, and where nothing is hidden nothing is."""
+"""On the emulated turntable: a friction hidden in an emulated turntable is named, and where nothing is hidden nothing is."""
 
 from __future__ import annotations
 

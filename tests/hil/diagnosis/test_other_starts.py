@@ -76,7 +76,7 @@ def test_where_nothing_is_left_or_nothing_is_closer_fits_stay(monkeypatch):
 
 
 def test_what_gains_nearly_as_much_is_asked_from_its_next_best_start(monkeypatch):
-    """A stop stood in another valley, and a cogging was the closest meanwhile (11578, spent)."""
+    """A stop stands in another valley, and a cogging is the closest meanwhile."""
     closest, rival = fitted(6000.0, (FRICTION, np.array([2.0]))), fitted(6500.0, (HYSTERESIS, STARTS[-1]))
     near = (STARTS[0], 0.75 * STARTS[-1], 0.8 * STARTS[-1], STARTS[-1])
     begun, found = asked(monkeypatch, [closest, rival], starts=near)

@@ -62,7 +62,7 @@ def test_a_difference_along_which_repeats_scatter_counts_as_little_by_a_set_s_ow
 
 
 def test_what_further_parameters_gain_by_chance_is_counted_as_they_are_paid_for():
-    """Viscous friction beside asymmetric friction, which holds it: three parameters more, and 6.5 less (7903, spent)."""
+    """Viscous friction beside asymmetric friction, which holds it: three parameters more, and 6.5 less."""
     rival, best = Weighed(None, 106.5, 0.0, (1e4,)), Weighed(None, 100.0, 0.0, (1e4,) * 4)
     judged = beside_the_best(rival, rival.in_units(20.0, 20.0), best, best.in_units(20.0, 20.0), (20.0, 20.0), (1.0, 1.0))
     assert judged.misfit == rival.in_units(20.0, 20.0).misfit

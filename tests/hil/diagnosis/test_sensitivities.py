@@ -70,8 +70,8 @@ def test_fits_of_a_machine_of_many_numbers_come_as_low_as_those_of_one_of_few(wi
 
 
 def test_beside_a_channel_of_the_wrong_sign_the_file_s_numbers_move_it_the_other_way(with_friction):
-    """What is looked for beside it is what they do not imitate there (5240, spent: with the sensitivities from before, a drag of ten
-    deviations was none).
+    """What is looked for beside it is what they do not imitate there: with the sensitivities from before it, a drag of ten deviations would
+    not show.
     """
     turned = EffectAt("rectified_sensor", "position_carriage")
     with FreeRuns({TRAIN: (found := mismatch(MACHINE, with_friction[0]))}, found.noise) as runs:

@@ -216,7 +216,7 @@ def test_a_wave_over_a_short_slide_starts_at_its_radians_per_metre(name, order, 
 
 
 def test_a_channel_s_sign_starts_whole():
-    """Where readings and simulation agree there is no guess, and a sign has no typical size: a matched filter found a hundredth of one."""
+    """Where readings and simulation agree there is no guess, and a sign has no typical size: a matched filter may want a fraction of it."""
     found = starts("rectified_sensor", "position_roll", np.zeros(ROWS))
     each = [*zip(found["share"], found["sign"], strict=True)]
     assert sorted(each) == [(0.0, -1.0), (1.0, -1.0), (1.0, 1.0)]

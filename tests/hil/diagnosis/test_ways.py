@@ -65,7 +65,7 @@ def test_another_first_effect_is_one_that_the_equations_errors_may_hold():
 
 
 def test_another_first_effect_is_the_one_of_them_that_gains_most():
-    """A friction over position and a cogging were both within what an equation errs by, and the cogging, one place behind, gained more."""
+    """A friction over position and a cogging are both within what an equation errs by, and the cogging, one place behind, gains more."""
     rivals = [contender(gained, effect, response=ALONG[1]) for gained, effect in ((15_200.0, DELAY), (15_400.0, COGGING))]
     assert another(*rivals) is rivals[1]
     assert another(*rivals[::-1]) is rivals[1]
@@ -190,7 +190,7 @@ def test_a_set_competes_that_gains_half_as_much_in_training_or_in_both_motions(t
     ("along", "passed", "is_another_matter"), [(0.0, False, True), (0.2, False, True), (0.5, False, False), (0.0, True, False)]
 )
 def test_what_did_not_pass_and_does_nothing_of_what_one_that_passed_does_is_no_rival_of_it(along, passed, is_another_matter):
-    """A ripple of another axis gained as much as a shaken floor, by chance; the floor shakes whether or not there is a ripple."""
+    """A ripple of another axis gains as much as a shaken floor, by chance; the floor shakes whether or not there is a ripple."""
     floor = contender(60.0, RUBBING, response=ALONG[0])
     ripple = contender(60.0, COGGING, response=along * ALONG[0] + np.sqrt(1.0 - along**2) * ALONG[1], passed=passed)
     assert is_unrelated(ripple, [floor], nothing_found()) is is_another_matter

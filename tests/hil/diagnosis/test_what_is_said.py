@@ -200,7 +200,9 @@ def test_many_times_the_noise_is_never_called_retuned(left, said):
 )
 @pytest.mark.parametrize("agrees", [-1.0, 0.5])  # by chance two times in three where two deviations are predicted: that is no sign of it
 def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, said, agrees):
-    """The mean of four repeats of a null was 7 % above its noise, along a load as well, which the held-out recording did not follow."""
+    """Where nothing is hidden, the mean of four repeats may be 7 % above its noise, along a load as well, which the held-out recording does
+    not follow.
+    """
     nothing_passed = replace(gate(0.01, passes=False), gain=60.0, predicted=2.0, seen=agrees)
     held_out = there * NOISE, there * NOISE, NOISE
     standing = Standing((nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, here * NOISE, here * NOISE, NOISE, 8, "", held_out)
@@ -209,7 +211,7 @@ def test_what_training_alone_shows_must_be_more_than_nulls_leave(here, there, sa
 
 @pytest.mark.parametrize(("trained", "said"), [(0.9e-6, "unknown_physics"), (1.1e-6, "retuned")])
 def test_what_chance_never_does_in_training_is_not_called_other_numbers(trained, said):
-    """A spring that varied in time was fitted by one that hardens, which another motion does not follow (sealed 1600, spent)."""
+    """A spring that varies in time is fitted by one that hardens, which another motion does not follow."""
     refused = replace(gate(0.8, passes=False), gain=1600.0, trained=trained, followed=1.0, held_out_gain=-113.0)
     held_out = NOISE, NOISE, NOISE
     standing = Standing((refused,), (Weighed(None, 0.0, 0.0),), 2000.0 * NOISE, 1.07 * NOISE, 1.07 * NOISE, NOISE, 8, "", held_out)
@@ -249,7 +251,7 @@ def test_a_last_effect_does_not_stand_alone_where_it_moves_the_recordings_by_so_
 
 
 def test_two_effects_do_not_stand_alone_where_they_leave_more_than_one_of_them_gains():
-    """A clipped current left 13 000 of nine million, of which a load at the other axis took 1450 (11761, spent)."""
+    """A clipped current leaves 13 000 of nine million, of which a load at the other axis takes 1450."""
     left = {"share": 0.92, "gained": 0.4 * NOISE, "retuned_misfit": 1e3 * NOISE}
     assert said_of(THREE[:2], best_misfit=1.45 * NOISE, **left)[0] == "explained"  # noise may be 8 % of it
     verdict, reason = said_of(THREE[:2], best_misfit=1.6 * NOISE, **left)
@@ -259,7 +261,7 @@ def test_two_effects_do_not_stand_alone_where_they_leave_more_than_one_of_them_g
 
 @pytest.mark.parametrize(("times", "said"), [(0.0, "retuned"), (26.0, "unknown_physics")])
 def test_held_out_recordings_far_from_the_retuned_machine_are_not_called_other_numbers(times, said):
-    """Training did not reach a stop, or hardly moved (sealed 4114, 4729, 4342, spent)."""
+    """Training does not reach a stop, or hardly moves."""
     nothing_passed = replace(gate(0.01, passes=False), gain=10.0)
     standing = Standing(
         (nothing_passed,), (Weighed(None, 0.0, 0.0),), 20.0 * NOISE, NOISE, NOISE, NOISE, 8, "", (9.0 * NOISE,) * 2 + (NOISE,),

@@ -60,7 +60,7 @@ def asked(monkeypatch, *sets):
 
 
 def test_what_does_the_same_with_a_form_of_its_own_is_judged_in_the_order_of_its_evidence(monkeypatch):
-    """The gear's error is at its bound; before, the search went on beside the ripple, which leaves 300 more."""
+    """The gear's error is at its bound; without others in its place the search would go on beside the ripple, which leaves 300 more."""
     sets = judged(fitted(3506.0, GEAR, LATE), "at its bound"), judged(fitted(3826.0, GEAR, RIPPLE))
     assert asked(monkeypatch, *sets)[0] == [(CONSTANT, LATE), (GEAR, LATE), (GEAR, RIPPLE)]
 
