@@ -38,5 +38,5 @@ class BadAnswerError(BenchError):
     """The command ran to its end and its answer is bad."""
 
 
-class LoopAborted(BadAnswerError):
+class LoopAborted(BadAnswerError):  # noqa: N818  # an abort is what the experiment ended with; the name is part of the public face
     """The sample loop stopped the motors before the experiment was over; what was recorded is kept."""

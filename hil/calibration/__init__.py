@@ -1,1 +1,1 @@
-"""Geometric calibration: what the nine parameters of every exposure are, from phantom images, a model, recordings or markers."""
+"""Geometric calibration: the nine parameters of every exposure, from phantom images, a model, recordings or markers."""

@@ -1,4 +1,4 @@
-"""isocenter simulate | compare | convert: what is computed from recordings."""
+"""isocenter simulate | compare | convert: results computed from recordings."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def simulate(
     effects: EffectsOption = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Free run in closed loop."""
+    """Simulate a free run in closed loop."""
     from hil.recording import read_recording, write_recording
     from hil.recording.formats import check_writable
     from hil.simulation import simulate as run_simulation
@@ -67,7 +67,7 @@ def compare(
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Per channel: rms and largest difference in units, and NRMSE."""
+    """Print rms and largest difference in units, and NRMSE per channel."""
     from hil.recording import read_recording
     from hil.simulation import compare as compare_recordings
 
@@ -87,7 +87,7 @@ def convert(
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Same channels, another file."""
+    """Write the same channels to another file."""
     from hil.recording import convert as convert_recording
 
     not_an_input(target, source)
@@ -99,7 +99,7 @@ def convert(
 
 
 def _channel_names(mapping: list[str] | None, source: Path) -> dict[str, str] | None:
-    """`["t=time", "q=position_roll"]` as a table."""
+    """Read `["t=time", "q=position_roll"]` as a table."""
     if not mapping:
         return None
     if source.suffix.lower() != ".mat":

@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _json_to_standard_output(arguments: list[str]) -> list[str]:
-    """A bare `--json` is `--json -`."""
+    """Read a bare `--json` as `--json -`."""
     complete = []
     for place, argument in enumerate(arguments):
         complete.append(argument)
@@ -96,8 +96,9 @@ def _json_to_standard_output(arguments: list[str]) -> list[str]:
 
 
 def _held_out_each(arguments: list[str]) -> list[str]:
-    """`--held-out A B` and `--held-out=A B` are `--held-out A --held-out B`; with nothing after it, it would take the next option for a
-    recording.
+    """Read `--held-out A B` and `--held-out=A B` as `--held-out A --held-out B`.
+
+    With nothing after it, the option would take the next option for a recording, so this is refused.
     """
     complete: list[str] = []
     held_out = False
@@ -115,7 +116,7 @@ def _held_out_each(arguments: list[str]) -> list[str]:
 
 @contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """What a reader of recordings warns of is for the person at the command line; a file and line of ours would say nothing to them."""
+    """Show the warnings of a reader of recordings in one line; a file and line of this program would not help the user."""
     with warnings.catch_warnings():
         shown_by_python = warnings.showwarning
 

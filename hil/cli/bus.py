@@ -1,4 +1,4 @@
-"""isocenter scan-bus | home: who is there, and the first careful motion."""
+"""isocenter scan-bus | home: the nodes on a bus, and the first careful motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 
 
 def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit rate [bit/s]."), json_to: JsonOption = None) -> None:
-    """One line per node."""
+    """Print one line per node."""
     from drivers.bus_url import open_bus
     from drivers.canopen.scan import scan_bus as scan
     from hil.bench.clock import WallClock

@@ -27,7 +27,7 @@ app = typer.Typer(
 MOST_NAMED = 8
 """Exposures that a line names."""
 
-ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
+ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")]
 FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
 JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")]
 
@@ -116,7 +116,7 @@ def phantom(
     machine_name: MachineArgument,
     scan_folder: ScanArgument,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="LOOKUP", help="Look-up table to write (.npz).")],
-    six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal: six parameters, as today's procedure does.")] = False,
+    six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal and fit six parameters only.")] = False,
     pixels: Annotated[bool, typer.Option("--pixels", help="Fit the pixels' aspect and skew (6.4) too, one for the whole scan.")] = False,
     standing: Annotated[
         bool, typer.Option("--standing", help="Keep the poses at which the machine stood, averaged: a roadmapping grid.")

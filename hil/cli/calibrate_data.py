@@ -15,7 +15,7 @@ from hil.terminal.output import Answer, JsonOption, follower, progress, save_fig
 if TYPE_CHECKING:
     from hil.calibration.data_driven.observed_beam import ObservedBeam
     from hil.calibration.data_driven.quasi_static import QuasiStatic
-    from hil.calibration.data_driven.values import Calibration, Measurement
+    from hil.calibration.data_driven.values import Calibration, Measurement, Parameters
     from hil.machine import Machine
     from hil.recording import Recording
 
@@ -130,7 +130,9 @@ def level(
     answer.write({"recording": out, "rows": recording.rows})
 
 
-def _observed(machine: Machine, recording: Recording, model: QuasiStatic, known: Any, design: Path | None, answer: Answer) -> ObservedBeam:
+def _observed(
+    machine: Machine, recording: Recording, model: QuasiStatic, known: Parameters, design: Path | None, answer: Answer
+) -> ObservedBeam:
     from hil.calibration.data_driven.levelled import levelled
     from hil.calibration.data_driven.observed_beam import observed_beam, unobserved_beam
 

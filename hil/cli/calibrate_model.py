@@ -54,7 +54,7 @@ def grid(
     pace: Annotated[float, typer.Option("--pace", min=0.01, max=1.0, help="Share of the machine's speed and acceleration.")] = 0.5,
     json_to: JsonOption = None,
 ) -> None:
-    """Row by row, there and back."""
+    """Write a grid of poses, row by row, there and back."""
     from hil.calibration.kinematic.scan_proposal import grid_tour
     from hil.experiments import write_experiment
 
@@ -218,7 +218,7 @@ def model(
 
 
 def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
-    """A table from its file, or from the images of a folder."""
+    """Return a table from its file, or from the images of a folder."""
     from hil.calibration.phantom.phantom_calibration import calibrate_phantom
     from hil.calibration.use.lookup_table import look_up_of, read_look_up
     from hil.imaging.nominal import nominal_beam
@@ -251,13 +251,13 @@ def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
 
 
 SURE, LEAST_LAG = 5.0, 2e-3
-"""A lag is told from so many of its standard deviations, and from so much of a period, on."""
+"""A lag is reported from so many of its standard deviations, and from so much of a period, on."""
 
 MISFIT_M = 0.3e-3
 """Scatter of the poses besides the images' noise from which on the model is said not to fit; sweeps at speed shake by less."""
 
 VISIBLE_SHARE = 0.05
-"""A parameter with a smaller share in every combination that is not seen is told by the others."""
+"""A parameter with a smaller share in every combination that is not seen is determined by the others."""
 
 
 def _report(answer: Answer, fit: FlexibleFit, nominal: np.ndarray) -> None:
@@ -279,7 +279,7 @@ def _report(answer: Answer, fit: FlexibleFit, nominal: np.ndarray) -> None:
 
 
 def _less(table: LookUp, model: GeometricModel | None) -> np.ndarray:
-    """(N, 9) phantom-calibrated pose less the model's, or less nominal."""
+    """Return the phantom-calibrated pose less the model's, or less nominal, (N, 9)."""
     from hil.imaging.nominal import nominal_beam
 
     if model is None:
@@ -289,7 +289,7 @@ def _less(table: LookUp, model: GeometricModel | None) -> np.ndarray:
 
 
 def _rms(difference: np.ndarray) -> dict[str, float]:
-    """Of source [m], phantom [m] and rotation [rad] over the exposures."""
+    """Return rms of source [m], phantom [m] and rotation [rad] over the exposures."""
     square = np.mean(difference**2, axis=0)
     return {name: float(np.sqrt(square[k : k + 3].sum())) for name, k in (("source_m", 0), ("position_m", 3), ("rotation_rad", 6))}
 

@@ -20,7 +20,7 @@ FROZEN = 1e-6  # rad or m: poses closer than this in a direction are the same
 
 @dataclass(frozen=True)
 class Designed:
-    """Lines, their weights, amplitude by axis (None: not told by the responses) and what to say about them."""
+    """Lines, their weights, amplitude by axis (None: not known from the responses) and notes."""
 
     lines: tuple[int, ...]
     weights: tuple[float, ...]
@@ -75,7 +75,7 @@ def designed(
 
 
 def _amplitude(responses: Sequence[FrequencyResponse], axes: Sequence[str]) -> tuple[dict[str, float] | None, str]:
-    """By the frozen-pose check where the responses' poses differ in one direction."""
+    """Return amplitudes by the frozen-pose check where the responses' poses differ in one direction."""
     from hil.identification import frozen_pose_check
     from hil.identification.design.excitation import EXCITATION_RMS
 
@@ -89,7 +89,7 @@ def _amplitude(responses: Sequence[FrequencyResponse], axes: Sequence[str]) -> t
         return None, "no frozen-pose check: the responses do not say with which amplitude they were measured"
     rms = np.array(measured_with, float)
     check = frozen_pose_check(responses, rms, int(directions[0]))
-    scale = min(check.largest_scale, 1.0)  # never above what the responses were measured with: that the machine has borne
+    scale = min(check.largest_scale, 1.0)  # never above the amplitude of the measured responses, which is known to be safe
     amplitude = {name.partition("_")[2]: float(value * scale) for name, value in zip(first.input_names, rms, strict=True)}
     known = f"frozen-pose check: the pose counts as frozen up to {check.largest_scale:.3g} times the amplitude measured with"
     return {axis: amplitude[axis] for axis in axes}, f"{known}; {scale:.3g} times is used"

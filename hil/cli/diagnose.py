@@ -72,12 +72,15 @@ def diagnose(
 
 
 def _processors() -> int:
-    """That this process may use, as far as it says."""
+    """Return the number of processors that this process may use."""
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
 
 
 def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
-    """RecordingError where one file is given more than once: a repeat of itself has no noise, and nothing is held out of a fit to it."""
+    """Raise RecordingError where one file is given more than once.
+
+    A copy shows no noise between repeats, and nothing is held out of a fit to it.
+    """
     files = [path.resolve() for path in (*fitted_to, *held_out)]
     for number, path in enumerate((*fitted_to, *held_out)):
         earlier = files.index(files[number])
@@ -88,7 +91,7 @@ def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
 
 
 def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> dict[str, Recording]:
-    """Recordings by their file's name without its suffix; by their path where another one has that name."""
+    """Read recordings by their file's name without its suffix; by their path where another one has that name."""
     from hil.recording import read_recording
 
     found: dict[str, Recording] = {}
@@ -100,7 +103,7 @@ def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> d
 
 
 def _check_axes(path: Path, recording: Recording, machine: Machine) -> None:
-    """RecordingError where the recording says that it is of a machine without one of this machine's axes, and has no such channel."""
+    """Raise RecordingError where a recording is of a machine without one of this machine's axes, and has no such channel."""
     own = recording.metadata.get("machine", {})
     axes = own.get("axes") or machine.axes
     if any(axis not in axes and not {f"reference_{axis}", f"command_{axis}"} & set(recording.channels) for axis in machine.axes):
@@ -109,7 +112,7 @@ def _check_axes(path: Path, recording: Recording, machine: Machine) -> None:
 
 
 def _check_no_copies(train: Mapping[str, Recording], held: Mapping[str, Recording]) -> None:
-    """RecordingError where a recording holds the same rows as another one: a copy under another name, or a run of the same seed."""
+    """Raise RecordingError where a recording holds the same rows as another: a copy under another name, or the same seed."""
     earlier: dict[str, Recording] = {}
     for label, recording in {**train, **held}.items():
         for other, its in earlier.items():

@@ -118,7 +118,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
 
 
 def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool) -> list[str]:
-    """Write; what was lost."""
+    """Write the geometry; return what was lost."""
     from hil.imaging.nominal import nominal_beam
 
     suffix = path.suffix.lower()

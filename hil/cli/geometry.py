@@ -20,7 +20,7 @@ app = typer.Typer(
     "\n\nExample:  isocenter geometry volume carm scan --with carm.model.npz",
 )
 
-ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")]
+ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")]
 WithOption = Annotated[
     Path | None, typer.Option("--with", metavar="FILE", help="Look-up table or model; the nominal geometry unless given.")
 ]
@@ -63,7 +63,7 @@ def at(
     pose: PoseOption = "",
     json_to: JsonOption = None,
 ) -> None:
-    """Nominal, predicted, and how sure a model is."""
+    """Write nominal and predicted geometry, and the model's uncertainty."""
     from hil.calibration.kinematic.geometric_model import GeometricModel, read_calibration
     from hil.imaging.geometry import DEVIATIONS, NAMES
     from hil.imaging.nominal import nominal_beam
@@ -105,7 +105,7 @@ def truth(
     ] = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Without what the focal spot does on the tube."""
+    """Write the true geometry, without the focal spot's motion on the tube."""
     from hil.calibration.use.lookup_table import LookUp, write_look_up
     from hil.emulated.images import true_beam, xray_side
     from hil.imaging.nominal import nominal_beam
@@ -130,7 +130,7 @@ def standing(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="TABLE", help="Table to write (.npz).")],
     json_to: JsonOption = None,
 ) -> None:
-    """As calibrate phantom --standing does with a scan's."""
+    """Average the poses at which the machine stood, as calibrate phantom --standing does."""
     from hil.calibration.use.lookup_table import read_look_up, write_look_up
     from hil.calibration.use.lookup_table import standing as where_it_stood
 
@@ -148,7 +148,7 @@ TRUTH_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 1e-6], 3) ** 2)
 
 
 def volume(machine_name: MachineArgument, scan_folder: ScanArgument, calibration: WithOption = None, json_to: JsonOption = None) -> None:
-    """(2.1), exactly."""
+    """Compute the reconstruction volume (2.1), exactly."""
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.volume import reconstruction_volume
     from hil.imaging.nominal import nominal_beam

@@ -13,6 +13,7 @@ from hil.terminal.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
     from hil.identification import LocalModel, PoseModel, PoseSymmetry
+    from hil.identification.from_recordings import PlantInput
 
 POSE_UNITS = {"deg": math.pi / 180.0, "m": 1.0}
 
@@ -61,7 +62,7 @@ def identify(
     ] = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Frequency response, noise and nonlinear variance."""
+    """Estimate frequency response, noise and nonlinear variance."""
     from hil.identification import identify_poses, write_frf
     from hil.identification.report import response_document, response_lines
     from hil.recording import read_recording
@@ -98,7 +99,7 @@ def identify(
 
 
 def response_paths(out: Path, poses: int) -> list[Path]:
-    """`out` itself for one pose, `carm_p1.frf.npz` and so on for more."""
+    """Return `out` itself for one pose, `carm_p1.frf.npz` and so on for more."""
     if poses == 1:
         return [out]
     stem, dot, rest = out.name.partition(".")
@@ -130,7 +131,7 @@ def _over_poses(texts: list[str]) -> PoseModel | None:
 
 
 def _symmetry(parts: list[str]) -> PoseSymmetry:
-    """mirror@90deg, any number of them, and at most one period@360deg."""
+    """Read mirror@90deg, any number of them, and at most one period@360deg."""
     from hil.identification import PoseSymmetry
 
     found: dict[str, list[float]] = {"mirror": [], "period": []}
@@ -155,7 +156,9 @@ def _whole_numbers(option: str, text: str, form: str) -> tuple[int, int, int]:
     return first, second, third
 
 
-def _plant_input(text: str):  # type: ignore[no-untyped-def]  # one of two literals
-    if text not in ("command", "measured"):
-        raise typer.BadParameter(f"--input {text}: must be command or measured")
-    return text
+def _plant_input(text: str) -> PlantInput:
+    known: tuple[PlantInput, ...] = ("command", "measured")
+    for name in known:
+        if text == name:
+            return name
+    raise typer.BadParameter(f"--input {text}: must be command or measured")

@@ -17,7 +17,7 @@ app = typer.Typer(
 
 @app.command("list", help="The machines that are shipped.\n\nExample:  isocenter machine list")
 def list_machines(json_to: JsonOption = None) -> None:
-    """Names and descriptions."""
+    """Print names and descriptions."""
     from hil.machine import list_shipped, load_machine
 
     answer = Answer(json_to)
@@ -31,7 +31,7 @@ def list_machines(json_to: JsonOption = None) -> None:
 
 @app.command(help="What a machine file says: bodies, drives, sensors, limits, bus.\n\nExample:  isocenter machine show carm")
 def show(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
-    """A summary for a person; with --json the numbers in SI."""
+    """Print a summary for a person; with --json the numbers in SI."""
     from hil.machine.summary import machine_document, machine_lines
 
     machine = load(machine_name)
@@ -46,7 +46,7 @@ def show(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
     "Status 1 when a check fails.\n\nExample:  isocenter machine check carm"
 )
 def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
-    """Every finding on one line."""
+    """Print every finding on one line."""
     from hil.machine import check_machine
 
     machine = load(machine_name)
@@ -65,7 +65,7 @@ def export(
     mjcf: Annotated[Path, typer.Option("--mjcf", metavar="FILE", help="Where to write the MuJoCo model.")],
     json_to: JsonOption = None,
 ) -> None:
-    """Bodies, joints, actuators and sensors bear the machine file's names."""
+    """Export the machine; bodies, joints, actuators and sensors bear the machine file's names."""
     from hil.machine.mjcf import to_mjcf
 
     machine = load(machine_name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -13,11 +13,12 @@ from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress, save_figure
 
 if TYPE_CHECKING:
-    from controllers.observers.modal_observer import ModalObserver
+    from controllers.observers.modal_observer import FilterKind, ModalObserver
     from hil.calibration.data_driven.live import LiveCalibration
     from hil.machine import Machine
     from hil.observing import Estimate, ObserverDesign
     from hil.observing.live import LiveObserver
+    from hil.observing.observability import Observability
     from hil.recording import Recording
 
 ObserverOption = Annotated[
@@ -50,7 +51,7 @@ def live_observer(
     answer: Answer,
     calibration: Callable[[ModalObserver], LiveCalibration] | None = None,
 ) -> LiveObserver | None:
-    """The observer of a design file, ready for the loop, with what makes a calibration behind it; None without a file."""
+    """Return the observer of a design file, ready for the loop, with its calibration; None without a file."""
     if path is None:
         if damping:
             raise typer.BadParameter("--damping: comes from an observer's estimate; give --observer FILE as well")
@@ -78,7 +79,7 @@ def live_observer(
 
 
 def _check_machine(design: ObserverDesign, path: Path, machine: Machine, answer: Answer) -> None:
-    """Refuse a design of other axes or another sample rate; say where the machine file has changed since."""
+    """Refuse a design of other axes or another sample rate; tell where the machine file differs from the design's."""
     if design.model.axes != machine.axes or design.model.sample_rate_Hz != machine.sample_rate_Hz:
         raise UnusableInputError(
             f"{path}: the observer design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
@@ -151,7 +152,7 @@ def observe(
     if save_design is not None:
         write_design(design, save_design)
         answer.say(f"{save_design}: design")
-    observer = design.observer(filter_name, _modes(adapt, design.model.modes))  # type: ignore[arg-type]
+    observer = design.observer(cast("FilterKind", filter_name), _modes(adapt, design.model.modes))
     if design_path is not None:
         _check_machine(design, design_path, machine, answer)
     calibration = _calibration(machine, observer, data, images)
@@ -187,7 +188,7 @@ def observe(
 
 
 def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, images: Path | None) -> LiveCalibration | None:
-    """The calibration that ran along, with its images as they came then."""
+    """Return the calibration that ran along, with its images as they came then."""
     if data is None or images is None:
         return None
     from hil.calibration.data_driven.data_file import read_data_file
@@ -242,7 +243,7 @@ def _modes(text: str, modes: int) -> tuple[int, ...]:
 
 
 def _against_live(estimate: Estimate, recording: Recording) -> str:
-    """How the replay compares with what ran along: `the same`, bit for bit, or the first difference; "" where nothing did."""
+    """Compare the replay with the live run: `the same`, bit for bit, or the first difference; "" where nothing ran along."""
     import numpy as np
 
     if not all(name in recording for name in estimate.names):
@@ -257,7 +258,7 @@ def _against_live(estimate: Estimate, recording: Recording) -> str:
     return f"others from row {row} on ({first}): another design, filter, --adapt or version of this program ran along"
 
 
-def _document(estimate, seen) -> dict:  # type: ignore[no-untyped-def]
+def _document(estimate: Estimate, seen: Observability) -> dict[str, Any]:
     import numpy as np
 
     from controllers.observers.consistency import share_in_band

@@ -54,19 +54,19 @@ def load(name: str, effects: Path | None = None) -> Machine:
 
 
 def read_effects(path: Path, machine: Machine) -> tuple[EffectSetting, ...]:
-    """Effects of a file, checked against the catalogue and the machine."""
+    """Read the effects of a file, checked against the catalogue and the machine."""
     from hil.machine.effects_file import read_effects_file
 
     return read_effects_file(path, machine)
 
 
 def edge_scale(machine: Machine, axis: str) -> float:
-    """What one unit at the command line is in SI: a degree, or a millimetre on a prismatic axis."""
+    """Return one unit of the command line in SI: a degree, or a millimetre on a prismatic axis."""
     return math.pi / 180.0 if machine.units[machine.axis_index(axis)].position == "rad" else 1e-3
 
 
 def parse_pose(text: str, machine: Machine) -> dict[str, float]:
-    """`roll=30,propeller=-10` in rad (or m).
+    """Read `roll=30,propeller=-10` in rad (or m).
 
     Raises
     ------
@@ -93,7 +93,7 @@ def parse_pose(text: str, machine: Machine) -> dict[str, float]:
 
 
 def parse_band(option: str, text: str) -> tuple[float, float]:
-    """`0.5:40` as (low, high) [Hz].
+    """Read `0.5:40` as (low, high) [Hz].
 
     Raises
     ------
@@ -110,7 +110,7 @@ def parse_band(option: str, text: str) -> tuple[float, float]:
 
 
 def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
-    """`1,3,5`, each from 1.
+    """Read `1,3,5`, each from 1.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
 
 
 def not_an_input(out: Path, *inputs: Path) -> None:
-    """Refuse to write over what is read.
+    """Refuse to write over an input.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
 
 
 def folder_can_be_written(folder: Path) -> None:
-    """The same for a folder that is made when there is something to put into it.
+    """Refuse a folder that cannot be written to; it is made when there is something to put into it.
 
     Raises
     ------
@@ -170,7 +170,10 @@ def folder_can_be_written(folder: Path) -> None:
 
 
 def keep_earlier(path: Path) -> str:
-    """Move a recording that is already there aside, and say so; "" where there is none. What was recorded is never written over."""
+    """Move an existing recording aside, and say so; "" where there is none.
+
+    A recording is never written over.
+    """
     if not path.is_file():
         return ""
     aside = next(kept for n in itertools.count(1) if not (kept := path.with_name(f"{path.stem}.earlier{n}{path.suffix}")).exists())

@@ -1,4 +1,4 @@
-"""isocenter effects | emulate: the physics there is, and the emulated machine on a bus."""
+"""isocenter effects | emulate: the catalogue of effects, and the emulated machine on a bus."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption
 from hil.terminal.output import Answer, JsonOption
 
 PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu", "panel": "panel"}
-"""What a person calls the entries of the ready line."""
+"""Names of the ready line's entries in the text output."""
 
 
 def register(app: typer.Typer) -> None:
@@ -40,7 +40,9 @@ def effects(
     answer = Answer(json_to)
     entries = catalogue()
     for entry in entries:
-        parameters = ", ".join(f"{p['name']} [{p['unit']}]" for p in entry["parameters"])
+        described = entry["parameters"]
+        assert isinstance(described, list)
+        parameters = ", ".join(f"{p['name']} [{p['unit']}]" for p in described)
         answer.say(f"{entry['name']:28s} {parameters}")
     answer.write(entries)
 

@@ -14,7 +14,7 @@ from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress
 
 LARGE_BYTES = 2e9
-"""Memory from which on a reconstruction says what it takes."""
+"""Memory from which on a reconstruction reports how much it takes."""
 
 
 def register(app: typer.Typer) -> None:
@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 
 def reconstruct(
     machine_name: MachineArgument,
-    scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/formats.md).")],
+    scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for volume.mha and figures.")],
     lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Look-up table or model; nominal without.")] = None,
     geometry: Annotated[
@@ -125,7 +125,7 @@ def reconstruct(
 
 
 def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:
-    """Refuse a volume that this computer cannot hold; say what a large one takes."""
+    """Refuse a volume that this computer cannot hold; say how much memory a large one takes."""
     from hil.reconstruction.fdk import bytes_needed
 
     needed, there_is = bytes_needed(size, projections), np.inf

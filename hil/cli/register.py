@@ -1,4 +1,4 @@
-"""Which commands there are. Each module adds its own; what they need is imported when they run, so that --help stays fast."""
+"""The list of commands. Each module adds its own and imports what it needs when it runs, so that --help stays fast."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def roadmap(
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Distribution of the errors.")] = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Compare."""
+    """Compare calibrations."""
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.lookup_table import LookUp
     from hil.calibration.use.roadmap import PLACES, overlay

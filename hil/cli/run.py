@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperGroup
@@ -14,15 +15,20 @@ from hil.cli.running import RunOptions, run_and_tell
 from hil.cli.shared import takes
 
 if TYPE_CHECKING:
+    from typer._click.core import Command, Context  # Typer's own copy of Click: for annotations only
+
+    from controllers.excitation_lines import Band
     from hil.experiments import Experiment
     from hil.machine import Machine
 
+Choice = TypeVar("Choice", bound=str)
+
 
 class ExperimentGroup(TyperGroup):
-    """A group in which an experiment file stands where a command's name would."""
+    """A group in which an experiment file may take the place of a command's name."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """`run FILE.toml ...` is `run file FILE.toml ...`."""
+    def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
+        """Read `run FILE.toml ...` as `run file FILE.toml ...`."""
         if args and (args[0].endswith(".toml") or "/" in args[0]):
             args = ["file", *args]
         return super().resolve_command(ctx, args)
@@ -84,7 +90,7 @@ def multisine(
         jog = Jog(amplitude_rad=jog_amplitude * scale, line=1 if jog_frequency is None else None, frequency_Hz=jog_frequency)
     chosen: Any = _lines(band, lines, every_line)
     weights = None
-    rms: float | dict[str, float] = Multisine.amplitude_A  # type: ignore[assignment]  # the experiment's own default
+    rms: float | Mapping[str, float] = Multisine.amplitude_A  # the experiment's own default
     notes: tuple[str, ...] = ()
     if design:
         if lines:
@@ -212,13 +218,14 @@ def _known_axis(axis: str, machine: Machine) -> None:
         raise typer.BadParameter(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
 
 
-def _one_of(value: str, allowed: tuple[str, ...], option: str) -> Any:
-    if value not in allowed:
-        raise typer.BadParameter(f"{option} {value}: must be {' or '.join(allowed)}")
-    return value
+def _one_of(value: str, allowed: tuple[Choice, ...], option: str) -> Choice:
+    for choice in allowed:
+        if value == choice:
+            return choice
+    raise typer.BadParameter(f"{option} {value}: must be {' or '.join(allowed)}")
 
 
-def _lines(band: str, lines: str, every_line: bool) -> Any:
+def _lines(band: str, lines: str, every_line: bool) -> tuple[int, ...] | Band:
     from controllers.excitation_lines import Band
 
     return parse_whole_numbers("--lines", lines) if lines else Band(*parse_band("--band", band), odd=not every_line)

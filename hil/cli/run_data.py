@@ -1,4 +1,4 @@
-"""Calibration along with a run: `isocenter run ... --observer DESIGN --images DIR --data CALIBRATION`."""
+"""Calibration during a run: `isocenter run ... --observer DESIGN --images DIR --data CALIBRATION`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ASKED = 40
 
 @dataclass
 class DataBeside:
-    """What belongs to a live calibration before there is an observer: its start, its mailbox, and when it is content."""
+    """Parts of a live calibration before there is an observer: its start, its mailbox, and when phantom images are withdrawn."""
 
     machine: Machine
     start: DataFile
@@ -51,7 +51,7 @@ class DataBeside:
     calibration: LiveCalibration | None = None
 
     def behind(self, observer: ModalObserver) -> LiveCalibration:
-        """The calibration, behind this observer."""
+        """Return the calibration, behind this observer."""
         from hil.calibration.data_driven.live import LiveCalibration
 
         try:
@@ -71,7 +71,7 @@ def data_beside(
     plans: Sequence[Plan],
     lockstep: bool,
 ) -> DataBeside | None:
-    """A live calibration's beginnings; None without a file.
+    """Return what a live calibration starts from; None without a file.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def data_beside(
 
 
 def keep_sightings(beside: DataBeside, images: Path) -> None:
-    """What a replay needs, into the images' folder: of a run that was aborted, too."""
+    """Write what a replay needs into the images' folder, of an aborted run, too."""
     from hil.calibration.data_driven.live_file import SIGHTINGS, write_sightings
 
     if beside.calibration is not None and images.is_dir():

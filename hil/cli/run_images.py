@@ -63,7 +63,9 @@ def images_beside(
     lockstep: bool,
     beside: DataBeside | None = None,
 ) -> Iterator[tuple[Path | None, RowSpan | None]]:
-    """Receive frames while the block runs; yields the truth file the emulator has to write and who is told of rows, where needed.
+    """Receive frames while the block runs.
+
+    Yields the truth file that the emulator has to write and the span of rows to fill in, where needed.
 
     Raises
     ------
@@ -106,7 +108,8 @@ def images_beside(
         panel = None
         if lockstep:
             truth = truth or Path(scratch) / "truth.csv"
-            assert isinstance(source, Path) and beam is not None
+            assert isinstance(source, Path)
+            assert beam is not None
             panel = PanelOrder(machine, truth, source, Exposures(rate_Hz), beam, detector, 0)
         with frames_beside(order, panel, None if lockstep else answer.say) as check:
             if beside is not None and isinstance(beside.inbox, LockstepEnd):
@@ -126,7 +129,7 @@ def images_beside(
 
 
 def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool, scene_name: str) -> str:
-    """Where the panel is; "" where its frames come through a folder.
+    """Return where the panel is; "" where its frames come through a folder.
 
     Raises
     ------

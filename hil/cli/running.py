@@ -1,4 +1,4 @@
-"""What every experiment's command does with its plans: on which bus, how, and what is said about it."""
+"""Running of every experiment's plans: on which bus, how, and what is reported."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockst
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Where an experiment is run, on what, and where it goes."""
+    """Where an experiment is run, on what, and where its recordings go."""
 
     out: OutOption
     bus: BusOption = "lockstep:"
@@ -156,14 +156,14 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
 
 
 def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:
-    """What lost ticks mean to an observer of a machine that stood still meanwhile; a real one moves on."""
+    """Return a note on lost ticks for an observer: an emulated machine stood still meanwhile; a real one moves on."""
     if run.observer is None or not missed or find(run.bus) is None:
         return ()
     return (f'the observer stepped over {missed} lost ticks, in which the emulated machine waited; put overrun = "wait" into [timing]',)
 
 
 def _emulated(machine: Machine, run: RunOptions) -> Machine | None:
-    """What is emulated, where it is not the machine's own file.
+    """Return what is emulated, where it is not the machine's own file.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def shape(
     effects: EffectsOption = None,
     json_to: JsonOption = None,
 ) -> None:
-    """One line per design, the recommended one first."""
+    """Print one line per design, the recommended one first."""
     from hil.errors import UnusableInputError
     from hil.shaping.shaper_design import design_all, shaper_of
     from hil.shaping.shaper_file import ShaperFile, write_shaper
@@ -115,8 +115,7 @@ def _aim(period: float, harmonics: str, longest: float) -> Aim:
 def _subjects(
     machine: Machine, axis: str, pose: str, schedule: str, output: str, frf: Path | None
 ) -> tuple[list[Subject], list[float], str]:
-    """What to design for, the scheduling positions, and where it comes from in words."""
-
+    """Return what to design for, the scheduling positions, and a description of the source."""
     from hil.errors import UnusableInputError
     from hil.experiments.plan import pose_array
     from hil.shaping.poses import scheduled_poses, subject_at

@@ -6,11 +6,10 @@ import dataclasses
 import inspect
 import typing
 from collections.abc import Callable
-from typing import Any
 
 
 def takes(options: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorates a command: the parameter annotated with this dataclass becomes one option of the command line per field, behind its own.
+    """Decorate a command: the parameter annotated with this dataclass becomes one option per field, behind the command's own.
 
     Parameters
     ----------
@@ -37,11 +36,11 @@ def takes(options: type) -> Callable[[Callable[..., None]], Callable[..., None]]
             for field in dataclasses.fields(options)
         ]
 
-        def run(**given: Any) -> None:
+        def run(**given: object) -> None:
             shared = options(**{field.name: given.pop(field.name) for field in dataclasses.fields(options)})
             command(**given, **{place: shared})
 
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__dict__["__signature__"] = inspect.Signature(parameters)
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         run.__name__, run.__doc__ = command.__name__, command.__doc__
         return run

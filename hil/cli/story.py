@@ -1,4 +1,4 @@
-"""isocenter demo: the whole story on the emulator."""
+"""isocenter demo: the demonstration on the emulator."""
 
 from __future__ import annotations
 

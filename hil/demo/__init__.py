@@ -1,4 +1,4 @@
-"""The whole story on the emulator: run, record, identify, simulate, compare, show."""
+"""A demonstration on the emulator: run, record, identify, simulate, compare, show."""
 
 from hil.demo.story import run_demo
 

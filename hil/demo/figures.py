@@ -14,7 +14,7 @@ EXCERPT_S = 1.5
 
 
 def experiment_figure(story: Story) -> Figure:
-    """Reference and position, excitation and current of both axes over the last period."""
+    """Draw reference and position, excitation and current of both axes over the last period."""
     recording = story.recording
     period = recording.experiment["period_samples"]
     last = slice(recording.rows - period, recording.rows)
@@ -39,13 +39,13 @@ def experiment_figure(story: Story) -> Figure:
 
 
 def response_figure(story: Story) -> Figure:
-    """The frequency response matrix with its variances and the machine file's plant."""
+    """Draw the frequency response matrix with its variances and the machine file's plant."""
     model = ("machine file, linearised", story.response.frequencies_Hz, story.linearisation)
     return frf_figure(story.response, compared=[model])
 
 
 def friction_figure(story: Story) -> Figure:
-    """Roll current recorded and simulated, and what the nominal simulation misses over the speed."""
+    """Draw roll current recorded and simulated, and the error of the nominal simulation over the speed."""
     recording, rate = story.recording, story.machine.sample_rate_Hz
     time_s = recording.time
     reference = recording.channel("reference_roll").values
@@ -77,7 +77,7 @@ def friction_figure(story: Story) -> Figure:
 
 
 def nrmse_figure(story: Story) -> Figure:
-    """NRMSE of every channel, without and with the friction."""
+    """Draw NRMSE of every channel, without and with the friction."""
     names = [channel.name for channel in story.nominal_comparison.channels]
     figure = Figure(figsize=(10.0, 3.2), layout="constrained")
     axes = figure.subplots()

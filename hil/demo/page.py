@@ -1,4 +1,4 @@
-"""The demo's page: one self-contained HTML file with figures a person wants to look at."""
+"""The demo's page: one self-contained HTML file with figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 
 
 def write_page(story: Story, folder: Path) -> Path:
-    """Write `index.html` and its figures as PNG files; returns the page's path."""
+    """Write `index.html` and its figures as PNG files; return the page's path."""
     figures = {
         "experiment": experiment_figure(story),
         "response": response_figure(story),

@@ -1,4 +1,4 @@
-"""What the demo does, step by step."""
+"""The demo, step by step."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ EXPERIMENT = Multisine(
 
 
 def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
-    """Tell the story into the folder `out`; returns the JSON document."""
+    """Run the demo into the folder `out`; return the JSON document."""
     began = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     machine = load_machine("carm")
@@ -80,7 +80,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
 
 
 def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], float, float]:
-    """Run every plan on the emulated machine that has the secret friction; paths, machine time and the time it took."""
+    """Run every plan on the emulated machine with the secret friction; return paths, machine time and the time it took."""
     plans = EXPERIMENT.plans(machine)
     paths = recording_paths(out / "carm.mf4", plans)
     for path in paths:

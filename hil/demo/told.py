@@ -1,4 +1,4 @@
-"""Everything the demo found, for its page."""
+"""The results of the demo, for its page."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from hil.figures.geometry import COLOURS
 
 
 def spot_figure(track: SpotTrack, anode_Hz: float | None, title: str) -> Figure:
-    """Displacement along columns and rows [um] over time [s], and amplitudes over frequency [Hz] with the anode's alias marked."""
+    """Draw displacement along columns and rows [um] over time [s], and amplitudes over frequency [Hz] with the anode's alias."""
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     above, below = figure.subplots(2, 1)
     frequencies, amplitudes = track.spectrum()

@@ -22,7 +22,7 @@ def frf_figure(
     compared: Sequence[tuple[str, np.ndarray, np.ndarray]] = (),
     title: str = "",
 ) -> Figure:
-    """Magnitude and phase of every element, with the standard deviations due to noise and to nonlinear distortion.
+    """Draw magnitude and phase of every element, with the standard deviations due to noise and to nonlinear distortion.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _band(over_poses: Sequence[FrequencyResponse], frequencies: np.ndarray, i: i
 
 
 def _dB(values: np.ndarray) -> np.ndarray:
-    """20 lg |x|; zeros, which have none, are left out of the curve."""
+    """Return 20 lg |x|; zeros, which have none, are left out of the curve."""
     magnitude = np.abs(values)
     return np.where(magnitude > 0.0, 20.0 * np.log10(np.where(magnitude > 0.0, magnitude, 1.0)), np.nan)
 

@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.identification.result import FrequencyResponse
+from hil.identification.result import CovarianceKind, FrequencyResponse
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")  # Okabe and Ito
+KINDS: tuple[CovarianceKind, ...] = ("noise", "nonlinear")
 LINES = ("-", "--", ":", "-.")
 
 
 def surface_figure(responses: Sequence[FrequencyResponse], direction: int, *, angle: bool = True, title: str = "") -> Figure:
-    """Magnitude of every element over frequency and one scheduling parameter.
+    """Draw the magnitude of every element over frequency and one scheduling parameter.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def surface_figure(responses: Sequence[FrequencyResponse], direction: int, *, an
 
 
 def variance_figure(methods: Mapping[str, Sequence[FrequencyResponse]], *, title: str = "") -> Figure:
-    """Magnitude, noise and nonlinear standard deviations averaged over poses, methods beside each other.
+    """Draw magnitude, noise and nonlinear standard deviations averaged over poses, methods beside each other.
 
     Parameters
     ----------
@@ -64,10 +65,10 @@ def variance_figure(methods: Mapping[str, Sequence[FrequencyResponse]], *, title
                 first.frequencies_Hz, _mean_dB([np.abs(r.G[:, i, j]) ** 2 for r in _first_of(methods)]), color="black", label="|G|"
             )
             for (name, responses), colour in zip(methods.items(), COLOURS, strict=False):
-                for kind, line in zip(("noise", "nonlinear"), LINES, strict=False):
+                for kind, line in zip(KINDS, LINES, strict=False):
                     if responses[0].noise_covariance is None or (kind == "nonlinear" and responses[0].nonlinear_covariance is None):
                         continue
-                    square = [r.standard_deviation(kind)[:, i, j] ** 2 for r in responses]  # type: ignore[arg-type]
+                    square = [r.standard_deviation(kind)[:, i, j] ** 2 for r in responses]
                     axes.semilogx(
                         first.frequencies_Hz, _mean_dB(square), color=colour, linestyle=line, linewidth=0.9, label=f"{name}, {kind}"
                     )
@@ -84,9 +85,10 @@ def variance_figure(methods: Mapping[str, Sequence[FrequencyResponse]], *, title
 
 
 def _first_of(methods: Mapping[str, Sequence[FrequencyResponse]]) -> Sequence[FrequencyResponse]:
-    """Responses of the first method, whose magnitude stands for all."""
+    """Return the responses of the first method, whose magnitude is drawn for all."""
     return next(iter(methods.values()))
 
 
 def _mean_dB(squares: Sequence[np.ndarray]) -> np.ndarray:
-    return 10.0 * np.log10(np.mean(squares, axis=0) + np.finfo(float).tiny)
+    decibels: np.ndarray = 10.0 * np.log10(np.mean(squares, axis=0) + np.finfo(float).tiny)
+    return decibels

@@ -13,7 +13,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # 
 
 
 def deviations_figure(along: np.ndarray, label: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray | None]]) -> Figure:
-    """Nine panels of deviation from the nominal geometry [mm, mrad].
+    """Draw nine panels of deviation from the nominal geometry [mm, mrad].
 
     Parameters
     ----------

@@ -12,7 +12,10 @@ BLUE, GREY = "#0072B2", "#777777"
 
 
 def marker_figure(along: np.ndarray, label: str, result: MarkerScan, title: str) -> Figure:
-    """Deviation from nominal of each fitted parameter [mm, mrad] over a position or time, with bands of two standard deviations."""
+    """Draw the deviation from nominal of each fitted parameter [mm, mrad] with bands of two standard deviations.
+
+    It is drawn over a position or time.
+    """
     columns = [PARAMETERS.index(name) for name in result.free]
     wide = min(3, len(columns))
     high = -(-len(columns) // wide)

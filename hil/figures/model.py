@@ -1,4 +1,4 @@
-"""Figure of a model-based calibration: what the phantom saw, less the nominal geometry and less the model (thesis Fig. 2.8)."""
+"""Figure of a model-based calibration: measured poses less the nominal geometry and less the model (thesis Fig. 2.8)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.imaging.geometry import DEVIATIONS
 
 
 def residual_figure(names: Sequence[str], nominal: Sequence[np.ndarray], model: Sequence[np.ndarray], held_out: Sequence[bool]) -> Figure:
-    """Nine panels over the exposures of all scans, one after the other.
+    """Draw nine panels over the exposures of all scans, one after the other.
 
     Parameters
     ----------

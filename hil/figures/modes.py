@@ -12,7 +12,7 @@ POINTS = 121
 
 
 def modes_figure(model: ModalFrfModel, *, angle: bool = True, title: str = "") -> Figure:
-    """Curves of the model with 95 % bands, points of the fits at single poses.
+    """Draw curves of the model with 95 % bands, and points of the fits at single poses.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What an observer found over a recording: the detector's displacement with what the filter believes of it, and its consistency."""
+"""Figure of an observer's estimates over a recording: the detector's displacement with its deviation, and the consistency."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BAND = 0.95
 
 
 def observer_figure(estimate: Estimate) -> Figure:
-    """Shift, turn, and NIS beside its 95 % band, over time."""
+    """Draw shift, turn, and NIS beside its 95 % band, over time."""
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     shift, turn, consistency = figure.subplots(3, 1, sharex=True)
     time = estimate.time_s

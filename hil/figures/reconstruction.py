@@ -15,7 +15,7 @@ PLANES = (("z", 0, "x", "y"), ("y", 1, "x", "z"), ("x", 2, "y", "z"))
 
 
 def volume_figure(volume: Volume, title: str) -> Figure:
-    """Three slices through the middle over three largest-value projections; the volume's own frame, millimetres."""
+    """Draw three slices through the middle over three largest-value projections; the volume's own frame, millimetres."""
     figure = Figure(figsize=(11.0, 7.6), layout="constrained")
     panels = figure.subplots(2, 3)
     half = 0.5e3 * volume.values.shape[0] * volume.spacing_m
@@ -34,7 +34,7 @@ def volume_figure(volume: Volume, title: str) -> Figure:
 
 
 def wires_figure(qualities: Mapping[str, WireQuality], title: str) -> Figure:
-    """Cross section of each wire, and its profiles through the peak."""
+    """Draw the cross section of each wire, and its profiles through the peak."""
     figure = Figure(figsize=(3.8 * len(qualities), 7.0), layout="constrained")
     panels = figure.subplots(2, len(qualities), squeeze=False)
     for column, (name, quality) in enumerate(qualities.items()):

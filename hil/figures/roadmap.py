@@ -16,7 +16,7 @@ MANY_TIMES, FEW_TIMES = 50.0, 5.0
 
 
 def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
-    """Share of the poses below an overlay error, by place and calibration."""
+    """Draw the share of the poses below an overlay error, by place and calibration."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     panels = figure.subplots(1, len(PLACES), sharey=True)
     for k, (panel, place) in enumerate(zip(panels, PLACES, strict=True)):
@@ -39,7 +39,7 @@ def roadmap_figure(overlays: Mapping[str, Overlay], title: str) -> Figure:
 
 
 def _places(times: float) -> Locator:
-    """Of the numbers on a logarithmic axis whose ends are so many times apart."""
+    """Return tick places on a logarithmic axis whose ends are so many times apart."""
     if times < FEW_TIMES:
         return MaxNLocator(4)
     return LogLocator(subs=(1.0,) if times > MANY_TIMES else (1.0, 2.0, 5.0))

@@ -1,10 +1,11 @@
-"""Figures of reference shapers: their taps, what they pass, and the map of delays they were chosen from."""
+"""Figures of reference shapers: their taps, their frequency responses, and the map of delays they were chosen from."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controllers.errors import DesignError
@@ -14,14 +15,14 @@ from hil.shaping.shaper_design import Design, delay_map
 from hil.shaping.verdict import Subject
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
-"""Okabe and Ito's palette: told apart by colour-blind readers and in grey."""
+"""Okabe and Ito's palette: distinguishable for colour-blind readers and in grey."""
 
 SHOWN = 5
-"""Designs drawn: more lines than this are no longer told apart."""
+"""Designs drawn: more lines than this cannot be told apart."""
 
 
 def design_figure(designs: Sequence[Design], subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, title: str = "") -> Figure:
-    """Taps, |G| and |H| over frequency at the first pose, and the map of delays of the harmonic filter, as Figs 7.4 and 7.12."""
+    """Draw taps, |G| and |H| over frequency at the first pose, and the map of delays of the harmonic filter, as Figs 7.4 and 7.12."""
     figure = Figure(figsize=(11.0, 7.5), layout="constrained")
     taps, passes, tracks, gains = figure.subplots(2, 2).reshape(-1)
     frequencies = np.geomspace(0.05, sample_rate_Hz / 4.0, 2000)
@@ -48,8 +49,8 @@ def design_figure(designs: Sequence[Design], subjects: Sequence[Subject], aim: A
     return figure
 
 
-def _draw_map(axes, designs: Sequence[Design], subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float) -> None:
-    """Sum of |A_k| and vibration at 10 percent over T, the chosen delay marked."""
+def _draw_map(axes: Axes, designs: Sequence[Design], subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float) -> None:
+    """Draw the sum of |A_k| and vibration at 10 percent over T, the chosen delay marked."""
     cancelled = designs[0].cancelled
     for robust, name, colour in ((False, "hTDF", COLOURS[0]), (True, "hTDF robust", COLOURS[1])):
         try:

@@ -10,7 +10,7 @@ from scipy import special
 
 
 def plant_covariance(G: np.ndarray, inputs: np.ndarray, covariance_z: np.ndarray) -> np.ndarray:
-    """Covariance of vec(G) from the covariance of the columns of the averaged closed-loop outputs, (3.18).
+    """Return the covariance of vec(G) from that of the columns of the averaged closed-loop outputs, (3.18).
 
     Parameters
     ----------
@@ -27,23 +27,25 @@ def plant_covariance(G: np.ndarray, inputs: np.ndarray, covariance_z: np.ndarray
 
 
 def output_covariance(G: np.ndarray, covariance_z: np.ndarray) -> np.ndarray:
-    """Q C_z Q^H with Q = [I, -G] of (3.18): the covariance of y - G u. Passes (L, n_y, n_y) through."""
+    """Return Q C_z Q^H with Q = [I, -G] of (3.18), the covariance of y - G u; (L, n_y, n_y) passes through."""
     n_y = G.shape[1]
     if covariance_z.shape[-1] == n_y:
         return covariance_z
     Q = np.concatenate((np.broadcast_to(np.eye(n_y), (len(G), n_y, n_y)), -G), axis=2)
-    return Q @ covariance_z @ _hermitian(Q)
+    of_outputs: np.ndarray = Q @ covariance_z @ _hermitian(Q)
+    return of_outputs
 
 
 def kronecker(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Kronecker product of stacks: (L, a, a), (L, b, b) to (L, a b, a b)."""
+    """Return the Kronecker product of stacks: (L, a, a), (L, b, b) to (L, a b, a b)."""
     product = A[:, :, None, :, None] * B[:, None, :, None, :]
     size = A.shape[1] * B.shape[1]
-    return product.reshape(len(A), size, size)
+    stacked: np.ndarray = product.reshape(len(A), size, size)
+    return stacked
 
 
 def nonlinear_covariance(total: np.ndarray, noise: np.ndarray, realisations: int) -> np.ndarray:
-    """Covariance of the stochastic nonlinear distortion of one realisation, (3.20) times M.
+    """Return the covariance of the stochastic nonlinear distortion of one realisation, (3.20) times M.
 
     (3.20) as printed belongs to the mean over M realisations. Variances are clipped at zero element by element; a covariance
     between two elements is kept only where both variances are positive, and bounded by them.
@@ -52,31 +54,34 @@ def nonlinear_covariance(total: np.ndarray, noise: np.ndarray, realisations: int
     variance = np.maximum(np.real(np.diagonal(difference, axis1=1, axis2=2)), 0.0)
     bound = np.sqrt(variance[:, :, None] * variance[:, None, :])
     magnitude = np.abs(difference)
-    shrunk = difference * np.minimum(1.0, np.divide(bound, magnitude, out=np.zeros_like(bound), where=magnitude > 0.0))
+    shrunk: np.ndarray = difference * np.minimum(1.0, np.divide(bound, magnitude, out=np.zeros_like(bound), where=magnitude > 0.0))
     diagonal = np.arange(variance.shape[1])
     shrunk[:, diagonal, diagonal] = variance
     return shrunk
 
 
 def variances(covariance: np.ndarray, n_y: int, n_u: int) -> np.ndarray:
-    """Diagonal of a covariance of vec(G) as a matrix like G: (L, n_y n_u, n_y n_u) to (L, n_y, n_u)."""
+    """Return the diagonal of a covariance of vec(G) as a matrix like G: (L, n_y n_u, n_y n_u) to (L, n_y, n_u)."""
     diagonal = np.real(np.diagonal(covariance, axis1=1, axis2=2))
     return diagonal.reshape(-1, n_u, n_y).transpose(0, 2, 1)
 
 
 def circle_factor(dof: np.ndarray | float, probability: float) -> np.ndarray:
-    """Radius of the confidence circle of a complex value in units of its estimated standard deviation.
+    """Return the radius of the confidence circle of a complex value in units of its estimated standard deviation.
 
     |error|^2 / variance is F(2, 2 dof) for a circular complex error and a variance estimated with `dof` complex degrees of freedom.
     """
     dof = np.asarray(dof, float)
     known = np.sqrt(-np.log1p(-probability))
     safe = np.where(np.isfinite(dof), np.maximum(dof, 1e-9), 1.0)
-    return np.where(np.isfinite(dof), np.sqrt(special.fdtri(2, 2 * safe, probability)), known)
+    factor: np.ndarray = np.where(np.isfinite(dof), np.sqrt(special.fdtri(2, 2 * safe, probability)), known)
+    return factor
 
 
 def hotelling_bound(size: int, dof: np.ndarray | float, probability: float) -> np.ndarray:
-    """Bound on e^H C^-1 e for a complex error vector of `size` with an estimated covariance of `dof` degrees of freedom (Hotelling's T^2).
+    """Return Hotelling's T^2 bound on e^H C^-1 e for a complex error vector of `size`.
+
+    C is an estimated covariance with `dof` degrees of freedom.
 
     NaN where dof < size: such a covariance has no inverse.
     """
@@ -88,4 +93,5 @@ def hotelling_bound(size: int, dof: np.ndarray | float, probability: float) -> n
 
 
 def _hermitian(matrices: np.ndarray) -> np.ndarray:
-    return np.conj(np.swapaxes(matrices, -1, -2))
+    transposed: np.ndarray = np.conj(np.swapaxes(matrices, -1, -2))
+    return transposed

@@ -1,10 +1,11 @@
-"""What can be wrong with data or settings handed to an identification method."""
+"""Errors in the data or settings given to an identification method."""
 
 from hil.errors import UnusableInputError
 
 
 class IdentificationError(UnusableInputError):
-    """The data or the settings do not allow the estimate that was asked for.
+    """Data or settings that do not allow the requested estimate.
 
-    Raised for, e.g., an input that is not excited, records whose periods do not match, or a local model with more unknowns than lines.
+    Raised, for example, for an input that is not excited, records whose periods do not match, or a local model with more unknowns than
+    lines.
     """

@@ -1,4 +1,4 @@
-"""FRF files: NumPy .npz archives, laid out in docs/formats.md."""
+"""FRF files: NumPy .npz archives, laid out in docs/generated/file-formats.md."""
 
 from __future__ import annotations
 

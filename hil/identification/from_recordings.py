@@ -1,9 +1,9 @@
-"""From recordings of the bench to the estimators' arrays: which channels, which record is which realisation, rows that were lost."""
+"""Recordings as the estimators' arrays: which channels, which recording is which realisation, and how lost rows are handled."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -15,8 +15,17 @@ from hil.recording import Recording
 from hil.recording.ticks import on_every_tick
 
 PlantInput = Literal["command", "measured"]
+Details = dict[str, Any]  # a recording's metadata table `experiment`
 ACCELERATIONS = ("imu_x", "imu_y", "imu_z")
 SATURATED_RUN = 3  # equal commands in a row at the extreme value: a random-phase multisine with feedback never holds its peak
+
+
+class Channels(TypedDict):
+    """Which channels of a recording are the excited axes, the outputs and the plant's input; None takes the defaults."""
+
+    axes: Sequence[str] | None
+    outputs: Sequence[str] | None
+    plant_input: PlantInput
 
 
 def records_from(
@@ -84,7 +93,7 @@ def arbitrary_records(
     outputs: Sequence[str] | None = None,
     plant_input: PlantInput = "command",
 ) -> ArbitraryRecords:
-    """Arrange recordings of one pose as records of any excitation, as long as the shortest; parameters and errors as `records_from`."""
+    """Arrange recordings of one pose as records of any excitation, cut to the shortest; parameters and errors as in `records_from`."""
     if not recordings:
         raise IdentificationError("no recordings given")
     recordings = [on_every_tick(recording) for recording in recordings]
@@ -114,14 +123,14 @@ def arbitrary_records(
 
 
 def by_pose(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Recordings grouped by their start pose, poses in ascending order."""
+    """Group recordings by their start pose, poses in ascending order."""
     groups: dict[tuple[float, ...], list[Recording]] = {}
     for recording in recordings:
         groups.setdefault(tuple(recording.experiment.get("start_pose") or ()), []).append(recording)
     return [groups[pose] for pose in sorted(groups)]
 
 
-def _details(recording: Recording, index: int) -> dict:
+def _details(recording: Recording, index: int) -> Details:
     details = recording.experiment
     samples = details.get("period_samples")
     if not isinstance(samples, int) or samples < 2:
@@ -129,15 +138,15 @@ def _details(recording: Recording, index: int) -> dict:
     return details
 
 
-def _same(details: Sequence[dict], key: str) -> None:
+def _same(details: Sequence[Details], key: str) -> None:
     for index, other in enumerate(details):
         if other.get(key) != details[0].get(key):
             what = f"{details[0].get(key)} and {other.get(key)}" if key != "excited_lines" else "two different lists"
             raise IdentificationError(f"recordings 1 and {index + 1} do not belong together: {key} is {what}")
 
 
-def _arrangement(details: Sequence[dict]) -> list[list[int]]:
-    """Indices of the recordings as [realisation][experiment]."""
+def _arrangement(details: Sequence[Details]) -> list[list[int]]:
+    """Return the indices of the recordings as [realisation][experiment]."""
     places: dict[tuple[int, int], int] = {}
     for index, item in enumerate(details):
         place = (int(item.get("realisation", 0)), int(item.get("experiment", 0)))
@@ -157,7 +166,7 @@ def _arrangement(details: Sequence[dict]) -> list[list[int]]:
 def _chosen(
     recordings: Sequence[Recording], axes: Sequence[str] | None, outputs: Sequence[str] | None, plant_input: PlantInput
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Excited axes, output channels, plant input channels."""
+    """Return excited axes, output channels and plant input channels."""
     machine_axes = recordings[0].axes
     chosen = tuple(axes) if axes else tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
     if not chosen:
@@ -186,14 +195,15 @@ def _sample_rate_Hz(recording: Recording) -> float:
 
 
 def _row_numbers(recording: Recording) -> np.ndarray:
-    """Row number of each row from its time: lost rows leave gaps."""
+    """Return the row number of each row from its time: lost rows leave gaps."""
     if recording.rows < 2:
         raise RecordingError("a recording of fewer than two rows has no sample rate")
-    return np.rint((recording.time - recording.time[0]) * _sample_rate_Hz(recording)).astype(int)
+    ticks: np.ndarray = np.rint((recording.time - recording.time[0]) * _sample_rate_Hz(recording)).astype(int)
+    return ticks
 
 
 def _matrix(recording: Recording, names: Sequence[str], rows: int) -> np.ndarray:
-    """(rows, len(names)); lost rows are NaN, but for the excitation, which the plan repeats every period."""
+    """Return channels (rows, len(names)); lost rows are NaN except in the excitation, which repeats every period."""
     numbers = _row_numbers(recording)
     kept = numbers < rows
     values = np.full((rows, len(names)), np.nan)

@@ -10,7 +10,7 @@ import numpy as np
 from hil.identification.bla.best_linear_approximation import fast_bla, robust_bla
 from hil.identification.design.excitation import EXCITATION_RMS
 from hil.identification.errors import IdentificationError
-from hil.identification.from_recordings import PlantInput, arbitrary_records, by_pose, records_from
+from hil.identification.from_recordings import Channels, PlantInput, arbitrary_records, by_pose, records_from
 from hil.identification.local.arbitrary_lpm_lrm import arbitrary_local
 from hil.identification.local.fast_lpm_lrm import fast_local
 from hil.identification.local.model import LocalModel
@@ -121,7 +121,7 @@ def identify_poses(
         raise IdentificationError(
             f"{method} takes the excited lines, not a band" if band_Hz else f"{method} needs the band that is excited: band_Hz"
         )
-    channels: dict = {"axes": axes, "outputs": outputs, "plant_input": plant_input}
+    channels: Channels = {"axes": axes, "outputs": outputs, "plant_input": plant_input}
     polynomial = method.endswith("lpm")
     chosen = _polynomial(model) if polynomial else model
     groups = by_pose(recordings)
@@ -141,7 +141,7 @@ def _estimate(records: PeriodicRecords, method: str, model: LocalModel | None) -
 
 
 def _with_amplitude(response: FrequencyResponse, records: PeriodicRecords) -> FrequencyResponse:
-    """Keeps each input's rms while it is excited, which `hil.identification.design.frozen_pose.frozen_pose_check` asks for."""
+    """Keep each input's rms while it is excited, for `hil.identification.design.frozen_pose.frozen_pose_check`."""
     square = np.mean(records.excitation**2, axis=2).reshape(-1, records.n_inputs)  # (records, n_u)
     excited = np.maximum(np.sum(square > 0.0, axis=0), 1)
     rms = np.sqrt(square.sum(axis=0) / excited)

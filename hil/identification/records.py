@@ -1,9 +1,9 @@
 """Records of a periodic experiment as the estimators take them: arrays over realisations, experiments and samples.
 
-The plant's input is the command as the loop computed it (row k of `command`), not the measured current: the command is known without
-noise and equals w - C y exactly, so the indirect method's ratio of G_wy and G_wu holds exactly. The drive applies command k at SYNC k+1 and
-holds it to k+2, so the response from command to a sampled output is G(z) = z^-1 (C (zI - A_d)^-1 B_d + D), with A_d, B_d the
-zero-order-hold discretisation of the plant and z = exp(i 2 pi f / f_s). From the measured current, which at row k reflects command k-1,
+The plant's input is the command that the loop computed (row k of `command`), not the measured current: the command is known without noise
+and equals w - C y exactly, so the indirect method's ratio of G_wy and G_wu holds exactly. The drive applies command k at SYNC k+1 and holds
+it until k+2, so the response from command to a sampled output is G(z) = z^-1 (C (zI - A_d)^-1 B_d + D), with A_d, B_d the zero-order-hold
+discretisation of the plant and z = exp(i 2 pi f / f_s). The measured current at row k reflects command k-1, so from the measured current
 the factor z^-1 is absent.
 """
 
@@ -54,38 +54,48 @@ class PeriodicRecords:
 
     @property
     def realisations(self) -> int:
-        return self.outputs.shape[0]
+        """Number of realisations M."""
+        count: int = self.outputs.shape[0]
+        return count
 
     @property
     def experiments(self) -> int:
-        return self.outputs.shape[1]
+        """Number of experiments E of each realisation."""
+        count: int = self.outputs.shape[1]
+        return count
 
     @property
     def periods(self) -> int:
         """Whole periods in each record, the settling ones included."""
-        return self.outputs.shape[2] // self.period_samples
+        count: int = self.outputs.shape[2] // self.period_samples
+        return count
 
     @property
     def n_outputs(self) -> int:
-        return self.outputs.shape[3]
+        """Number of plant outputs."""
+        count: int = self.outputs.shape[3]
+        return count
 
     @property
     def n_inputs(self) -> int:
-        return self.excitation.shape[3]
+        """Number of plant inputs."""
+        count: int = self.excitation.shape[3]
+        return count
 
     @property
     def closed_loop_outputs(self) -> np.ndarray:
-        """(M, E, T, n_z) z = [y; u] of (3.7); y alone in open loop."""
+        """Closed-loop outputs z = [y; u] of (3.7), (M, E, T, n_z); y alone in open loop."""
         if self.inputs is None:
             return self.outputs
         return np.concatenate((self.outputs, self.inputs), axis=-1)
 
     @property
     def frequencies_Hz(self) -> np.ndarray:
-        """(L,) of the excited lines."""
+        """Frequencies (L,) of the excited lines."""
         return self.lines * self.sample_rate_Hz / self.period_samples
 
     def __post_init__(self) -> None:
+        """Check that arrays and labels fit together."""
         realisations, experiments, samples, n_outputs = self.outputs.shape
         expected = (realisations, experiments, samples, len(self.input_names))
         for name, array in (("excitation", self.excitation), ("inputs", self.inputs)):

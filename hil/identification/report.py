@@ -10,7 +10,7 @@ from hil.identification.result import FrequencyResponse
 
 
 def response_lines(response: FrequencyResponse) -> list[str]:
-    """What a person wants to know first: lines, band, and per element how large noise and nonlinear distortion are."""
+    """Return lines, band, and noise and nonlinear distortion per element as lines of text."""
     frequencies = response.frequencies_Hz
     text = [f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz"]
     text += [f"note: {note}" for note in response.notes]
@@ -23,7 +23,7 @@ def response_lines(response: FrequencyResponse) -> list[str]:
 
 
 def response_document(response: FrequencyResponse) -> dict[str, Any]:
-    """JSON: names, units, lines, magnitudes and standard deviations; arrays of (lines, outputs, inputs)."""
+    """Return names, units, lines, magnitudes and standard deviations for JSON; arrays are (lines, outputs, inputs)."""
     document: dict[str, Any] = {
         "method": response.method,
         "settings": response.settings,

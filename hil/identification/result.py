@@ -34,8 +34,9 @@ class Distortion:
 
     @property
     def even(self) -> np.ndarray:
-        """(K,) bool: lines that even nonlinearities reach when only odd lines are excited."""
-        return self.lines % 2 == 0
+        """Lines (K,) bool that even nonlinearities reach when only odd lines are excited."""
+        is_even: np.ndarray = self.lines % 2 == 0
+        return is_even
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class FrequencyResponse:
     lines, frequencies_Hz : (L,)
     G : (L, n_y, n_u) complex, output unit per input unit, from the inputs to the outputs as sampled (`hil.identification.records`).
     noise_covariance, total_covariance : (L, n_y n_u, n_y n_u) of vec(G), columns stacked; of this estimate, all averaging counted.
-        None where the data cannot tell (one period; one realisation without detection lines).
+        None where the data do not determine it (one period; one realisation without detection lines).
     nonlinear_covariance : the same, of the stochastic nonlinear distortion of one realisation.
     noise_covariance_z, total_covariance_z : (L, n_z, n_z) of one column of the averaged [Y; U] (Y alone in open loop); for fast local
         methods of one line of the compensated outputs.
@@ -82,7 +83,10 @@ class FrequencyResponse:
     notes: tuple[str, ...] = ()
 
     def covariance(self, kind: CovarianceKind) -> np.ndarray:
-        """(L, n_y n_u, n_y n_u) of vec(G). Raises IdentificationError where the data could not tell it."""
+        """Return the covariance of vec(G), (L, n_y n_u, n_y n_u).
+
+        Raises IdentificationError where the data do not determine it.
+        """
         chosen = {"noise": self.noise_covariance, "total": self.total_covariance, "nonlinear": self.nonlinear_covariance}[kind]
         if chosen is None:
             needs = {
@@ -94,24 +98,27 @@ class FrequencyResponse:
         return chosen
 
     def standard_deviation(self, kind: CovarianceKind = "total") -> np.ndarray:
-        """(L, n_y, n_u) standard deviation of each complex element, sqrt(E |error|^2)."""
-        return np.sqrt(np.maximum(variances(self.covariance(kind), *self.G.shape[1:]), 0.0))
+        """Return the standard deviation of each complex element, sqrt(E |error|^2): (L, n_y, n_u)."""
+        root: np.ndarray = np.sqrt(np.maximum(variances(self.covariance(kind), *self.G.shape[1:]), 0.0))
+        return root
 
     def bound(self, probability: float = 0.95, kind: Literal["noise", "total"] | None = None) -> np.ndarray:
-        """(L, n_y, n_u) radius of the circle round each element of G that holds the true value with `probability`.
+        """Return the radius of the circle round each element of G that holds the true value with `probability`: (L, n_y, n_u).
 
-        The errors are circular complex normal and their variances estimated, hence sqrt(F(2, 2 dof)). `kind` None takes the total
-        covariance where there is one, else the noise's.
+        The errors are circular complex normal and their variances are estimates, hence sqrt(F(2, 2 dof)). `kind` None takes the total
+        covariance where there is one, else that of the noise.
         """
         if kind is None:
             kind = "noise" if self.total_covariance is None else "total"
         dof = self.noise_dof if kind == "noise" else self.total_dof
-        return circle_factor(dof, probability)[:, None, None] * self.standard_deviation(kind)
+        radii: np.ndarray = circle_factor(dof, probability)[:, None, None] * self.standard_deviation(kind)
+        return radii
 
     def column_distance(self, truth: np.ndarray, kind: Literal["noise", "total"] = "total") -> np.ndarray:
-        """(L, n_u) squared Mahalanobis distance of each column of G from `truth` (L, n_y, n_u); beside `column_distance_bound`.
+        """Return the squared Mahalanobis distance (L, n_u) of each column of G from `truth` (L, n_y, n_u).
 
-        NaN where there are fewer degrees of freedom than outputs: such a covariance has no inverse.
+        Compare it with `column_distance_bound`. NaN where there are fewer degrees of freedom than outputs: such a covariance has no
+        inverse.
         """
         lines, n_y, n_u = self.G.shape
         usable = (self.noise_dof if kind == "noise" else self.total_dof) >= n_y
@@ -124,5 +131,5 @@ class FrequencyResponse:
         return distance
 
     def column_distance_bound(self, probability: float = 0.95, kind: Literal["noise", "total"] = "total") -> np.ndarray:
-        """(L,) Hotelling's bound on `column_distance`; NaN where there are fewer degrees of freedom than outputs."""
+        """Return Hotelling's bound on `column_distance`, (L,); NaN where there are fewer degrees of freedom than outputs."""
         return hotelling_bound(self.G.shape[1], self.noise_dof if kind == "noise" else self.total_dof, probability)

@@ -11,7 +11,7 @@ import scipy.fft
 
 
 def period_spectra(samples: np.ndarray, period_samples: int) -> np.ndarray:
-    """Spectrum of every period, (3.10).
+    """Return the spectrum of every period, (3.10).
 
     Parameters
     ----------
@@ -24,11 +24,12 @@ def period_spectra(samples: np.ndarray, period_samples: int) -> np.ndarray:
     """
     *leading, total, channels = samples.shape
     split = samples.reshape(*leading, total // period_samples, period_samples, channels)
-    return scipy.fft.rfft(split, axis=-2, norm="forward")
+    spectra: np.ndarray = scipy.fft.rfft(split, axis=-2, norm="forward")
+    return spectra
 
 
 def record_spectra(samples: np.ndarray, beyond: int = 0) -> np.ndarray:
-    """Spectrum of whole records, (4.4), from bin -beyond to bin T // 2 + beyond.
+    """Return the spectrum of whole records, (4.4), from bin -beyond to bin T // 2 + beyond.
 
     The DFT of real samples is periodic and conjugate symmetric, so that a local window is whole at 0 and at f_s / 2 too.
 
@@ -42,7 +43,7 @@ def record_spectra(samples: np.ndarray, beyond: int = 0) -> np.ndarray:
     (..., T // 2 + 1 + 2 beyond, n) complex; bin k is at index k + beyond.
     """
     T = samples.shape[-2]
-    spectrum = scipy.fft.rfft(samples, axis=-2, norm="forward")
+    spectrum: np.ndarray = scipy.fft.rfft(samples, axis=-2, norm="forward")
     if beyond == 0:
         return spectrum
     below = np.conj(spectrum[..., beyond:0:-1, :])

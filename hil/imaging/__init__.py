@@ -1,4 +1,4 @@
-"""Imaging: the geometry of an exposure, its exchange formats, and what is measured in images."""
+"""Imaging: the geometry of an exposure, its exchange formats, and measurements in images."""
 
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam

@@ -33,7 +33,7 @@ class Detector:
 
     @property
     def intrinsic(self) -> np.ndarray:
-        """(3, 3) matrix from homogeneous metres (u, v, 1) on the panel to homogeneous (column, row, 1)."""
+        """Matrix (3, 3) from homogeneous metres (u, v, 1) on the panel to homogeneous (column, row, 1)."""
         scale = 1.0 / self.pitch_m
         middle_row = (self.rows - 1) / 2.0
         return np.array(
@@ -45,17 +45,19 @@ class Detector:
         )
 
     def to_pixels(self, points_m: np.ndarray) -> np.ndarray:
-        """(..., 2) metres on the panel to (..., 2) columns and rows."""
+        """Convert metres on the panel (..., 2) to columns and rows (..., 2)."""
         k = self.intrinsic
-        return np.asarray(points_m) @ k[:2, :2].T + k[:2, 2]
+        pixels: np.ndarray = np.asarray(points_m) @ k[:2, :2].T + k[:2, 2]
+        return pixels
 
     def to_metres(self, pixels: np.ndarray) -> np.ndarray:
-        """(..., 2) columns and rows to (..., 2) metres on the panel."""
+        """Convert columns and rows (..., 2) to metres on the panel (..., 2)."""
         k = self.intrinsic
-        return (np.asarray(pixels) - k[:2, 2]) @ np.linalg.inv(k[:2, :2]).T
+        points: np.ndarray = (np.asarray(pixels) - k[:2, 2]) @ np.linalg.inv(k[:2, :2]).T
+        return points
 
     def binned(self, factor: int) -> Detector:
-        """The panel read with factor x factor pixels as one.
+        """Return the panel read with factor x factor pixels as one.
 
         Raises
         ------

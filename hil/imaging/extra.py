@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from types import ModuleType
 
 from hil.errors import UnusableInputError
 
 DISTRIBUTIONS = {"tifffile": "scikit-image", "skimage": "scikit-image", "itk": "itk-rtk", "pydicom": "pydicom"}
-"""What brings each package."""
+"""The distribution that contains each package."""
 
 
-def imaging_package(name: str, what: str) -> Any:
-    """A module of the extra.
+def imaging_package(name: str, what: str) -> ModuleType:
+    """Import a module of the extra.
 
     Parameters
     ----------

@@ -47,20 +47,22 @@ class ConeBeam:
     rotation: np.ndarray
 
     def __len__(self) -> int:
+        """Return the number of exposures N."""
         return len(self.source_m)
 
     def __getitem__(self, index: slice | np.ndarray) -> ConeBeam:
+        """Return some of the exposures."""
         return ConeBeam(self.source_m[index], self.phantom_m[index], self.rotation[index])
 
     @classmethod
     def from_parameters(cls, parameters: np.ndarray) -> ConeBeam:
-        """From (N, 9) parameters in the order of `NAMES`."""
+        """Make a geometry from parameters (N, 9) in the order of `NAMES`."""
         values = np.atleast_2d(np.asarray(parameters, dtype=float))
         return cls(values[:, :3], values[:, 3:6], Rotation.from_euler("xyz", values[:, 6:]).as_matrix())
 
     @classmethod
     def from_frames(cls, source_m: np.ndarray, detector_m: np.ndarray, detector_rotation: np.ndarray) -> ConeBeam:
-        """From focal spot (N, 3), panel centre (N, 3) and panel orientation (N, 3, 3), all in the phantom's frame."""
+        """Make a geometry from focal spot (N, 3), panel centre (N, 3) and orientation (N, 3, 3), in the phantom's frame."""
         to_detector = np.swapaxes(detector_rotation, -1, -2)
         source = (to_detector @ (source_m - detector_m)[..., None])[..., 0]
         phantom = -(to_detector @ np.asarray(detector_m)[..., None])[..., 0]
@@ -68,7 +70,7 @@ class ConeBeam:
 
     @classmethod
     def from_matrices(cls, matrices: np.ndarray, detector: Detector) -> ConeBeam:
-        """From (N, 3, 4) matrices of any scale and sign, as `matrices` makes them, for this detector's pixels.
+        """Make a geometry from matrices (N, 3, 4) of any scale and sign, as `matrices` makes them, for this detector's pixels.
 
         Raises
         ------
@@ -100,36 +102,39 @@ class ConeBeam:
 
     @property
     def parameters(self) -> np.ndarray:
-        """(N, 9) in the order of `NAMES`."""
+        """Return the parameters (N, 9) in the order of `NAMES`."""
         angles = Rotation.from_matrix(self.rotation).as_euler("xyz")
         return np.concatenate([self.source_m, self.phantom_m, angles], axis=1)
 
     def moved(self, deviation: np.ndarray) -> ConeBeam:
-        """The exposures with deviations (N, 9) added: source and phantom [m], and a rotation vector [rad] in the detector's frame.
+        """Return the exposures with deviations (N, 9) added.
 
-        R_d^ph is multiplied by exp(deviation) from the right: unlike angles, rotation vectors have no pose in which they fail.
+        A deviation is of source and phantom [m], and a rotation vector [rad] in the detector's frame. R_d^ph is multiplied by
+        exp(deviation) from the right: unlike angles, rotation vectors have no pose in which they fail.
         """
         deviation = np.atleast_2d(deviation)
         turned = self.rotation @ Rotation.from_rotvec(deviation[:, 6:]).as_matrix()
         return ConeBeam(self.source_m + deviation[:, :3], self.phantom_m + deviation[:, 3:6], turned)
 
     def deviation_from(self, other: ConeBeam) -> np.ndarray:
-        """(N, 9) what takes `other` here by `moved`: the thesis's Delta xi (2.3)."""
+        """Return the deviation (N, 9) with which `other.moved` gives this geometry: the thesis's Delta xi (2.3)."""
         turned = Rotation.from_matrix(np.swapaxes(other.rotation, 1, 2) @ self.rotation).as_rotvec()
         return np.concatenate([self.source_m - other.source_m, self.phantom_m - other.phantom_m, turned], axis=1)
 
     @property
     def source_in_phantom_m(self) -> np.ndarray:
-        """(N, 3) focal spot in the phantom's frame."""
-        return (self.rotation @ (self.source_m - self.phantom_m)[..., None])[..., 0]
+        """Focal spot in the phantom's frame, (N, 3)."""
+        source: np.ndarray = (self.rotation @ (self.source_m - self.phantom_m)[..., None])[..., 0]
+        return source
 
     @property
     def detector_in_phantom_m(self) -> np.ndarray:
-        """(N, 3) panel centre in the phantom's frame."""
-        return -(self.rotation @ self.phantom_m[..., None])[..., 0]
+        """Panel centre in the phantom's frame, (N, 3)."""
+        center: np.ndarray = -(self.rotation @ self.phantom_m[..., None])[..., 0]
+        return center
 
     def referred_to(self, origin_m: np.ndarray, rotation: np.ndarray) -> ConeBeam:
-        """The same exposures in another frame, whose origin (3,) and orientation (3, 3) are given in the present one."""
+        """Return the same exposures in another frame, given by origin (3,) and orientation (3, 3) in the present one."""
         to_new = np.asarray(rotation).T
         return ConeBeam(
             self.source_m,
@@ -138,18 +143,23 @@ class ConeBeam:
         )
 
     def matrices(self, detector: Detector) -> np.ndarray:
-        """(N, 3, 4) from homogeneous phantom coordinates [m] to homogeneous (column, row, 1); scale: the depth from the focal spot [m]."""
+        """Return matrices (N, 3, 4) from homogeneous phantom coordinates [m] to homogeneous (column, row, 1).
+
+        Their scale is the depth from the focal spot [m].
+        """
         depth = -self.source_m[:, 2]
         upper = np.zeros((len(self), 3, 3))
         upper[:, 0, 0] = upper[:, 1, 1] = depth
         upper[:, 0, 2], upper[:, 1, 2], upper[:, 2, 2] = self.source_m[:, 0], self.source_m[:, 1], 1.0
         from_source = np.concatenate([np.swapaxes(self.rotation, 1, 2), (self.phantom_m - self.source_m)[..., None]], axis=2)
-        return detector.intrinsic @ upper @ from_source
+        projections: np.ndarray = detector.intrinsic @ upper @ from_source
+        return projections
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
-        """(N, P, 2) where points (P, 3) or (N, P, 3) of the phantom fall on the panel [m]."""
+        """Return where points (P, 3) or (N, P, 3) of the phantom fall on the panel [m], (N, P, 2)."""
         points = np.asarray(points_m, dtype=float)
         seen = (points - self.detector_in_phantom_m[:, None, :]) @ self.rotation  # in the detector's frame
         source = self.source_m[:, None, :]
         share = source[..., 2] / (source[..., 2] - seen[..., 2])
-        return source[..., :2] + (seen[..., :2] - source[..., :2]) * share[..., None]
+        projected: np.ndarray = source[..., :2] + (seen[..., :2] - source[..., :2]) * share[..., None]
+        return projected

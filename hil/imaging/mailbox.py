@@ -1,4 +1,4 @@
-"""Shared memory between the loop and the process that looks at images: poses one way, what images show the other.
+"""Shared memory between the loop and the process that looks at images: poses one way, image measurements the other.
 
 One writer and one reader for each direction; nobody locks and nobody waits. A writer fills a place first and counts it afterwards, and a
 place is used again only after many others.
@@ -9,12 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from multiprocessing.context import BaseContext
 
 import numpy as np
 
 POSES = 2048
-"""Rows of the recording whose poses are kept: 8 s at 256 Hz, longer than any image is on its way."""
+"""Rows of the recording whose poses are kept: 8 s at 256 Hz, longer than any image takes to arrive."""
 
 LETTERS = 64
 LARGEST = 9
@@ -32,7 +32,7 @@ _HANDLED, _SENT, _TAKEN, _LOST, _UNPLACED = range(5)
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one image shows, on its way to the loop.
+    """The measurement from one image, on its way to the loop.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Sighting:
 
 
 class Mailbox:
-    """Both directions.
+    """The shared memory of both directions.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Mailbox:
     axes : int
     """
 
-    def __init__(self, context: Any, axes: int) -> None:
+    def __init__(self, context: BaseContext, axes: int) -> None:
         self.axes = axes
         self._width = 5 + axes + LARGEST + LARGEST**2
         self._counters = context.RawArray("q", 5)
@@ -79,37 +79,38 @@ class Mailbox:
 
     @property
     def counters(self) -> np.ndarray:
-        """(5,) images looked at, letters sent, taken, lost because the box was full, and not sent as nobody knows the pose."""
+        """Images looked at, letters sent, taken, lost because the box was full, and not sent as the pose was unknown, (5,)."""
         return np.frombuffer(self._counters, dtype=np.int64)
 
     @property
     def poses(self) -> np.ndarray:
-        """(POSES, 2 + axes): row, time, positions."""
+        """Row, time and positions, (POSES, 2 + axes)."""
         return np.frombuffer(self._poses, dtype=float).reshape(POSES, 2 + self.axes)
 
     @property
     def ticks(self) -> np.ndarray:
-        """(POSES, 2): which of the rows that were told, counted from 0, and its tick of the plan."""
+        """Number of each row that was told, counted from 0, and its tick of the plan, (POSES, 2)."""
         return np.frombuffer(self._ticks, dtype=np.int64).reshape(POSES, 2)
 
     @property
     def letters(self) -> np.ndarray:
-        """(LETTERS, width)."""
+        """Letters (LETTERS, width)."""
         return np.frombuffer(self._letters, dtype=float).reshape(LETTERS, self._width)
 
     # the looking process's end
 
     def pose_at(self, time_s: float, period_s: float) -> np.ndarray | None:
-        """Axis positions (axes,) at a time, linear between two rows; None where one of them is not there (yet, or any more)."""
+        """Return axis positions (axes,) at a time, linear between two rows; None where one of them is not kept."""
         row = int(np.floor(time_s / period_s))
         found = self.poses[[row % POSES, (row + 1) % POSES]]
         if row < 0 or found[0, 0] != row or found[1, 0] != row + 1 or not np.isfinite(found).all():
             return None
         share = (time_s - found[0, 1]) / (found[1, 1] - found[0, 1])
-        return (1.0 - share) * found[0, 2:] + share * found[1, 2:]
+        pose: np.ndarray = (1.0 - share) * found[0, 2:] + share * found[1, 2:]
+        return pose
 
     def loop_time(self, synced_s: float, period_s: float) -> float:
-        """The loop's time of a time in periods of SYNC since row 0: later by the ticks that were lost. NaN where it is not known."""
+        """Return the loop's time of a time in periods of SYNC since row 0: later by the lost ticks; NaN where unknown."""
         sync = int(np.floor(synced_s / period_s))
         (first, tick), (second, after) = self.ticks[[sync % POSES, (sync + 1) % POSES]]
         if first != sync or second != sync + 1:
@@ -117,7 +118,7 @@ class Mailbox:
         return float((tick + (synced_s / period_s - sync) * (after - tick)) * period_s)
 
     def send(self, sighting: Sighting) -> None:
-        """Put a letter in; one that the loop has left no place for is lost, and counted."""
+        """Put a letter in; if the box is full it is lost, and counted."""
         counters = self.counters
         if counters[_SENT] - counters[_TAKEN] >= LETTERS:
             counters[_LOST] += 1
@@ -130,11 +131,11 @@ class Mailbox:
         counters[_SENT] += 1
 
     def unplaced(self) -> None:
-        """One more image is of where nobody knows the axes to have been: of a lost row, or of one that is kept no longer."""
+        """Count an image whose axis positions are unknown: of a lost row, or of one whose pose has been overwritten."""
         self.counters[_UNPLACED] += 1
 
     def handled(self) -> None:
-        """One more image has been looked at, and what it shows was sent."""
+        """Count an image that has been looked at, and whose measurement was sent."""
         self.counters[_HANDLED] += 1
 
 
@@ -152,7 +153,7 @@ class LoopEnd:
         self._taken = self._told = 0
 
     def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
-        """Where the axes are in a row of the recording, NaN if nobody knows; every row is told."""
+        """Tell where the axes are in a row of the recording, NaN if unknown; every row is told."""
         known = self._ticks[self._told % POSES]
         known[0] = -1
         known[1] = row
@@ -165,13 +166,13 @@ class LoopEnd:
         place[0] = row
 
     def collect(self, row: int) -> list[Sighting]:
-        """What has come by this row and was not taken yet."""
+        """Return what has come by this row and was not taken yet."""
         if self._counters[_SENT] == self._taken:
             return []
         return self.up_to(np.inf)
 
     def up_to(self, handled: float) -> list[Sighting]:
-        """What was sent until so many images had been looked at, the last of them included."""
+        """Return what was sent up to a number of images looked at, the last of them included."""
         found = []
         while self._taken < self._counters[_SENT]:
             letter, axes = self._letters[self._taken % LETTERS].copy(), self.mailbox.axes
@@ -193,19 +194,20 @@ class LoopEnd:
 
     @property
     def lost(self) -> int:
-        """What images showed and the mailbox had no place for."""
+        """Measurements for which the mailbox had no place."""
         return int(self._counters[_LOST])
 
     @property
     def unplaced(self) -> int:
-        """Images looked at when nobody knew where the axes were, or knew it no longer: `POSES` rows are kept."""
+        """Images whose axis positions were unknown or had been overwritten: `POSES` rows are kept."""
         return int(self._counters[_UNPLACED])
 
 
 class LockstepEnd(LoopEnd):
-    """The loop's end where time stands still between ticks: an image comes `LATE_S` after its exposure, and the loop waits for it then.
+    """The loop's end in lockstep, where time stands still between ticks.
 
-    So a run repeats bit for bit, however long images take to make and to look at.
+    An image comes `LATE_S` after its exposure, and the loop waits for it then. So a run repeats bit for bit, however long images take to
+    make and to look at.
 
     Parameters
     ----------
@@ -226,7 +228,7 @@ class LockstepEnd(LoopEnd):
         self.check: Callable[[], None] = lambda: None
 
     def collect(self, row: int) -> list[Sighting]:
-        """See `LoopEnd`."""
+        """Collect like `LoopEnd`, after waiting for the images that are due."""
         while self._due < len(self._due_s) and self._due_s[self._due] <= row * self._period_s:
             self._due += 1
         while self.looked_at < self._due:

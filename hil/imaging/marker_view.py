@@ -9,11 +9,11 @@ from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
 
 PLATE_M = 0.25
-"""Of a marker plate from the focal spot."""
+"""Distance of a marker plate from the focal spot."""
 
 
 def watched_marker(machine: Machine, name: str) -> tuple[MarkerPlate | None, MarkerProjection | None]:
-    """The plate of this name and its nominal view; nothing where the name is no plate's."""
+    """Return the plate of this name and its nominal view; None for both where no plate has this name."""
     if name not in PLATES:
         return None, None
     u, v, w = nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0]

@@ -1,4 +1,4 @@
-"""The geometry a machine file promises: no sag, no windup, every flexible joint at rest."""
+"""The geometry according to the machine file: no sag, no windup, every flexible joint at rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.machine import Geometry, Machine
 
 
 def imaging_geometry(machine: Machine) -> Geometry:
-    """The machine file's [geometry].
+    """Return the machine file's [geometry].
 
     Raises
     ------
@@ -25,7 +25,7 @@ def imaging_geometry(machine: Machine) -> Geometry:
 
 
 def nominal_detector(machine: Machine, binning: int = 1) -> Detector:
-    """The panel of the machine file, read with `binning` x `binning` pixels as one.
+    """Return the panel of the machine file, read with `binning` x `binning` pixels as one.
 
     Raises
     ------
@@ -42,7 +42,10 @@ def nominal_detector(machine: Machine, binning: int = 1) -> Detector:
 
 
 def nominal_beam(machine: Machine, positions: np.ndarray) -> ConeBeam:
-    """Geometry of exposures at axis positions (N, axes) [rad or m], referred to the isocentre in the world's orientation."""
+    """Return the geometry of exposures at axis positions (N, axes) [rad or m].
+
+    It is referred to the isocentre in the world's orientation.
+    """
     geometry = imaging_geometry(machine)
     positions = np.atleast_2d(np.asarray(positions, dtype=float))
     source_origin, source_rotation = body_frame(machine, geometry.source_body, positions)
@@ -53,16 +56,20 @@ def nominal_beam(machine: Machine, positions: np.ndarray) -> ConeBeam:
 
 
 def panel_in_tube(machine: Machine) -> np.ndarray:
-    """(3, 3) the panel's axes in the tube's frame with every axis at zero: how a plate on the tube is turned to face the panel."""
+    """Return the panel's axes in the tube's frame (3, 3) with every axis at zero.
+
+    A plate on the tube is turned by this to face the panel.
+    """
     geometry = imaging_geometry(machine)
     zero = np.zeros((1, len(machine.axes)))
     _, tube = body_frame(machine, geometry.source_body, zero)
     _, panel = body_frame(machine, geometry.detector_body, zero)
-    return tube[0].T @ panel[0]
+    relative: np.ndarray = tube[0].T @ panel[0]
+    return relative
 
 
 def body_frame(machine: Machine, body: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Origin (N, 3) and rotation (N, 3, 3) of a body's frame in the world."""
+    """Return origin (N, 3) and rotation (N, 3, 3) of a body's frame in the world."""
     bodies = {each.name: each for each in machine.plant.tree.bodies}
     driven = {drive.joint: k for k, drive in enumerate(machine.plant.drives)}
     path = []

@@ -33,10 +33,10 @@ class BulletPhantom:
 
 
 def dodecahedron(circumradius_m: float = 0.075, bullet_radius_m: float = 1.6e-3) -> BulletPhantom:
-    """Twenty corners of a dodecahedron, its centre, and two alignment bullets that break its symmetry (thesis Sec. 2.2.2).
+    """Return twenty corners of a dodecahedron, its centre, and two alignment bullets (thesis Sec. 2.2.2).
 
-    The alignment bullets lie inside, on no symmetry axis, so that no rotation of the body takes all 23 bullets to themselves; the body
-    is turned so that no two bullets hide each other over whole scans about the machine's axes.
+    The alignment bullets break its symmetry: they lie inside, on no symmetry axis, so that no rotation of the body takes all 23 bullets to
+    themselves. The body is turned so that no two bullets hide each other over whole scans about the machine's axes.
     """
     signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
     long, short = GOLDEN, 1.0 / GOLDEN

@@ -9,7 +9,7 @@ NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
 
 
 def without_dead_pixels(image: np.ndarray) -> np.ndarray:
-    """Image of counts in which pixels far outside the range of their eight neighbours are replaced by the neighbours' median."""
+    """Replace pixels far outside the range of their eight neighbours by the neighbours' median, in an image of counts."""
     low = ndimage.minimum_filter(image, footprint=NEIGHBOURS)
     high = ndimage.maximum_filter(image, footprint=NEIGHBOURS)
     beyond = np.maximum(low - image, image - high)

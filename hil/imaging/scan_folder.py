@@ -1,4 +1,4 @@
-"""A scan on disk: images, when they were exposed, and what panel took them (docs/formats.md)."""
+"""A scan on disk: images, when they were exposed, and by which panel (docs/generated/file-formats.md)."""
 
 from __future__ import annotations
 
@@ -53,15 +53,16 @@ class ImageScan:
     notes: Mapping[str, Any]
 
     def __len__(self) -> int:
+        """Return the number of exposures."""
         return len(self.exposure_id)
 
     @property
     def middle_s(self) -> np.ndarray:
-        """(N,) the middle of each exposure in the loop's time."""
+        """Middle of each exposure in the loop's time, (N,)."""
         return self.start_s + 0.5 * self.width_s
 
     def positions_of(self, machine: Machine) -> np.ndarray:
-        """(N, axes) positions in the order of a machine's axes.
+        """Return positions (N, axes) in the order of a machine's axes.
 
         Raises
         ------
@@ -80,7 +81,7 @@ class ImageScan:
         return self.positions
 
     def frame(self, k: int) -> np.ndarray:
-        """(rows, columns) image k.
+        """Return image k, (rows, columns).
 
         Raises
         ------
@@ -90,7 +91,7 @@ class ImageScan:
         tifffile = imaging_package("tifffile", "images")
         path = self.folder / FRAMES
         try:
-            image = tifffile.imread(path, key=k)
+            image: np.ndarray = tifffile.imread(path, key=k)
         except (OSError, LookupError, ValueError, struct.error, tifffile.TiffFileError) as error:
             raise UnusableInputError(f"{path}: image {k} of {len(self)} cannot be read: {error}") from None
         if image.shape != (self.detector.rows, self.detector.columns):
@@ -100,7 +101,7 @@ class ImageScan:
 
 
 def write_description(folder: Path, detector: Detector, axes: Sequence[str], notes: Mapping[str, Any]) -> None:
-    """scan.toml of a new scan."""
+    """Write scan.toml of a new scan."""
     panel = {
         "columns": detector.columns,
         "rows": detector.rows,
@@ -114,7 +115,10 @@ def write_description(folder: Path, detector: Detector, axes: Sequence[str], not
 def write_exposures(
     folder: Path, exposure_id: np.ndarray, start_s: np.ndarray, width_s: np.ndarray, units: Mapping[str, str], positions: np.ndarray
 ) -> None:
-    """exposures.csv of a new scan; `units` are those of each axis, a position that is not known is an empty cell."""
+    """Write exposures.csv of a new scan.
+
+    `units` are those of each axis; a position that is not known is an empty cell.
+    """
     with (folder / EXPOSURES).open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["exposure_id", "start [s]", "width [s]", *(f"position_{axis} [{unit}]" for axis, unit in units.items())])
@@ -124,7 +128,7 @@ def write_exposures(
 
 
 def read_scan(folder: Path) -> ImageScan:
-    """A scan's description and exposures; images are read one by one.
+    """Read a scan's description and exposures; images are read one by one.
 
     Raises
     ------
@@ -152,7 +156,7 @@ def read_scan(folder: Path) -> ImageScan:
 
 
 def detector_from(path: Path, panel: object) -> Detector:
-    """The panel that a file's table `detector` describes.
+    """Return the panel that a file's table `detector` describes.
 
     Raises
     ------
@@ -179,7 +183,7 @@ def detector_from(path: Path, panel: object) -> Detector:
 
 
 def _table(path: Path, axes: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-    """Unit of every axis, and (N, 3 + axes) numbers."""
+    """Return the unit of every axis, and numbers (N, 3 + axes)."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             lines = list(csv.reader(file))

@@ -1,4 +1,4 @@
-"""The observer's workshop: its model from frequency responses, its noise from records, its tuning, its replay over recordings."""
+"""Design and use of the observer: its model from frequency responses, its noise, its tuning, its replay over recordings."""
 
 from hil.observing.design_file import read_design, write_design
 from hil.observing.estimate import Estimate, read_estimate, write_estimate

@@ -1,8 +1,8 @@
-"""The newest estimate where another process can read it while the loop runs: a page of shared memory, one writer, any number of readers.
+"""The newest estimate, readable by another process while the loop runs: a page of shared memory, one writer, any number of readers.
 
-A counter is odd while the writer writes and even when it is done, so that a reader knows whether what it copied is of one row; nobody
-waits, and the loop copies some hundred numbers per tick. The writer holds a lock on its page's file for as long as it lives: where that
-is free there is no writer, however it ended and whatever process has its number now.
+A counter is odd while the writer writes and even when it is done, so that a reader knows whether its copy is of one row; nobody waits, and
+the loop copies some hundred numbers per tick. The writer holds a lock on its page's file for as long as it lives. Where the lock is free
+there is no writer, however it ended, even if another process has its process number.
 
     newest = latest_estimate("socketcan:vcan0")
     newest.row, newest["estimate_detector_x"], newest["estimate_detector_x_variance"]
@@ -51,7 +51,7 @@ class LatestEstimate:
     values: np.ndarray
 
     def __getitem__(self, name: str) -> float:
-        """One value."""
+        """Return one value."""
         try:
             return float(self.values[self.names.index(name)])
         except ValueError:
@@ -59,9 +59,10 @@ class LatestEstimate:
 
 
 class EstimateBoard:
-    """The writer's end: made once the bus is the writer's own, closed after the runs.
+    """The writer's end: opened once the bus belongs to the writer, closed after the runs.
 
-    A page is a file of its own and is put in an earlier one's place whole: whoever still writes to that one, or reads it, is not touched.
+    A page is a file of its own and replaces an earlier one as a whole: processes that still write or read the earlier one are not
+    disturbed.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ class EstimateBoard:
         os.replace(made, self._path)
 
     def put(self, row: int, values: np.ndarray) -> None:
-        """Show a row's values (channels,)."""
+        """Publish a row's values (channels,)."""
         counters = self._counters
         counters[_SEQUENCE] += 1
         counters[_ROW] = row
@@ -103,14 +104,14 @@ class EstimateBoard:
         counters[_SEQUENCE] += 1
 
     def close(self) -> None:
-        """Nobody finds it any more; a page that has taken its place stays."""
+        """Remove the page; a page that has replaced it stays."""
         with contextlib.suppress(OSError):
             _remove(self._path, os.fstat(self._handle).st_ino)
         os.close(self._handle)
 
 
 def latest_estimate(bus_url: str) -> LatestEstimate:
-    """The newest estimate of the observer that runs on a bus.
+    """Return the newest estimate of the observer that runs on a bus.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
 
 
 def remove_abandoned() -> int:
-    """Remove this user's pages whose writers were killed; how many there were."""
+    """Remove this user's pages whose writers were killed, and return how many there were."""
     base, prefix = _place()
     removed = 0
     for path in base.glob(f"{prefix}*.estimate*"):
@@ -155,7 +156,7 @@ def remove_abandoned() -> int:
 
 
 def _has_writer(file: IO[bytes]) -> bool:
-    """Whether a page's lock is held; where nobody can tell, it is taken for held."""
+    """Tell whether a page's lock is held; where that cannot be found out, assume that it is."""
     if fcntl is None:
         return True
     try:
@@ -167,7 +168,7 @@ def _has_writer(file: IO[bytes]) -> bool:
 
 
 def _remove(path: Path, inode: int) -> bool:
-    """Remove a page, unless another has taken its place; one that does so in this moment is put back."""
+    """Remove a page unless another has replaced it; one that does so at this moment is put back."""
     if path.stat().st_ino != inode:
         return False
     aside = path.with_name(f"{path.name}.{os.getpid()}.old")
@@ -186,7 +187,7 @@ def _path(bus_url: str) -> Path:
 
 
 def _place() -> tuple[Path, str]:
-    """Folder of this user's pages, and what their names begin with."""
+    """Return the folder of this user's pages, and what their names begin with."""
     shared = Path("/dev/shm")  # memory where the system has it as files
     base = shared if shared.is_dir() else Path(tempfile.gettempdir())
     user = os.getuid() if hasattr(os, "getuid") else "user"

@@ -1,7 +1,7 @@
-"""Is active damping to be let loose on a machine? The whole linear loop at poses of its range: plant, position loops, observer, damping.
+"""Check of active damping before it runs on a machine: plant, position loops, observer and damping as one linear loop.
 
-The plant is the machine file's, the observer and the law are those that will run: what the observer's model leaves out or gets wrong is in
-the check.
+The loop is examined at poses of the machine's range. The plant is the machine file's, the observer and the law are those that will run, so
+the check includes the errors of the observer's model.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from virtual_bus.physics import Physics
 
 POSES = 25
 SETTLED_ROWS = 1024
-"""After so many rows at rest the filter's gain stands still to a per cent, but for biases that nothing tells from tilt."""
+"""After so many rows at rest the filter's gain is settled to a per cent, except for biases that cannot be separated from tilt."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class DampedPose:
 
 
 class DampedLoop:
-    """Plant, position loops, observer and damping at one pose, as they step.
+    """Plant, position loops, observer and damping at one pose, in the order in which they step.
 
-    In row k the loop sees z_k, updates the observer, which knows the commands k-1 and k-2, and gives command k = -C_y y_k + damping. The
-    plant feels command k-1 from row k to k+1.
+    In row k the loop receives z_k, updates the observer, which knows the commands k-1 and k-2, and gives command k = -C_y y_k + damping.
+    The plant receives command k-1 from row k to k+1.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ class DampedLoop:
         self._felt = np.arange(total)[felt]
 
     def poles(self) -> np.ndarray:
-        """Of the closed loop, in z."""
+        """Return the poles of the closed loop, in z."""
         closed = self._open.copy()
         closed[self._felt] = self._command
         return np.linalg.eigvals(closed)
 
     def margins(self) -> tuple[Margins, ...]:
-        """Margins of every axis, cut at its drive, the others closed."""
+        """Return the margins of every axis, cut at its drive, the others closed."""
         frequencies = frequency_grid(self._plant_poles, self._rate_Hz)
         z = np.exp(2j * np.pi * frequencies / self._rate_Hz)
         triangular, unitary = scipy.linalg.schur(self._open, output="complex")
@@ -124,7 +124,7 @@ class DampedLoop:
         return tuple(found)
 
     def damping_ratio(self, near_Hz: float) -> float:
-        """Of the slowest-decaying pole within a quarter of a frequency."""
+        """Return the damping ratio of the slowest-decaying pole within a quarter of a frequency."""
         poles = self.poles()
         s = np.log(poles[np.abs(poles) > 1e-6]) * self._rate_Hz
         near = s[(s.imag > 0.0) & (np.abs(np.abs(s) / (2.0 * np.pi * near_Hz) - 1.0) < 0.25)]
@@ -138,7 +138,7 @@ def _shifted(triangular: np.ndarray, z: complex) -> np.ndarray:
 
 
 def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The filter at rest in a pose: x̂⁻ = F x̂ + G u, ẑ = H x̂⁻ + J u, x̂ = x̂⁻ + K (z - ẑ), with the gain it has after a while there."""
+    """Return the filter at rest in a pose: x̂⁻ = F x̂ + G u, ẑ = H x̂⁻ + J u, x̂ = x̂⁻ + K (z - ẑ), with its settled gain."""
     model, n = observer.model, len(pose)
     physics.place(pose)
     latched = physics.latch_exactly()
@@ -167,9 +167,9 @@ def _observer_at(observer: ModalObserver, physics: Physics, pose: np.ndarray) ->
 
 
 def _law_at(damping: ModalDamping, observer: ModalObserver, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The law's slopes by state and by the command on the wire, at rest in a pose: linear there, so a unit's difference is exact.
+    """Return the law's slopes by state and by the command on the wire, at rest in a pose.
 
-    After `_observer_at`, which leaves the model at that pose.
+    The law is linear there, so the difference over one unit is exact. Call after `_observer_at`, which leaves the model at that pose.
     """
     n, states = len(pose), len(observer.state)
     rest, still = np.zeros(states), np.zeros(n)
@@ -191,7 +191,7 @@ def _law_at(damping: ModalDamping, observer: ModalObserver, pose: np.ndarray) ->
 
 
 def examine_damping(machine: Machine, damping: ModalDamping, observer: ModalObserver) -> list[DampedPose]:
-    """The loop over a grid of poses of the machine's range."""
+    """Examine the loop over a grid of poses of the machine's range."""
     physics = Physics(machine.plant, noise=False)
     results = []
     for pose in pose_grid(machine, POSES):
@@ -204,7 +204,7 @@ def examine_damping(machine: Machine, damping: ModalDamping, observer: ModalObse
 
 
 def accept_damping(machine: Machine, results: list[DampedPose]) -> str:
-    """What the check found, in a line.
+    """Return the result of the check in one line.
 
     Raises
     ------

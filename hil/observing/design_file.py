@@ -1,4 +1,4 @@
-"""Observer designs as NumPy .npz archives, laid out in docs/formats.md."""
+"""Observer designs as NumPy .npz archives, laid out in docs/generated/file-formats.md."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.files.arrays import read_arrays, write_arrays
 from hil.observing.observer_design import ObserverDesign
 
 FORMAT, WITHOUT_COUPLING = 3, 2
-"""The format that is written, and the one before it, which is read as well: without coupling, steps of drives, places and low passes."""
+"""The format that is written, and an older one that can be read: without coupling, steps of drives, places and low passes."""
 
 _CHAIN = ("axes", "points", "revolute", "gravity_m_s2")
 _SENSOR = ("body_end_m", "sensor_end_m", "rotation", "lag_s", "channels")
@@ -100,9 +100,10 @@ def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
     )
     optional = {field.name for field in fields(ObserverNoise) if field.default is not MISSING or field.default_factory is not MISSING}
     given = [field.name for field in fields(ObserverNoise) if field.name not in optional or f"noise_{field.name}" in arrays]
+    noise: dict[str, Any] = {name: _plain(arrays[f"noise_{name}"]) for name in given}
     return ObserverDesign(
         model,
-        ObserverNoise(**{name: _plain(arrays[f"noise_{name}"]) for name in given}),
+        ObserverNoise(**noise),
         arrays["isocenter_m"],
         str(arrays["machine"]),
         str(arrays["machine_hash"]),
@@ -110,5 +111,5 @@ def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
     )
 
 
-def _plain(value: np.ndarray) -> Any:
+def _plain(value: np.ndarray) -> float | np.ndarray:
     return float(value) if value.ndim == 0 else value

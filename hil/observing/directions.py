@@ -1,8 +1,8 @@
-"""Where disturbances act: at the drives, in the gears, and between link side and detector, each in one direction of all modes together.
+"""Directions of disturbances: at the drives, in the gears, and between link side and detector, each in one direction of all modes together.
 
-A disturbance that is free on every mode at once may move the detector in ways that no push at a real place could. By reciprocity a push
-moves a mode in proportion to the mode's motion where it acts, over the modal mass; and the mass is what a drive's push on a mode and the
-mode's motion at that drive tell. So places at which the modes' shapes are known need nothing but the identified model.
+A disturbance that acts on every mode independently may move the detector in ways that no push at a real place could. By reciprocity a push
+moves a mode in proportion to the mode's motion where it acts, divided by the modal mass; and the mass follows from a drive's push on a mode
+and the mode's motion at that drive. So places at which the modes' shapes are known need nothing but the identified model.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 from controllers.models.modal import ModalModel, basis_at, chain_at_rest
 
 MASS_HARMONICS = 1
-"""Modal masses vary with pose as inertias do, but weak modes tell theirs at few poses only."""
+"""Modal masses vary with pose as inertias do, but weak modes show theirs at few poses only."""
 
 LEAST_SHARE = 0.01
-"""Directions in which what lies between link side and detector yields less than this share of the softest one are left out."""
+"""Directions with less than this share of the softest one's compliance between link side and detector are left out."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """What a model says at one pose.
+    """The modes' shapes at one pose.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Shapes:
 
 
 def shapes_at(model: ModalModel, pose: np.ndarray) -> Shapes:
-    """The modes' shapes at a pose (n_axes,)."""
+    """Return the modes' shapes at a pose (n_axes,)."""
     pose = np.asarray(pose, float)
     n, modes, stride = len(model.axes), model.modes, model.mode_stride
     values = model.at(pose)
@@ -61,7 +61,7 @@ def shapes_at(model: ModalModel, pose: np.ndarray) -> Shapes:
 
 
 def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np.ndarray) -> ModalModel:
-    """The model with a direction for every place: drives, gears, turns and shifts of the detector against the link side.
+    """Return the model with a direction for every place: drives, gears, turns and shifts of the detector against the link side.
 
     Parameters
     ----------
@@ -95,13 +95,17 @@ def with_directions(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
 
 
 def drives_masses(seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
-    """(poses, modes) as `_inverse_masses`, of every pose by itself: exact but for modes that hardly move a drive."""
+    """Return inverse masses (poses, modes), from every pose by itself: exact except for modes that hardly move a drive."""
     push, given = np.array([here.motor * effort_gain for here in seen]), np.array([here.inputs for here in seen])
-    return np.sum(push * given, axis=2) / np.sum(push**2, axis=2)
+    share: np.ndarray = np.sum(push * given, axis=2) / np.sum(push**2, axis=2)
+    return share
 
 
 def _inverse_masses(model: ModalModel, seen: Sequence[Shapes], effort_gain: np.ndarray) -> np.ndarray:
-    """(poses, modes): a drive's push on a mode is its gain times the mode's motion at the drive over the modal mass."""
+    """Return inverse modal masses (poses, modes).
+
+    A drive's push on a mode is its gain times the mode's motion at the drive over the modal mass.
+    """
     push = np.array([here.motor * effort_gain for here in seen])
     given = np.array([here.inputs for here in seen])
     basis = basis_at([min(order, MASS_HARMONICS) for order in model.harmonics], [here.pose for here in seen])
@@ -115,7 +119,10 @@ def _inverse_masses(model: ModalModel, seen: Sequence[Shapes], effort_gain: np.n
 
 
 def soft_directions(seen: Sequence[Shapes], masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit turns (k, 3) and shifts (l, 3) of the detector against the link side, in its frame: the softest ones over all poses."""
+    """Return unit turns (k, 3) and shifts (l, 3) of the detector against the link side: the softest ones over all poses.
+
+    They are in the detector's frame.
+    """
     compliance = np.zeros((6, 6))
     for here, inverse in zip(seen, masses, strict=True):
         compliance += (here.relative.T * (inverse / here.stiffness)) @ here.relative

@@ -1,4 +1,4 @@
-"""What an observer found, row by row, and its file: EST in docs/formats.md."""
+"""An observer's estimates row by row, and their file: EST in docs/generated/file-formats.md."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Estimate:
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Column (N,) by name."""
+        """Return a column (N,) by name."""
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
@@ -57,7 +57,7 @@ _ARRAYS = ("time_s", "values", "innovation", "states")
 
 
 def write_estimate(estimate: Estimate, path: str | Path, recording: Recording | None = None) -> None:
-    """Write an EST file (.npz); with a recording and a path that ends in .mf4 or .csv, that recording with the estimates as channels."""
+    """Write an EST file (.npz), or with a recording and a path in .mf4 or .csv, that recording with the estimates as channels."""
     path = Path(path)
     if path.suffix.lower() in (".mf4", ".csv"):
         if recording is None:

@@ -1,4 +1,4 @@
-"""What the observer takes from a machine file: where axes, detector, source and IMUs are. No masses, springs or dampers."""
+"""Geometry that the observer takes from a machine file: axes, detector, source and IMUs. No masses, springs or dampers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from virtual_bus.settings import Body
 
 
 def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...], np.ndarray, np.ndarray]:
-    """Chain of the driven axes to the detector, its IMUs, the focal spot and the isocentre.
+    """Return the chain of the driven axes to the detector, its IMUs, the focal spot and the isocentre.
 
-    The detector's frame at position zero takes the world's place, so that everything the observer says is in the detector's own frame.
+    The detector's frame at position zero serves as the world's, so that all estimates are in the detector's own frame.
 
     Returns
     -------
@@ -56,7 +56,8 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
 
     def end(body: str, position: np.ndarray) -> np.ndarray:
         origin, rotation = placed[body]
-        return to_detector @ (origin + rotation @ position) - last
+        moved: np.ndarray = to_detector @ (origin + rotation @ position) - last
+        return moved
 
     centers = {geometry.detector_body: geometry.detector_center_m, geometry.source_body: geometry.source_position_m}
     sensors = []
@@ -81,7 +82,7 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
 
 
 def _placed(bodies: tuple[Body, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Position and rotation of every body in the world, all joints at zero."""
+    """Return position and rotation of every body in the world, all joints at zero."""
     placed = {"world": (np.zeros(3), np.eye(3))}
     for body in bodies:
         origin, rotation = placed[body.parent]
@@ -90,7 +91,7 @@ def _placed(bodies: tuple[Body, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]
 
 
 def _path(bodies: dict[str, Body], name: str) -> list[Body]:
-    """Bodies from the world to this one."""
+    """Return the bodies from the world to this one."""
     path = []
     while name != "world":
         path.append(bodies[name])

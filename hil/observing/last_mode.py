@@ -1,9 +1,9 @@
-"""The mode above the excited band: what springs and the modes below leave for it.
+"""The mode above the excited band, derived from the springs and the modes below.
 
-Gears, turns and the mount move in as many ways as they have springs; where all modes but one are identified, the last one is orthogonal to
-them in the springs, φ_iᵀ K φ = 0, and stores φᵀ K φ. So its shape, and how far a push bends it slowly, are known though no line excited
-it; left out, what pushes in a gear or at the mount moves the detector otherwise than the model says, by that much. Of its frequency no
-more is known than that it lies above the lines: within a sample's reach it hardly matters where.
+Gears, turns and the mount move in as many ways as they have springs. Where all modes but one are identified, the last one is orthogonal to
+them in the springs, φ_iᵀ K φ = 0, and stores φᵀ K φ. So its shape, and how far a slow push bends it, are known though no line excited it.
+Without it the model's detector motion under a push in a gear or at the mount is wrong by that much. Its frequency is known only to lie
+above the lines; within a sample's time its exact value hardly matters.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from hil.observing.sag import detector_places, first_axis_frame
 from hil.observing.structure import Structure, relative_motion, spread_over_poses
 
 DAMPING_RATIO = 0.01
-"""Of a welded structure; nothing measured it."""
+"""Of a welded structure; it is not measured."""
 
 
 def with_last_mode(model: ModalModel, structure: Structure, highest_line_Hz: float) -> tuple[ModalModel, str]:
-    """The model with a mode that completes the springs, and a line for the design; the same model and nothing where not one is missing.
+    """Return the model with a mode that completes the springs, and a line for the design.
 
-    Where another body than the detector has an inertial sensor, the same model and a line that says so.
+    It is the same model and no line where the number of missing modes is not one. Where another body than the detector has an inertial
+    sensor, it is the same model and a line that says so.
 
     Parameters
     ----------
@@ -69,9 +70,7 @@ def with_last_mode(model: ModalModel, structure: Structure, highest_line_Hz: flo
     ))  # fmt: skip
     assert model.directions is not None, "a structure has places"
     directions = np.concatenate((model.directions, spread_over_poses(np.array(pushed), poses, model.harmonics)[None]))
-    wide = {
-        "turning": None if model.turning is None else np.concatenate((model.turning, np.zeros((1, *model.turning.shape[1:])))),
-        "coupling": None if model.coupling is None else np.concatenate((model.coupling, np.zeros((n, n, 1, basis))), axis=2),
-    }
+    turning = None if model.turning is None else np.concatenate((model.turning, np.zeros((1, *model.turning.shape[1:]))))
+    coupling = None if model.coupling is None else np.concatenate((model.coupling, np.zeros((n, n, 1, basis))), axis=2)
     note = f"mode {modes + 1}, above the lines, is what the springs leave for it; it is put at {frequency_Hz:.0f} Hz"
-    return replace(model, coefficients=coefficients, directions=directions, **wide), note  # type: ignore[arg-type]
+    return replace(model, coefficients=coefficients, directions=directions, turning=turning, coupling=coupling), note

@@ -1,4 +1,4 @@
-"""The observer in the sample loop: what the loop hands over per tick, what a recording gets, and what is added to the command."""
+"""The observer in the sample loop: its inputs per tick, its columns in a recording, and its addition to the command."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from hil.calibration.data_driven.live import LiveCalibration
 
 IMU_GAP_ROWS = 8
-"""Rows without an IMU that the estimate is acted upon all the same: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
+"""Rows without an IMU over which the estimate is still acted upon: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
 
 ALARM_ROWS = 128
-"""And rows of an alarm, two of its windows: one that passes was a push, one that stays says that the model is wrong."""
+"""Rows of an alarm likewise, two of its windows: a passing alarm is a push, a lasting one means that the model is wrong."""
 
 
 class LiveObserver:
@@ -105,7 +105,7 @@ class LiveObserver:
         self.restart(0)
 
     def restart(self, rows: int) -> None:
-        """Before row 0 of a plan of so many ticks: a replay starts there, too."""
+        """Prepare for row 0 of a plan of so many ticks; a replay starts here, too."""
         self._row.restart()
         self.observer.restart()
         self._understudy.restart()
@@ -117,11 +117,11 @@ class LiveObserver:
             self.damping.restart(rows)
 
     def rehearse(self) -> None:
-        """Step another filter on the last row, shortly before a tick: the step that counts then takes half the time."""
+        """Step another filter on the last row, shortly before a tick, which halves the time of the real step."""
         self._understudy.step_measured(self._row.values, self.effort)
 
     def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
-        """Before the feedback of a tick of the plan: its sample and the previous row's command (n_axes,), which is on the wire."""
+        """Process a tick of the plan before the feedback: its sample, and the previous row's command (n_axes,), on the wire."""
         read, axes = self._read, len(command)
         read[:axes] = sample.position
         read[axes : 2 * axes] = sample.link_position
@@ -150,7 +150,7 @@ class LiveObserver:
 
     @contextlib.contextmanager
     def shown(self, bus_url: str) -> Iterator[None]:
-        """Meanwhile other processes find the newest estimate under this bus (`hil.observing.board`), which is ours alone."""
+        """Let other processes find the newest estimate under this bus (`hil.observing.board`) inside the block."""
         board = self._board = EstimateBoard(bus_url, [name for name, _ in self.channels])
         try:
             yield
@@ -159,7 +159,7 @@ class LiveObserver:
             board.close()
 
     def _is_good(self) -> bool:
-        """Whether the estimate may be acted upon: numbers, no lasting alarm, and an IMU that has been heard of lately."""
+        """Tell whether the estimate may be acted upon: finite, no lasting alarm, and a recent IMU reading."""
         axes = len(self.effort)
         self._without_imu = self._without_imu + 1 if np.isnan(self._row.values[2 * axes :]).all() else 0
         self._alarmed = self._alarmed + 1 if self.observer.estimate[self._alarm] else 0

@@ -1,4 +1,4 @@
-"""What an observer is given of a row, live and in replay alike: what did not arrive is missing, and an IMU's reading that is an old one."""
+"""The measurements of a row for the observer, live and in replay alike: missing or repeated readings count as missing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from controllers.models.modal import ModalModel
 class MeasuredRow:
     """The measurements of a row in the order of `ModalModel.channels`, NaN where there is none.
 
-    An IMU whose six channels all read what they read before has sent nothing new: noise alone would have moved one of them. Its reading
-    counts as missing, so that an interface that holds the last value does not pass for a machine that stands still. An IMU without noise
-    on a machine at perfect rest is silent, too.
+    An IMU whose six channels all read the same as before has sent nothing new: noise alone would have changed one of them. Its reading
+    counts as missing, so that an interface that holds the last value is not taken for a machine that stands still. An IMU without noise on
+    a machine at perfect rest counts as silent, too.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class MeasuredRow:
         self.values = np.full(self._first + 6 * len(model.sensors), np.nan)
 
     def restart(self) -> None:
-        """Nothing has been read yet."""
+        """Forget all readings."""
         self._last[:] = np.nan
 
     def take(self, read: np.ndarray) -> None:

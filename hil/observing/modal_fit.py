@@ -1,13 +1,13 @@
 """The modal model of one pose from its frequency responses: Sec. 5.4.3.
 
-Rigid motion is known from the chain but for inertia and damping; every mode has one frequency, one damping ratio and one shape, which all
-channels share: encoders see its deflection, an accelerometer its acceleration and the tilt in gravity, a gyro its turning rate. So the
-shape of the detector, which no sensor measures as a displacement, follows from what its IMU says.
+Rigid motion is known from the chain except for inertia and damping. Every mode has one frequency, one damping ratio and one shape, which
+all channels share: encoders measure its deflection, an accelerometer its acceleration and the tilt in gravity, a gyro its turning rate. So
+the shape of the detector, which no sensor measures as a displacement, follows from its IMU.
 
-What drives the modes is the command less the drives' friction, which the motor sides' dynamic stiffness tells far below the first mode;
-taken for damping of every mode alone it would hide how it couples them.
+The modes are driven by the command less the drives' friction, which follows from the motor sides' dynamic stiffness far below the first
+mode. If it were modelled as damping of every mode separately, the coupling of the modes by friction would be lost.
 
-Poles are found by least squares with the shapes solved for within (variable projection), weighted by the responses' covariances.
+Poles are found by least squares with the shapes eliminated (variable projection), weighted by the responses' covariances.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ MOST_LINES = 200
 """More lines are thinned evenly: a fit takes a second and not ten."""
 
 FRICTION_Hz = 2.5
-"""Lines up to here tell the drives' friction: at 1 Hz it is some per cent of a motor side's dynamic stiffness, and modes are far."""
+"""Lines up to here give the drives' friction: at 1 Hz it is some per cent of a motor side's dynamic stiffness, and modes are far."""
 
 LEAST_LINES = 4
-"""Fewer lines tell no friction."""
+"""With fewer lines friction is taken as zero."""
 
 START_DAMPING = 0.015
 """ζ to start from: light, as welded structures have."""
@@ -49,7 +49,7 @@ SNAP_OCTAVES = 0.4
 """How far a mode may have moved from one pose to the next for a peak to be taken for it: 30 %."""
 
 TURN_LENGTH_m = 0.3
-"""What a turn of the detector is compared with a shift by when a shape is scaled to 1: half its size."""
+"""Length by which a turn of the detector is compared with a shift when a shape is scaled to 1: half its size."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class PoseFit:
 
 
 class _Problem:
-    """One pose's data and regressors."""
+    """Data and regressors of one pose."""
 
     def __init__(
         self, response: FrequencyResponse, chain: Chain, sensors: tuple[InertialSensor, ...], friction: np.ndarray | None = None
@@ -112,7 +112,7 @@ class _Problem:
         self.rest_gradients, self.down = (rest.position, rest.speed, rest.acceleration), rest.down
 
     def paths(self, stiffness: complex, damping: float, lag: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Responses (L,) of deflection now, and of deflection, speed and acceleration as a sensor with this lag shows them."""
+        """Return responses (L,) of deflection, and of deflection, speed and acceleration as a sensor with this lag shows them."""
         p11, p12, p21, p22, g1, g2 = _held_step(stiffness, damping, self.period)
         # x(k+1) = Φ x(k) + Γ c(k-1)
         determinant = (self.z - p11) * (self.z - p22) - p12 * p21
@@ -127,7 +127,10 @@ class _Problem:
         return position, past * low_pass, past_speed * low_pass, past_acceleration * low_pass
 
     def regressors(self, poles: np.ndarray) -> np.ndarray:
-        """(L, channels, unknowns): per mode the unknown shape's columns (axes + axes + 6 per sensor), then one column per rigid axis."""
+        """Return regressors (L, channels, unknowns).
+
+        Per mode the columns of the unknown shape (axes + axes + 6 per sensor), then one column per rigid axis.
+        """
         n, modes, L = self.axes, (len(poles) - self.axes) // 2, len(self.f)
         width = 2 * n + 6 * len(self.sensors)
         table = np.zeros((L, self.channels, modes * width + n), complex)
@@ -160,9 +163,9 @@ class _Problem:
         return table
 
     def solve(self, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted residual, real and imaginary parts apart, and the unknowns (unknowns, n_u).
+        """Return the weighted residual, real and imaginary parts apart, and the unknowns (unknowns, n_u).
 
-        Normal equations gathered group by group: an encoder knows nothing of the other channels' shapes.
+        Normal equations are gathered group by group: an encoder's rows do not contain the other channels' shapes.
         """
         table = self.regressors(poles)
         count = table.shape[2]
@@ -185,7 +188,7 @@ class _Problem:
         return np.concatenate(residuals), np.column_stack(unknowns)
 
     def _groups(self, count: int) -> list[tuple[list[int], list[int]]]:
-        """Channels that share unknowns, and the columns of those."""
+        """Return channels that share unknowns, and the columns of those."""
         n, width = self.axes, 2 * self.axes + 6 * len(self.sensors)
         firsts = range(0, count - n, width)
         rigid = list(range(count - n, count))
@@ -196,7 +199,7 @@ class _Problem:
         return groups
 
     def fit(self, frequencies: np.ndarray, damping_ratios: np.ndarray | None = None) -> np.ndarray:
-        """Poles from starting frequencies [Hz] and damping: ω², 2ζω of every mode, then stiffness of the rigid axes."""
+        """Fit poles from starting frequencies [Hz] and damping: ω², 2ζω of every mode, then stiffness of the rigid axes."""
         omega, modes = 2.0 * np.pi * frequencies, len(frequencies)
         scale = np.concatenate((np.column_stack((omega**2, omega)).ravel(), np.ones(self.axes)))
         damping = np.full(modes, START_DAMPING) if damping_ratios is None else np.clip(damping_ratios, 1e-3, 0.15)
@@ -206,7 +209,8 @@ class _Problem:
         solved = optimize.least_squares(
             lambda p: self.solve(p * scale)[0], start, bounds=(low, high), x_scale="jac", ftol=1e-5, max_nfev=20
         )
-        return solved.x * scale
+        found: np.ndarray = solved.x * scale
+        return found
 
 
 def fit_pose(
@@ -243,7 +247,7 @@ def fit_pose(
         omega = np.sqrt(near.stiffness)
         frequencies = _snapped(omega / (2.0 * np.pi), peaks_Hz(problem, problem.G, modes))
         poles = problem.fit(frequencies, near.damping / (2.0 * omega))
-    while len(frequencies) < modes:  # the next one stands out of what the others leave
+    while len(frequencies) < modes:  # the next one stands out of the residual of the others
         left = problem.G - problem.regressors(poles) @ problem.solve(poles)[1]
         frequencies = np.append(np.sqrt(poles[: 2 * len(frequencies) : 2]) / (2.0 * np.pi), peaks_Hz(problem, left, 1, poles))
         poles = problem.fit(frequencies)
@@ -274,9 +278,10 @@ def fit_pose(
 
 
 def drive_friction(response: FrequencyResponse) -> np.ndarray:
-    """The drives' friction (n_axes,) per speed of the motor side, in the command's unit; zero where no line is low enough.
+    """Return the drives' friction (n_axes,) per speed of the motor side; zero where no line is low enough.
 
-    Below the first mode the motor sides' dynamic stiffness is -J ω² + i ω C; what modes' damping adds to its imaginary part grows as ω³.
+    It is in the command's unit. Below the first mode the motor sides' dynamic stiffness is -J ω² + i ω C; what modes' damping adds to its
+    imaginary part grows as ω³.
     """
     axes = len(response.input_names)
     low = (response.frequencies_Hz >= LOWEST_Hz) & (response.frequencies_Hz <= FRICTION_Hz)
@@ -286,25 +291,27 @@ def drive_friction(response: FrequencyResponse) -> np.ndarray:
     stiffness = _acting(omega, 1.0 / response.sample_rate_Hz)[:, None, None] * np.linalg.inv(response.G[low, :axes])
     system = np.column_stack((1.0 / omega, omega))  # weighted as inertia's part grows
     loss = np.diagonal(stiffness, axis1=1, axis2=2).imag / omega[:, None] ** 2
-    return np.maximum(np.linalg.lstsq(system, loss, rcond=None)[0][0], 0.0)
+    coefficients: np.ndarray = np.maximum(np.linalg.lstsq(system, loss, rcond=None)[0][0], 0.0)
+    return coefficients
 
 
 def _acting(omega: np.ndarray, period_s: float) -> np.ndarray:
-    """What acts of a command at these frequencies: a sample late, and held for one."""
+    """Return the effect of a command at these frequencies: delayed by a sample, and held for one."""
     return np.exp(-1j * omega * period_s) * -np.expm1(-1j * omega * period_s) / (1j * omega * period_s)
 
 
 def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | None = None) -> np.ndarray:
-    """Frequencies of the most prominent peaks, at most `modes`, of the inertial channels' largest singular value over noise, rising.
+    """Return frequencies of the most prominent peaks, at most `modes`, rising.
 
-    Beside `known` poles nothing is looked for within their half-power width: what is left there is their own misfit.
+    They are peaks of the inertial channels' largest singular value over noise. Within the half-power width of `known` poles no peak is
+    looked for: what remains there is their own misfit.
 
     Raises
     ------
     BadAnswerError
         There is none.
     """
-    block = G[:, 2 * problem.axes :] / problem.noise[2 * problem.axes :][:, None]  # a channel that only hisses must not count
+    block = G[:, 2 * problem.axes :] / problem.noise[2 * problem.axes :][:, None]  # a channel with only noise must not count
     height = np.log(np.maximum(np.linalg.svd(block, compute_uv=False)[:, 0], 1e-12))
     if known is not None:
         height = np.convolve(np.pad(height, 2, mode="edge"), np.full(5, 0.2), mode="valid")
@@ -322,7 +329,7 @@ def peaks_Hz(problem: _Problem, G: np.ndarray, modes: int, known: np.ndarray | N
 
 
 def _snapped(frequencies: np.ndarray, peaks: np.ndarray) -> np.ndarray:
-    """Each peak gives its place to the frequency it is nearest to, in octaves; frequencies that no peak claims stay."""
+    """Replace the frequency nearest to each peak, in octaves, by the peak; frequencies that no peak claims stay."""
     moved = frequencies.copy()
     away = np.full(len(frequencies), SNAP_OCTAVES)
     for peak in peaks:
@@ -334,7 +341,10 @@ def _snapped(frequencies: np.ndarray, peaks: np.ndarray) -> np.ndarray:
 
 
 def _rank_one(residue: np.ndarray, sensors: tuple[InertialSensor, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Shape (width,) and input (n,) whose product is nearest to a residue (width, n): the first body's twist has size 1."""
+    """Return shape (width,) and input (n,) whose product is nearest to a residue (width, n).
+
+    The first body's twist has size 1.
+    """
     n = residue.shape[1]
     weight = np.ones(len(residue))
     turns = np.arange(len(residue)) >= 2 * n
@@ -351,7 +361,7 @@ def _rank_one(residue: np.ndarray, sensors: tuple[InertialSensor, ...]) -> tuple
 
 
 def _held_step(stiffness: complex, damping: float, duration: float) -> tuple[float, ...]:
-    """As `controllers.observers.modal_equations.mode_step`, for any stiffness: also overdamped and unstable pairs."""
+    """Step like `controllers.observers.modal_equations.mode_step`, for any stiffness: also overdamped and unstable pairs."""
     half = 0.5 * damping
     root = np.sqrt(complex(stiffness - half * half))
     if abs(root) < 1e-6:
@@ -363,5 +373,5 @@ def _held_step(stiffness: complex, damping: float, duration: float) -> tuple[flo
 
 
 def _skew(v: np.ndarray) -> np.ndarray:
-    """v x as a matrix."""
+    """Return the matrix of the cross product, v x."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,4 +1,4 @@
-"""Where the observer's noise covariances come from: sensor records, the machine file's lattices, and the responses' covariances."""
+"""The observer's noise covariances: from sensor records, the machine file's quantisation, and the responses' covariances."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from controllers.models.modal import ModalModel
 from controllers.observers.settings import ObserverNoise
 from hil.identification import FrequencyResponse
+from hil.identification.result import CovarianceKind
 from hil.machine import Machine
 from hil.recording import Recording
 
@@ -22,35 +23,36 @@ GYRO_WALK = 1e-6
 """rad/s per sqrt(s), likewise."""
 
 ROUNDING_STANDS_s = 1.0
-"""At standstill an encoder's rounding is one number and not noise; after a move it is another. So long a rest and a move take at least."""
+"""At standstill an encoder's rounding is a constant and not noise; after a move it is another. A rest and a move take at least this
+long."""
 
 BIAS_STRAY = np.array([5e-4] * 3 + [5e-5] * 3)
 """How far biases stray between the standing records and a run, by temperature above all: 0.05 mg, 10 deg/h (m/s^2, rad/s)."""
 
 UNKNOWN_BIAS = np.array([0.05] * 3 + [0.005] * 3)
-"""What biases may be before anything is known of them."""
+"""Deviation of biases that have not been measured."""
 
 START_TIME_s = 0.1
-"""Correlation time of disturbances to start from: the tuning moves it."""
+"""Correlation time of disturbances at the start of the tuning."""
 
 SLOWEST_Hz = 1.0
-"""Around which disturbances fade that are not the drives' own: from here on down the responses are not identified either, and what pushes
-is gravity and friction, which have terms of their own. Without this, every tilt that lasts might be a bias or a push."""
+"""Frequency around which disturbances fade that are not the drives' own: below it the responses are not identified either, and the
+disturbances are gravity and friction, which have terms of their own. Without this limit, every lasting tilt could be a bias or a push."""
 
 START_SHARE = 0.05
-"""Disturbances to start from, as a share of what the drives could do: the tuning moves it."""
+"""Disturbances at the start of the tuning, as a share of what the drives could do."""
 
 
 def encoder_steps(model: ModalModel, machine: Machine) -> np.ndarray:
-    """What one count is of motor sides, then link sides (2 n_axes,); 0 where there is no lattice."""
+    """Return the size of one count of motor sides, then link sides (2 n_axes,); 0 where there is no quantisation."""
     steps = {encoder.channel: encoder.resolution for encoder in machine.plant.encoders}
     return np.array([steps.get(name, 0.0) for name in model.channels()[: 2 * len(model.axes)]])
 
 
 def measurement_noise(model: ModalModel, machine: Machine, records: Sequence[Recording]) -> np.ndarray:
-    """Standard deviations (measurements,) of white noise, from recordings at rest, never below a sensor's lattice.
+    """Return standard deviations (measurements,) of white noise from recordings at rest, at least a sensor's quantisation.
 
-    Third differences take out whatever moves slowly against the sample rate; of white noise they have twenty times its variance.
+    Third differences remove whatever moves slowly against the sample rate; of white noise they have twenty times its variance.
     """
     channels = model.channels()
     steps = encoder_steps(model, machine)
@@ -60,22 +62,28 @@ def measurement_noise(model: ModalModel, machine: Machine, records: Sequence[Rec
         row[:] = np.nanmean(rough**2, axis=0) / 20.0
     lattice = np.concatenate((steps * LATTICE, np.zeros(len(channels) - len(steps))))
     smallest = np.where(np.arange(len(channels)) < 2 * len(model.axes), 1e-9, 1e-7)
-    return np.maximum(np.sqrt(np.min(variances, axis=0)) if len(records) else 0.0, np.maximum(lattice, smallest))
+    deviation: np.ndarray = np.maximum(np.sqrt(np.min(variances, axis=0)) if len(records) else 0.0, np.maximum(lattice, smallest))
+    return deviation
 
 
 def command_noise(machine: Machine, responses: Sequence[FrequencyResponse], records: Sequence[Recording]) -> np.ndarray:
-    """Standard deviations (n_axes,) of what acts beside the command: its rounding, and the responses' uncertainty times what was sent."""
+    """Return standard deviations (n_axes,) of what acts beside the command.
+
+    These are its rounding, and the responses' uncertainty times what was sent.
+    """
     rounding = np.array([drive.resolution * LATTICE for drive in machine.plant.drives])
     if not responses or not records:
-        return np.maximum(rounding, 1e-6)
+        deviation: np.ndarray = np.maximum(rounding, 1e-6)
+        return deviation
     sent = np.mean([[np.nanstd(np.diff(record[f"command_{axis}"])) for axis in machine.axes] for record in records], axis=0)
     shares = []
     for response in responses:
-        kind = "noise" if response.total_covariance is None else "total"
-        deviation = response.standard_deviation(kind)  # type: ignore[arg-type]
+        kind: CovarianceKind = "noise" if response.total_covariance is None else "total"
+        deviation = response.standard_deviation(kind)
         trusted = np.array([np.argmax(np.abs(response.G[:, :, u]).sum(axis=0)) for u in range(response.G.shape[2])])
         shares.append([np.median(deviation[:, j, u] / np.abs(response.G[:, j, u])) for u, j in enumerate(trusted)])
-    return np.sqrt(rounding**2 + (np.median(shares, axis=0) * sent) ** 2)
+    combined: np.ndarray = np.sqrt(rounding**2 + (np.median(shares, axis=0) * sent) ** 2)
+    return combined
 
 
 def starting_noise(
@@ -85,9 +93,9 @@ def starting_noise(
     records: Sequence[Recording],
     biases: tuple[np.ndarray, np.ndarray] | None,
 ) -> ObserverNoise:
-    """Noise before tuning: measured where it can be measured, and disturbances of a share of the drives' strength.
+    """Return the noise before tuning: measured where possible, disturbances as a share of the drives' strength.
 
-    A motor side's counter was set to the link encoder when it was homed, with both at rest: that offset, and what its rounding is at rest,
+    A motor side's counter was set to the link encoder when it was homed, with both at rest: that offset, and its rounding error at rest,
     are states. `biases` are the inertial sensors' and their deviations (6 sensors,), from standing records; None: not known.
     """
     n, sensors = len(model.axes), len(model.sensors)
@@ -110,5 +118,5 @@ def starting_noise(
 
 
 def effort_gain(machine: Machine) -> np.ndarray:
-    """Force or torque on each driven joint per unit of its drive (n_axes,)."""
+    """Return force or torque on each driven joint per unit of its drive (n_axes,)."""
     return np.array([drive.constant * drive.ratio for drive in machine.plant.drives])

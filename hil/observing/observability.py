@@ -1,7 +1,7 @@
-"""What the sensors can tell of the observer's states, and what not: the rank condition (5.14), in numbers.
+"""Which of the observer's states the sensors determine, and which not: the rank condition (5.14), in numbers.
 
-Ranks of (5.14) say nothing about how well. So the information that a second of measurements brings is compared with what is believed
-before: a direction in which it brings less than that is not observed, whatever the rank says.
+The rank in (5.14) does not say how well. So the information from a second of measurements is compared with the prior: a direction in which
+it adds less than the prior holds is not observed, whatever the rank says.
 """
 
 from __future__ import annotations
@@ -23,11 +23,14 @@ NAMED_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Observability:
-    """Attributes
+    """Which states are observed.
+
+    Attributes
     ----------
-    told : (states,) share of each state's prior variance that the measurements take away: 1 observed, 0 not at all.
+    state_names : of all states.
+    told : (states,) share of each state's prior variance that the measurements remove: 1 observed, 0 not at all.
     blind : for each direction that is not observed, the names of the states in it, the largest part first.
-    rank : of (5.14), states scaled by what is believed of them.
+    rank : of (5.14), states scaled by their prior.
     """
 
     state_names: tuple[str, ...]
@@ -37,14 +40,14 @@ class Observability:
 
     @property
     def lines(self) -> list[str]:
-        """The finding in words."""
+        """Return the finding in words."""
         count = len(self.state_names)
         text = [f"{count - len(self.blind)} of {count} directions of the state are observed within {SECONDS:g} s at rest"]
         return text + [f"not observed: {' with '.join(names)}" for names in self.blind]
 
 
 def observability(observer: ModalObserver, poses: Sequence[np.ndarray], missing: Sequence[str] = ()) -> Observability:
-    """What is observed from standstill at one pose or more.
+    """Return what is observed from standstill at one pose or more.
 
     Parameters
     ----------
@@ -87,7 +90,7 @@ def observability(observer: ModalObserver, poses: Sequence[np.ndarray], missing:
 
 
 def _gathered(F: np.ndarray, weighted: np.ndarray, prior: np.ndarray, samples: int) -> tuple[np.ndarray, int]:
-    """Information (states, states) of so many samples, and the rank of (5.14), both with states in units of what is believed."""
+    """Return the information (states, states) of so many samples, and the rank of (5.14), both scaled by the prior."""
     rows = weighted * prior
     step = F * prior / prior[:, None]
     information = np.zeros_like(step)
@@ -101,8 +104,9 @@ def _gathered(F: np.ndarray, weighted: np.ndarray, prior: np.ndarray, samples: i
 
 
 def _left_for(information: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Information on some states when the others, of which no more than the prior is known, are free."""
+    """Return the information on some states when the others are free, known by no more than the prior."""
     others = ~kept
     inner = information[np.ix_(others, others)] + np.eye(int(others.sum()))
     cross = information[np.ix_(kept, others)]
-    return information[np.ix_(kept, kept)] - cross @ np.linalg.solve(inner, cross.T)
+    remaining: np.ndarray = information[np.ix_(kept, kept)] - cross @ np.linalg.solve(inner, cross.T)
+    return remaining

@@ -1,4 +1,4 @@
-"""An observer, designed: model from frequency responses, gravity from standing records, noise from records, disturbances by tuning."""
+"""Design of an observer: model from frequency responses, gravity from standing records, noise from records, disturbances by tuning."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ STANDING_s = 4.0
 
 @dataclass(frozen=True)
 class ObserverDesign:
-    """All an observer needs to run.
+    """All that an observer needs to run.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class ObserverDesign:
     notes: tuple[str, ...] = field(default=())
 
     def observer(self, kind: FilterKind = "ukf", adapted: Sequence[int] = ()) -> ModalObserver:
-        """A fresh observer of this design."""
+        """Return a fresh observer of this design."""
         return ModalObserver(self.model, self.noise, kind, adapted, self.isocenter_m)
 
 
@@ -95,7 +95,7 @@ def design_observer(
     standing : sequence of Recording
         At rest or about a pose; sensors' noise, gravity and biases come from them.
     tuned_on : sequence of Recording
-        Ordinary operation, whose innovations are to be white.
+        Ordinary operation, whose innovations should be white.
     modes : int
     sweeps : sequence of Recording
         There and back with nothing that shakes, for what turning pushes; taken with standing records only.
@@ -153,7 +153,7 @@ def design_observer(
 
 
 def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:
-    """The design of a machine that has not been measured: its emulation is, like the machine would be."""
+    """Design an observer for a machine that has not been measured, from measurements of its emulation."""
     last = machine.axes[-1]
     grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
     poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
@@ -178,10 +178,10 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
 
 
 def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:
-    """Positions of one axis over its range [rad or m], closer together towards the ends.
+    """Return positions of one axis over its range [rad or m], closer together towards the ends.
 
-    Chebyshev points of the arc, for trigonometric polynomials, stretched to reach its ends: between points that are evenly far apart the
-    polynomials swing, most near the ends.
+    They are Chebyshev points of the arc, for trigonometric polynomials, stretched to reach its ends: between equidistant points the
+    polynomials oscillate, most near the ends.
     """
     limit = machine.limits[axis]
     is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())

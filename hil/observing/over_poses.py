@@ -1,4 +1,4 @@
-"""From modal fits at several poses to parameters that vary with pose: Sec. 5.4.2, smooth functions of θ with static parameters."""
+"""Parameters that vary with pose from modal fits at several poses: Sec. 5.4.2, smooth functions of θ with static parameters."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ APART_rad = np.radians(2.0)
 """Positions closer than this are one position."""
 
 NEGLIGIBLE = 1e-8
-"""Of the largest singular value, below which a combination of functions of the pose is not told."""
+"""Share of the largest singular value below which a combination of functions of the pose is not determined."""
 
 MISSED = 1e-6
-"""Of a function between the poses, that they leave untold."""
+"""Error of a function between the poses above which they do not determine it."""
 
 LARGEST_SWING = 100.0
-"""Between poses the parameters may be so many times as wrong as at them: 11 evenly spaced ones of one axis make 13, 5 of another 2."""
+"""Largest growth of the parameters' error between poses: 11 evenly spaced poses of one axis give a factor of 13, 5 of another 2."""
 
 LEAST_LIKENESS = 0.3
 """Cosine between a mode's shapes at neighbouring poses below which it is not taken for the same mode."""
 
 
 def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse], modes: int = 4) -> tuple[ModalModel, tuple[PoseFit, ...]]:
-    """The modal model of a machine from frequency responses at one pose or more.
+    """Fit the modal model of a machine to frequency responses at one pose or more.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ def fit_observed_model(machine: Machine, responses: Sequence[FrequencyResponse],
 
 
 def observed_channels(machine: Machine) -> tuple[str, ...]:
-    """Channels a frequency response must have as outputs: motor sides, link sides, inertial sensors."""
+    """Return the channels a frequency response must have as outputs: motor sides, link sides, inertial sensors."""
     _, sensors, _, _ = observed_chain(machine)
     encoders = [f"position_{axis}" for axis in machine.axes] + [f"link_position_{axis}" for axis in machine.axes]
     return (*encoders, *(channel for sensor in sensors for channel in sensor.channels))
 
 
 def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
-    """Order of the trigonometric polynomial in each axis that poses (P, n_axes) can tell."""
+    """Return the order of the trigonometric polynomial in each axis that poses (P, n_axes) can determine."""
     orders = []
     for positions in poses.T:
         distinct = 1 + int(np.sum(np.diff(np.sort(positions)) > APART_rad))
@@ -93,8 +93,10 @@ def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
 
 
 def untold_note(poses: Sequence[np.ndarray] | np.ndarray, harmonics: tuple[int, ...], measured: str) -> tuple[str, ...]:
-    """A line for a design where functions of the pose are not told all over the poses' range: of poses along a line, or a cross, nothing
-    tells how the axes act together, though each axis has positions enough."""
+    """Return a line for a design where functions of the pose are not determined over the poses' whole range.
+
+    Poses along a line, or a cross, do not show how the axes act together, even with enough positions of each axis.
+    """
     if sum(order > 0 for order in harmonics) < 2:
         return ()
     at = np.array(poses, dtype=float)
@@ -114,7 +116,7 @@ def untold_note(poses: Sequence[np.ndarray] | np.ndarray, harmonics: tuple[int, 
 
 
 def embedded(coefficients: np.ndarray, known: tuple[int, ...], wanted: tuple[int, ...]) -> np.ndarray:
-    """The same functions of the pose, coefficients (rows, basis) of a smaller basis written in a larger one."""
+    """Return the same functions of the pose: coefficients (rows, basis) of a smaller basis, written in a larger one."""
     shape_known, shape_wanted = ([2 * order + 1 for order in orders] for orders in (known, wanted))
     places = np.ravel_multi_index(np.unravel_index(np.arange(coefficients.shape[1]), shape_known), shape_wanted)
     wide = np.zeros((len(coefficients), int(np.prod(shape_wanted))))
@@ -123,7 +125,7 @@ def embedded(coefficients: np.ndarray, known: tuple[int, ...], wanted: tuple[int
 
 
 def _fits(responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[InertialSensor, ...], modes: int) -> tuple[PoseFit, ...]:
-    """Fits in the order of the poses' distance from the middle one, every mode followed from the nearest pose fitted before."""
+    """Fit in the order of the poses' distance from the middle one, every mode followed from the nearest pose already fitted."""
     poses = np.array([response.pose for response in responses])
     order = np.argsort(np.linalg.norm(poses - np.median(poses, axis=0), axis=1), kind="stable")
     friction = np.median([drive_friction(response) for response in responses], axis=0)  # a drive's own, whatever the pose
@@ -136,9 +138,9 @@ def _fits(responses: Sequence[FrequencyResponse], chain: Chain, sensors: tuple[I
 
 
 def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
-    """The same fit with its shapes' signs as the neighbour's; the order of frequencies is the order of modes.
+    """Return the same fit with its shapes' signs as the neighbour's; the order of frequencies is the order of modes.
 
-    A mode of the arc keeps its shape in the detector's frame, one of the mount in the world: the likeness that is clearer decides.
+    A mode of the arc keeps its shape in the detector's frame, one of the mount in the world: the clearer similarity decides.
 
     Raises
     ------
@@ -162,17 +164,18 @@ def _aligned(fit: PoseFit, near: PoseFit, chain: Chain) -> PoseFit:
 
 
 def _twist(shape: np.ndarray, n: int) -> np.ndarray:
-    """Shift and turn (2, 3) of the detector, both in metres."""
-    return shape[2 * n : 2 * n + 6].reshape(2, 3) * np.array([[1.0], [TURN_LENGTH_m]])
+    """Return shift and turn (2, 3) of the detector, both in metres."""
+    turns: np.ndarray = shape[2 * n : 2 * n + 6].reshape(2, 3) * np.array([[1.0], [TURN_LENGTH_m]])
+    return turns
 
 
 def _likeness(a: np.ndarray, b: np.ndarray) -> float:
-    """Cosine between two shapes."""
+    """Return the cosine between two shapes."""
     return float(np.sum(a * b) / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
 def _rotation(chain: Chain, pose: np.ndarray) -> Rotation:
-    """From the chain's last frame to the world."""
+    """Return the rotation from the chain's last frame to the world."""
     turn = Rotation.identity()
     for axis, revolute, angle in zip(chain.axes, chain.revolute, pose, strict=True):
         turn = turn * Rotation.from_rotvec(axis * angle if revolute else np.zeros(3))
@@ -180,7 +183,7 @@ def _rotation(chain: Chain, pose: np.ndarray) -> Rotation:
 
 
 def _rows(fit: PoseFit) -> np.ndarray:
-    """One pose's parameters in the order of `ModalModel.coefficients`; nothing pushes and nothing is offset yet."""
+    """Return one pose's parameters in the order of `ModalModel.coefficients`, with pushes and offsets zero."""
     modes = [
         np.concatenate(([1.0 / stiffness, damping / stiffness], shape, given / stiffness))
         for stiffness, damping, shape, given in zip(fit.stiffness, fit.damping, fit.shapes, fit.inputs, strict=True)

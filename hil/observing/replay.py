@@ -1,4 +1,4 @@
-"""The observer over a recording: the same numbers as live, bit for bit, because it is the same step on the same rows."""
+"""The observer over a recording: bit for bit the same numbers as live, because the same step runs on the same rows."""
 
 from __future__ import annotations
 

@@ -1,18 +1,19 @@
-"""How far a machine's mount gives way to gravity, which no sensor tells at rest: from how it gives way to the drives.
+"""Compliance of a machine's mount under gravity, which no sensor shows at rest, from its compliance under the drives.
 
 A mount that turns about an axis parallel to the first driven one carries what that drive holds: gravity's torque about either axis is the
-same but for a constant, and the mount's compliance 1/K makes a turn s of it,
+same except for a constant, and the mount's compliance 1/K makes a turn s of it,
 
     K s = -h(θ)                                     at rest, h the torque that holds the first axis
 
-Accelerated slowly against the modes, it carries the arc's change of angular momentum: what the first drive gives but for what its own rotor
-takes, and the arc's unbalance on the lever c between the axes. How far the arc's centre of mass is off, h itself tells: m y = h / g, so
+Accelerated slowly compared with the modes, it carries the arc's change of angular momentum: the first drive's torque less what its own
+rotor takes, and the arc's unbalance on the lever c between the axes. The offset of the arc's centre of mass follows from h itself: m y = h
+/ g, so
 
     K s = -(T δ_1j - J q''_1 + c/g Σ_k ∂h/∂θ_k q''_k),    q'' = B_r w    per unit of drive j
 
-T: torque per unit of the drive; J: its rotor's inertia on the joint. The identified modes tell at every pose how far the detector moves
-then against the link sides; it moves as a point of a body that turns, so K, J, c follow. A mount turns about the vertical, too: gravity
-does not push that, and it is told apart by where the detector is.
+T: torque per unit of the drive; J: its rotor's inertia on the joint. The identified modes give at every pose how far the detector then
+moves against the link sides; it moves as a point of a body that turns, so K, J, c follow. A mount turns about the vertical, too: gravity
+does not push that turn, and the place of the detector separates the two.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TURN_HARMONIC = 2
 """Of the pose, in how the mount turns about the vertical: as inertias vary."""
 
 LEVEL = 1e-3
-"""How far the first axis may be from horizontal: else gravity pushes the other turn as well."""
+"""How far the first axis may be from horizontal; beyond, gravity pushes the other turn as well."""
 
 STEP_rad = 1e-3
 """Difference step of the holding torque, a trigonometric polynomial of low order: error 1e-6 of it."""
@@ -46,7 +47,7 @@ LEAST_DEVIATIONS = 5.0
 SHIFT_UNIT_m = 1e-6
 LEVER_START_m = 1.0
 LEAST_ARM_m = 1e-2
-"""Nearer to the vertical axis the detector tells no turn about it: there none is expected."""
+"""Nearer to the vertical axis the detector shows no turn about it, and none is assumed."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,12 @@ class Mount:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the compliance stands out of its deviation and explains how the detector moves."""
+        """Whether the compliance exceeds its deviation clearly and explains how the detector moves."""
         return self.compliance > LEAST_DEVIATIONS * self.deviation and self.share_left < LARGEST_SHARE_LEFT
 
     @property
     def note(self) -> str:
-        """One line for a design."""
+        """Return one line for a design."""
         if not self.is_clear:
             return "the mount's sag is left out: the poses do not tell how it gives way"
         softness, spread = 1e6 * self.compliance, 1e6 * self.deviation
@@ -85,7 +86,7 @@ class Mount:
 def with_sag(
     model: ModalModel, poses: Sequence[np.ndarray], standing: Sequence[np.ndarray], effort_gain: np.ndarray
 ) -> tuple[ModalModel, Mount | None]:
-    """The model with the detector's shift by what gravity does to the mount; the same model where that is not told.
+    """Return the model with the detector's shift by the mount's sag; the same model where that is not determined.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def with_sag(
 
 
 def sagging(model: ModalModel, mount: Mount, standing: Sequence[np.ndarray], effort_gain: np.ndarray) -> ModalModel:
-    """The model with the detector's shift by what gravity does to this mount."""
+    """Return the model with the detector's shift by the sag of this mount."""
     frame = first_axis_frame(model.chain)
     assert frame is not None, "a mount has a horizontal first axis"
     at_rest = np.asarray(standing, float)
@@ -124,7 +125,7 @@ def sagging(model: ModalModel, mount: Mount, standing: Sequence[np.ndarray], eff
 
 
 def first_axis_frame(chain: Chain) -> np.ndarray | None:
-    """(3, 3) rows: the first axis, the horizontal beside it, up; None where that axis slides or is not horizontal."""
+    """Return rows (3, 3): the first axis, the horizontal beside it, up; None where that axis slides or is not horizontal."""
     up = -chain.gravity_m_s2 / max(float(np.linalg.norm(chain.gravity_m_s2)), 1e-12)
     axis = chain.axes[0] / np.linalg.norm(chain.axes[0])
     if not chain.revolute[0] or not up.any() or abs(axis @ up) > LEVEL:
@@ -133,7 +134,7 @@ def first_axis_frame(chain: Chain) -> np.ndarray | None:
 
 
 def _mount(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray, frame: np.ndarray) -> Mount:
-    """Least squares over compliance, lever, rotor's inertia and the vertical axis's place; turns about that one are solved for within."""
+    """Fit compliance, lever, rotor's inertia and the vertical axis's place by least squares; turns about that one are eliminated."""
     n, gravity = len(model.axes), float(np.linalg.norm(model.chain.gravity_m_s2))
     place, turn = detector_places(model, poses, frame)
     harmonics = tuple(min(order, TURN_HARMONIC) for order in model.harmonics)
@@ -171,13 +172,17 @@ def _mount(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray, frame:
 
 
 def _holding(model: ModalModel, pose: np.ndarray, effort_gain: np.ndarray) -> np.ndarray:
-    """Torque (or force) (n_axes,) that holds the axes against gravity: B_r u = -d_r."""
+    """Return the torque (or force) (n_axes,) that holds the axes against gravity: B_r u = -d_r."""
     n, rest = len(model.axes), model.at(pose)[model.modes * model.mode_stride :]
-    return -np.linalg.solve(rest[: n * n].reshape(n, n), rest[n * (n + 1) :][:n]) * effort_gain
+    shift: np.ndarray = -np.linalg.solve(rest[: n * n].reshape(n, n), rest[n * (n + 1) :][:n]) * effort_gain
+    return shift
 
 
 def detector_places(model: ModalModel, poses: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The detector's centre from a point of the first axis (poses, 3) and its rotation (poses, 3, 3), in the frame's directions."""
+    """Return the detector's centre from a point of the first axis (poses, 3) and its rotation (poses, 3, 3).
+
+    Both are in the frame's directions.
+    """
     chain = model.chain
     places, turns = np.zeros((len(poses), 3)), np.zeros((len(poses), 3, 3))
     for i, pose in enumerate(poses):

@@ -22,7 +22,7 @@ PERIODS = 2
 
 
 def emulated_recording(machine: Machine, plan: Plan, seed: int, simulator: Simulator | None = None) -> Recording:
-    """What the emulated machine would record of a plan: the simulation with the sensors' noise on it."""
+    """Record a plan on the emulated machine: the simulation with the sensors' noise on it."""
     simulator = Simulator(machine) if simulator is None else simulator
     rows = len(plan.reference)
     nothing = np.zeros((rows, len(machine.axes)))
@@ -51,7 +51,7 @@ def emulated_recording(machine: Machine, plan: Plan, seed: int, simulator: Simul
 
 
 def emulated_responses(machine: Machine, poses: Sequence[dict[str, float]], seed: int = 0) -> list[FrequencyResponse]:
-    """Frequency responses at poses, from multisines on the emulated machine under jog."""
+    """Return frequency responses at poses, from multisines on the emulated machine under jog."""
     simulator = Simulator(machine)
     responses = []
     for index, pose in enumerate(poses):

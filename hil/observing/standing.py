@@ -1,7 +1,7 @@
-"""What gravity does to a machine at rest, from recordings in which it stood or swung about a pose: the quasi-static part of (5.37).
+"""Effect of gravity on a machine at rest, from recordings in which it stood or swung about a pose: the quasi-static part of (5.37).
 
 At rest a mode is bent by gravity's push on it and by the command that holds the axes. Link sides against motor sides and the
-accelerometer's tilt against the encoders tell how far; its biases, the same in every pose, are told apart by the poses' difference.
+accelerometer's tilt against the encoders show how far; its biases, the same in every pose, are separated by the difference between poses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ENCODER_TRUST_rad = 2e-6
 """Weight of encoders' differences: some counts."""
 
 TILT_TRUST_m_s2 = 2e-3
-"""Weight of mean specific forces: what is left of noise and of vibration about the mean."""
+"""Weight of mean specific forces: the remaining noise and vibration about the mean."""
 
 GRAVITY_HARMONIC = 1
 """Of the pose, in gravity's torque about an axis: a lever that turns with the axes, times a weight."""
@@ -36,7 +36,7 @@ GRID = 4
 """Poses per axis and harmonic at which a product of two functions of the pose is written as one again."""
 
 EXPECTED_BIAS_m_s2 = 0.05
-"""How far an accelerometer's bias may be from zero before it costs anything: ten times what better sensors promise."""
+"""How far an accelerometer's bias may be from zero without a penalty: ten times the specification of better sensors."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Standing:
 
 
 def standing_mean(recording: Recording, model: ModalModel) -> Standing:
-    """Means over whole periods of a periodic recording, else over all of it.
+    """Return means over whole periods of a periodic recording, else over all of it.
 
     Raises
     ------
@@ -66,7 +66,8 @@ def standing_mean(recording: Recording, model: ModalModel) -> Standing:
         values = recording.matrix(names)[rows]
         if np.isnan(values).all(axis=0).any():
             raise RecordingError(f"{names[int(np.isnan(values).all(axis=0).argmax())]} has no sample at all")
-        return np.nanmean(values, axis=0)
+        averaged: np.ndarray = np.nanmean(values, axis=0)
+        return averaged
 
     channels, n = model.channels(), len(model.axes)
     return Standing(
@@ -75,10 +76,11 @@ def standing_mean(recording: Recording, model: ModalModel) -> Standing:
 
 
 def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[ModalModel, np.ndarray, np.ndarray]:
-    """The model with gravity's pushes as functions of the pose; the inertial sensors' biases and their deviations (6 sensors,).
+    """Return the model with gravity's pushes as functions of the pose; the inertial sensors' biases and their deviations.
 
-    Gravity may depend on more axes than the modes were measured over: the model's harmonics grow to what these poses can tell. Gyro biases
-    are the mean rates; an accelerometer's bias is told from tilt where the poses differ enough, else it is taken for small.
+    Biases and deviations are (6 sensors,). Gravity may depend on more axes than the modes were measured over: the model's harmonics grow to
+    what these poses can determine. Gyro biases are the mean rates; an accelerometer's bias follows from tilt where the poses differ enough,
+    else it is assumed small.
     """
     n, modes, sensors = len(model.axes), model.modes, len(model.sensors)
     told = harmonics_for(np.array([each.motor for each in standing]))
@@ -130,11 +132,12 @@ def with_gravity(model: ModalModel, standing: Sequence[Standing]) -> tuple[Modal
 def with_gravity_at_places(
     model: ModalModel, standing: Sequence[Standing], effort_gain: np.ndarray
 ) -> tuple[ModalModel, np.ndarray, np.ndarray]:
-    """The model with gravity's pushes on the modes as torques at real places make them, and biases and deviations as `with_gravity`.
+    """Return the model with gravity's pushes on the modes as torques at real places; biases and deviations as `with_gravity`.
 
-    Gravity's torque about an axis is a polynomial of first order in every position, whatever becomes of the modes' shapes: so few unknowns
-    are told by all poses together. At the drives and about the mount's axis it is what the drives hold, told already; it is asked in the
-    gears and between link side and detector. Beside that modes bend a little as they like, for shapes that were told a little wrong.
+    Gravity's torque about an axis is a polynomial of first order in every position, whatever the modes' shapes do, so all poses together
+    determine these few unknowns. At the drives and about the mount's axis the torque is what the drives hold and already known; it is
+    fitted in the gears and between link side and detector. Beside that each mode may bend a little freely, to allow for errors of its
+    shape.
 
     Parameters
     ----------
@@ -172,7 +175,10 @@ def with_gravity_at_places(
 
 
 def _bends(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Of the modes at poses: by what the drives hold (P, modes); by each unknown (P, modes, unknowns); how many unknowns are torques."""
+    """Return how the modes are bent at poses: by what the drives hold, by each unknown, and how many unknowns are torques.
+
+    Shapes (P, modes) and (P, modes, unknowns).
+    """
     n, modes, directions = len(model.axes), model.modes, model.directions
     assert directions is not None, "places have directions"
     asked = [j for j, place in enumerate(model.places) if place in ("gear", "turn")]
@@ -192,15 +198,18 @@ def _bends(model: ModalModel, poses: np.ndarray, effort_gain: np.ndarray) -> tup
 
 
 def _strength(model: ModalModel) -> np.ndarray:
-    """How far the drives could bend modes (modes,) at pose zero: gravity bends them about as far."""
+    """Return how far the drives could bend modes (modes,) at pose zero: gravity bends them about as far."""
     n, modes = len(model.axes), model.modes
     table = model.at(np.zeros(n))[: modes * model.mode_stride].reshape(modes, model.mode_stride)
-    return np.abs(table[:, -n:]) @ model.effort_limit / table[:, 0]
+    bound: np.ndarray = np.abs(table[:, -n:]) @ model.effort_limit / table[:, 0]
+    return bound
 
 
 def _beside_the_drives(model: ModalModel, each: Standing) -> tuple[np.ndarray, np.ndarray]:
-    """Link against motor sides, then the sensors' specific forces (n_axes + 3 sensors): what a bend of each mode makes of them, and what is
-    seen beside what the drives make of them."""
+    """Return the effect of a bend of each mode on the measurements, and what is measured beside the effect of the drives.
+
+    The measurements are link against motor sides, then the sensors' specific forces (n_axes + 3 sensors).
+    """
     n, modes = len(model.axes), model.modes
     table = model.at(each.motor)[: modes * model.mode_stride].reshape(modes, model.mode_stride)
     rest = chain_at_rest(model.chain, model.sensors, each.motor)
@@ -218,7 +227,10 @@ def _beside_the_drives(model: ModalModel, each: Standing) -> tuple[np.ndarray, n
 
 
 def _biases(standing: Sequence[Standing], forces: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the inertial sensors and their deviations (6 sensors,), with the forces' (3 sensors,): rates are their means."""
+    """Return biases of the inertial sensors and their deviations (6 sensors,), given those of the forces (3 sensors,).
+
+    The biases of the rates are their means.
+    """
     sensors = len(forces) // 3
     biases, deviations = np.zeros(6 * sensors), np.zeros(6 * sensors)
     for s in range(sensors):

@@ -1,14 +1,14 @@
-"""What lies between drives and detector, as springs and inertias: from the modes of all poses together.
+"""Springs and inertias between drives and detector, from the modes of all poses together.
 
-A mode moves the gears, the detector against the link side, and the mount. In these coordinates springs are a diagonal matrix that is the
-same in every pose, and modes are orthogonal in it:
+A mode moves the gears, the detector against the link side, and the mount. In these coordinates the springs are a diagonal matrix that is
+the same in every pose, and modes are orthogonal in it:
 
     φ_iᵀ K φ_j = δ_ij m_i ω_i²,    m_i from how a drive pushes a mode that moves it (`directions`)
 
-K, and the height of the mount's axis, are fitted to that at all poses at once; what they make of m_i is the modal mass also of modes
-that hardly move a drive. The axes' momenta N = Eᵀ M follow from Eᵀ M E = T B_r⁻¹ and Eᵀ M φ = 0, E the axes' rigid motion, and from their
-slopes over the pose what turning couples (`with_coupling`): M depends on the link sides alone, for the mount turns all of it, and what the
-detector's own turns change is neglected.
+K, and the height of the mount's axis, are fitted to that at all poses at once; the resulting m_i is also the modal mass of modes that
+hardly move a drive. The axes' momenta N = Eᵀ M follow from Eᵀ M E = T B_r⁻¹ and Eᵀ M φ = 0, E the axes' rigid motion, and from their slopes
+over the pose follows what turning couples (`with_coupling`): M depends on the link sides alone, for the mount turns all of it, and the
+effect of the detector's own turns on it is neglected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INERTIA_HARMONIC = 2
 """Of the pose, in inertias: squares of sines."""
 
 TRUSTED = 0.02
-"""Of a mode's strain energy: beyond it a pose's misfit counts in proportion only, for weak modes are badly told at some poses."""
+"""Share of a mode's strain energy beyond which a pose's misfit counts only in proportion: weak modes are poorly known at some poses."""
 
 LARGEST_MISFIT = 0.05
 """Median misfit of the energies over which there is no such structure."""
@@ -41,7 +41,9 @@ STEP_rad = 1e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """Attributes
+    """Springs between drives and detector, and what the modes do in them.
+
+    Attributes
     ----------
     poses : (P, n_axes)
     seen : (P,) the modes' shapes there.
@@ -67,7 +69,7 @@ class Structure:
 
     @property
     def note(self) -> str:
-        """One line for a design."""
+        """Return one line for a design."""
         values = ", ".join(f"{value:.5g} ± {spread:.1g}" for value, spread in zip(self.springs, self.deviations, strict=True))
         return (
             f"springs of gears, detector and mount: {values} Nm/rad; the mount turns {self.mount.lever:.2f} ± {self.lever_deviation:.1g} m"
@@ -76,7 +78,9 @@ class Structure:
 
 
 def found_structure(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np.ndarray, mount: Mount | None) -> Structure | None:
-    """The springs, begun at a mount that was found from slow motions (`sag`); None where modes or poses do not tell them, or inertias.
+    """Fit the springs, starting from a mount found from slow motions (`sag`).
+
+    None where modes or poses do not determine them, or the inertias.
 
     Parameters
     ----------
@@ -128,20 +132,22 @@ def found_structure(model: ModalModel, poses: Sequence[np.ndarray], effort_gain:
 
 
 def _spread(solved: optimize.OptimizeResult, poses: int) -> np.ndarray:
-    """Deviations of what a soft-L1 fit found, from how what is left pulls at it pose by pose: within a pose it is not independent.
+    """Return deviations of the result of a soft-L1 fit, from how the residual pulls at it pose by pose.
 
-    H⁻¹ (Σ_p s_p s_pᵀ) H⁻¹ with s_p the gradient of a pose's cost (Huber 1967; clusters: Liang, Zeger 1986), H by Gauss and Newton. SciPy
-    returns the Jacobian scaled by (1 + z)^-3/4, z = (r / scale)²: with r (1 + z)^1/4 it gives the gradient.
+    Within a pose the residual is not independent: H⁻¹ (Σ_p s_p s_pᵀ) H⁻¹ with s_p the gradient of a pose's cost (Huber 1967; clusters:
+    Liang, Zeger 1986), H by Gauss and Newton. SciPy returns the Jacobian scaled by (1 + z)^-3/4, z = (r / scale)²: with r (1 + z)^1/4 it
+    gives the gradient.
     """
     pulled = solved.jac * (solved.fun * (1.0 + (solved.fun / TRUSTED) ** 2) ** 0.25)[:, None]
     by_pose = pulled.reshape(-1, poses, len(solved.x)).sum(axis=0)
     inverse = np.linalg.pinv(solved.jac.T @ solved.jac)
     free = poses / max(poses - len(solved.x), 1)
-    return np.sqrt(free * np.sum((by_pose @ inverse) ** 2, axis=0))
+    deviation: np.ndarray = np.sqrt(free * np.sum((by_pose @ inverse) ** 2, axis=0))
+    return deviation
 
 
 def with_places(model: ModalModel, structure: Structure) -> ModalModel:
-    """The model whose disturbances act at the drives, in the gears, between link side and detector, and at the mount."""
+    """Return the model whose disturbances act at the drives, in the gears, between link side and detector, and at the mount."""
     n, rows = len(model.axes), []
     for here, moves, inverse in zip(structure.seen, structure.moves, structure.inverse_masses, strict=True):
         drives = np.vstack((here.rigid, here.inputs / here.stiffness[:, None]))
@@ -153,9 +159,10 @@ def with_places(model: ModalModel, structure: Structure) -> ModalModel:
 
 
 def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np.ndarray) -> ModalModel:
-    """The model with inertias of the axes, B_r = M_r⁻¹ T, that are symmetric and do not change with the first axis, which turns all of it.
+    """Return the model with symmetric inertias of the axes, B_r = M_r⁻¹ T, that do not change with the first axis.
 
-    Responses tell them a little wrong, for gravity is a spring there that turns its sign with the pose.
+    The first axis turns all of it. Inertias from the responses are slightly wrong, for gravity acts as a spring there that changes its sign
+    with the pose.
 
     Raises
     ------
@@ -182,7 +189,7 @@ def with_inertia(model: ModalModel, poses: Sequence[np.ndarray], effort_gain: np
 
 
 class _Inertia:
-    """A matrix that varies with all axes but the first as inertias do."""
+    """A matrix that varies with all axes but the first, as inertias do."""
 
     def __init__(self, values: np.ndarray, poses: np.ndarray, with_first: bool = False) -> None:
         told = harmonics_for(poses)
@@ -191,19 +198,20 @@ class _Inertia:
         self.table = np.linalg.lstsq(basis_at(self.harmonics, poses), values.reshape(len(poses), -1), rcond=1e-8)[0]
 
     def at(self, pose: np.ndarray) -> np.ndarray:
-        return (basis_at(self.harmonics, pose[None])[0] @ self.table).reshape(self.shape)
+        values_there: np.ndarray = (basis_at(self.harmonics, pose[None])[0] @ self.table).reshape(self.shape)
+        return values_there
 
     def slopes(self, pose: np.ndarray) -> np.ndarray:
-        """(n_axes, ...) over the axes' positions."""
+        """Return slopes (n_axes, ...) over the axes' positions."""
         steps = STEP_rad * np.eye(self.axes)
         return np.array([(self.at(pose + step) - self.at(pose - step)) / (2.0 * STEP_rad) for step in steps])
 
 
 def with_coupling(model: ModalModel, structure: Structure, effort_gain: np.ndarray) -> ModalModel:
-    """The model with what the axes' and the modes' speeds push on the axes together, and what products of the axes' speeds do.
+    """Return the model with the joint push of axes' and modes' speeds on the axes, and the effect of products of axes' speeds.
 
     H_k(a, b) = ∂_a N_b φ_k + ∂_b N_a φ_k - Σ_c l_ck ∂_c M_ab, l_ck the mode's motion of link side c: a' η_k' pushes axis b with it, by
-    Christoffel's symbols and Eᵀ M ∂φ = -Eᵀ ∂M φ, which is what Eᵀ M φ = 0 makes of a shape that changes with the pose.
+    Christoffel's symbols and Eᵀ M ∂φ = -Eᵀ ∂M φ, which follows from Eᵀ M φ = 0 for a shape that changes with the pose.
     """
     n, modes, poses = len(model.axes), model.modes, structure.poses
     first = modes * model.mode_stride
@@ -240,9 +248,10 @@ def with_coupling(model: ModalModel, structure: Structure, effort_gain: np.ndarr
 
 
 def _moves(seen: Sequence[Shapes], places: tuple[np.ndarray, np.ndarray], turns: np.ndarray, lever: float, vertical: float) -> np.ndarray:
-    """(P, modes, n_axes + k + 2): what modes turn in gears, between link side and detector, and of the mount about its two axes.
+    """Return what modes turn in gears, between link side and detector, and of the mount about its two axes.
 
-    Least squares of the detector's shift and turn against the link side: the mount turns and shifts it, the rest turns it.
+    Shape (P, modes, n_axes + k + 2), by least squares of the detector's shift and turn against the link side: the mount turns and shifts
+    it, the rest turns it.
     """
     moves = []
     for here, place, rotation in zip(seen, *places, strict=True):
@@ -253,8 +262,10 @@ def _moves(seen: Sequence[Shapes], places: tuple[np.ndarray, np.ndarray], turns:
 
 
 def relative_motion(place: np.ndarray, rotation: np.ndarray, turns: np.ndarray, lever: float, vertical: float) -> np.ndarray:
-    """(6, k + 2): shift of the detector against the link side, and turn times `TURN_LENGTH_m`, by its own turns and the mount's two; in the
-    frame's directions."""
+    """Return shift of the detector against the link side, and turn times `TURN_LENGTH_m`: (6, k + 2).
+
+    They are caused by its own turns and the mount's two, in the frame's directions.
+    """
     by = np.zeros((6, len(turns) + 2))
     by[:3, -2], by[:3, -1] = (0.0, lever - place[2], place[1]), (-place[1], place[0] - vertical, 0.0)
     by[3:, :-2] = TURN_LENGTH_m * rotation @ turns.T
@@ -263,7 +274,10 @@ def relative_motion(place: np.ndarray, rotation: np.ndarray, turns: np.ndarray, 
 
 
 def spread_over_poses(table: np.ndarray, poses: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
-    """Coefficients (rows, basis) of what varies over the poses (P, ...), of the order that these can tell, in the model's basis."""
+    """Return coefficients (rows, basis) of what varies over the poses (P, ...), in the model's basis.
+
+    The order is what these poses can determine.
+    """
     told = tuple(min(pair) for pair in zip(harmonics_for(poses), harmonics, strict=True))
     found = np.linalg.lstsq(basis_at(told, poses), table.reshape(len(poses), -1), rcond=1e-8)[0].T
     return np.ascontiguousarray(embedded(found, told, harmonics))

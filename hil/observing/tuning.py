@@ -1,6 +1,6 @@
-"""Automatic tuning: the disturbances, and the strays of a model without its highest modes, that make a recording's innovations most likely.
+"""Automatic tuning: the disturbances that make a recording's innovations most likely.
 
-What sensors hiss is measured; tuning only adds to it.
+They include the errors of a model without its highest modes. Sensor noise is measured; tuning only adds to it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ LARGEST_EXCESS = 100.0
 """How much a channel may stray beyond its sensor's noise, because the model left modes out."""
 
 TIME_s = (0.004, 20.0)
-"""Correlation times that a filter at some hundred Hz can tell apart from white noise and from a random walk."""
+"""Correlation times that a filter at some hundred Hz can distinguish from white noise and from a random walk."""
 
 DRIVES_TIME_s = 1.0
-"""Least correlation time of what drives do beside their command: friction is slow, and at rest a command's rounding stands as long."""
+"""Least correlation time of the drives' disturbances: friction is slow, and at rest a command's rounding lasts as long."""
 
 ROWS = 1280
 """Of each recording that tuning looks at: five seconds at 256 Hz."""
@@ -43,31 +43,31 @@ between link side and detector must leave nothing at rest: only that tells the t
 band: a slow push in a gear is its spring's slow bend, by which a mode's frequency is followed."""
 
 TELLING = ("gear", *LOW_PASSED)
-"""Places that say what the low passes are: gears, which encoders see, tell the corner better than the mount does."""
+"""Places that are given low passes while these are tuned: gears, which encoders measure, show the corner better than the mount does."""
 
 CORNERS_Hz, DAMPING_RATIOS, STRENGTHS = (6.0, 12.0), (0.8, 1.6), (0.6, 1.0)
-"""Low passes to begin with: corner, damping ratio, strength beside the band's. The likelihood has more than one maximum."""
+"""Low passes to start from: corner, damping ratio, strength relative to the band's. The likelihood has more than one maximum."""
 
 SHARED_Hz3 = 0.5 * 10.0**3
 """Damping ratio times the cube of the corner at which a strength is the standard deviation itself."""
 
 CORNER_Hz, DAMPING_RATIO = (0.5, 50.0), (0.7, 5.0)
-"""Between which a low pass is tuned. Duller ones only: a spectrum with a peak of its own beside a mode is hard to tell from the mode."""
+"""Limits of a low pass. They are well damped: a spectrum with a peak of its own beside a mode is hard to distinguish from the mode."""
 
 TOLD_APART = 0.05
-"""By how much low passes must be more likely, in the logarithm per measurement. Where nothing pushes, a model's own errors made them
-likelier by 0.03 (the emulated C-arm, undisturbed), where 1 to 12 Hz were shaken by 0.09."""
+"""Least gain of the log-likelihood per measurement for low passes. Without disturbances the model's own errors gave 0.03 (the emulated
+C-arm), with disturbances of 1 to 12 Hz the gain was 0.09."""
 
 REFINED_STEP = 0.4
 """First step where what is tuned starts near."""
 
 SETTLED_ROWS = 128
-"""Rows after a start that consistency does not count."""
+"""Rows after a start that are left out of the consistency."""
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """What the tuning found.
+    """The result of the tuning.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Tuning:
 
 
 def _in_bands_but(at: np.ndarray, low_passes: ObserverNoise, bands: ObserverNoise) -> ObserverNoise:
-    """The noise with low passes, with disturbances in bands but for those at these places (a mask)."""
+    """Return noise with low passes, and with disturbances in bands except at these places (a mask)."""
     return replace(
         low_passes,
         disturbance=np.where(at, low_passes.disturbance, bands.disturbance),
@@ -100,9 +100,9 @@ def _compass(
     evaluations: int,
     first_step: float = FIRST_STEP,
 ) -> np.ndarray:
-    """Minimum by steps along one parameter at a time, each with a step of its own that grows with success and shrinks without.
+    """Minimise by steps along one parameter at a time, each with its own step that grows with success and shrinks without.
 
-    Slower near the end than a gradient method, but it never jumps into a far corner where the likelihood is flat.
+    This is slower near the end than a gradient method, but it never jumps into a far corner where the likelihood is flat.
     """
     best, best_cost = start.copy(), cost(start)
     steps = np.full(len(start), first_step)
@@ -125,7 +125,7 @@ def _compass(
 
 
 def rows_of(recording: Recording, model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
-    """Measurements (N, measurements) and commands (N, n_axes) of a recording; channels it lacks are missing.
+    """Return measurements (N, measurements) and commands (N, n_axes) of a recording; channels it lacks are missing.
 
     Raises
     ------
@@ -149,16 +149,17 @@ def rows_of(recording: Recording, model: ModalModel) -> tuple[np.ndarray, np.nda
 def tune(
     model: ModalModel, start: ObserverNoise, recordings: Sequence[Recording], kind: FilterKind = "ekf", evaluations: int = 400
 ) -> Tuning:
-    """Maximum likelihood of the innovations over the disturbances' strengths and correlation times and the command's noise.
+    """Maximise the likelihood of the innovations over the disturbances' strengths and times and the command's noise.
 
-    Then, whether low passes of second order are more likely at the places in `LOW_PASSED`; where they are, all is tuned again.
+    The times are correlation times. Then test whether low passes of second order are more likely at the places in `LOW_PASSED`; where they
+    are, all is tuned again.
 
     Parameters
     ----------
     model, start
     recordings : sequence of Recording
         Ordinary operation: the first `ROWS` rows of each count.
-    kind : filter to tune with; EKF and UKF agree so closely here that one serves the other.
+    kind : filter to tune with; EKF and UKF agree so closely here that one serves for both.
     evaluations : how often the filter may run over the recordings, and half as often again once low passes are found.
     """
     if len(start.low_pass):  # tuned before: bands to begin with, as without

@@ -1,8 +1,8 @@
-"""What turning axes push, from sweeps: centrifugal and Coriolis torques, which Sec. 5.4.1 neglects and which bend a gear like gravity.
+"""Centrifugal and Coriolis torques of turning axes, from sweeps; Sec. 5.4.1 neglects them, and they bend a gear like gravity.
 
-In a sweep the gears are bent by gravity, by what the drives bring beyond their friction, and in proportion to products of the axes' speeds.
-What gravity and the drives leave of the axes' accelerations, of link against motor sides and of tilt is that last part. It acts where
-disturbances act, in the gears and at the place that tilts the detector most.
+In a sweep the gears are bent by gravity, by the drives' effort beyond their friction, and in proportion to products of the axes' speeds.
+The last part is what gravity and the drives do not explain of the axes' accelerations, of link against motor sides and of tilt. It acts
+where disturbances act, in the gears and at the place that tilts the detector most.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TURN_HARMONIC = 2
 """Of the pose, in what turning pushes: slopes of inertias, and centrifugal torques."""
 
 BOTH_MOVE = 0.05
-"""Of the square of the largest speed, that a product of two axes' speeds must reach to be looked at."""
+"""Share of the square of the largest speed that a product of two axes' speeds must reach to be fitted."""
 
 SLOWEST_rad_s = 1e-3
 """Speed (or m/s) that nothing may stay below for a sweep."""
@@ -39,7 +39,7 @@ ACCELERATION_TRUST = 5e-3
 """rad/s^2: what friction beyond the viscous leaves of an axis's balance."""
 
 EXPECTED_SHARE = 0.2
-"""What turning may push at the sweeps' largest speed before it costs anything, as a share of what the drives could."""
+"""What turning may push at the sweeps' largest speed without a penalty, as a share of what the drives could."""
 
 GRID = 4
 """Poses per axis and harmonic at which a product of two functions of the pose is written as one again."""
@@ -47,7 +47,7 @@ GRID = 4
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment of a sweep.
+    """One moment of a sweep.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Moment:
 
 
 def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording], effort_gain: np.ndarray) -> ModalModel:
-    """The model with what products of speeds push.
+    """Return the model with the push of products of speeds.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def with_turning(model: ModalModel, bias: np.ndarray, sweeps: Sequence[Recording
 
 
 def _tilting(model: ModalModel, directions: np.ndarray, poses: np.ndarray) -> int:
-    """The place behind the gears that tilts the first sensor's body most."""
+    """Return the place behind the gears that tilts the first sensor's body most."""
     n, modes, middle = len(model.axes), model.modes, np.median(poses, axis=0)
     turns = model.at(middle)[: modes * model.mode_stride].reshape(modes, model.mode_stride)[:, 5 + 2 * n : 8 + 2 * n]
     bends = directions[n:, 2 * n :] @ basis_at(model.harmonics, middle[None])[0]
@@ -141,7 +141,7 @@ def _tilting(model: ModalModel, directions: np.ndarray, poses: np.ndarray) -> in
 
 
 def moments_of(sweep: Recording, model: ModalModel, bias: np.ndarray) -> list[Moment]:
-    """Moments of a recording, smoothed."""
+    """Return the moments of a recording, smoothed."""
     n, modes, sensor = len(model.axes), model.modes, model.sensors[0]
     window, every = 2 * round(0.5 * SMOOTHED_s * model.sample_rate_Hz) + 1, max(1, round(model.sample_rate_Hz / SAMPLES_Hz))
     names = [*model.channels()[: 2 * n + 3], *(f"command_{axis}" for axis in model.axes)]
@@ -175,13 +175,16 @@ def moments_of(sweep: Recording, model: ModalModel, bias: np.ndarray) -> list[Mo
 
 
 def _factors(products: np.ndarray, harmonics: tuple[int, ...], poses: np.ndarray) -> np.ndarray:
-    """Products of speeds times functions of the pose: (moments, pairs x basis)."""
-    return (products[:, :, None] * basis_at(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
+    """Return products of speeds times functions of the pose: (moments, pairs x basis)."""
+    rows: np.ndarray = (products[:, :, None] * basis_at(harmonics, poses)[:, None, :]).reshape(len(poses), -1)
+    return rows
 
 
 def _turned(pairs: list[tuple[int, int]], harmonics: tuple[int, ...]) -> np.ndarray:
-    """(pairs, basis) which functions of the pose a torque on the detector may have: it is fixed but for how the two axes' directions turn
-    with every position behind them."""
+    """Return which functions of the pose a torque on the detector may have: (pairs, basis).
+
+    It is fixed except that the directions of its two axes turn with every position behind them.
+    """
     sizes = [2 * order + 1 for order in harmonics]
     of_function = (np.array(np.unravel_index(np.arange(basis_size(harmonics)), sizes)).T + 1) // 2
     allowed = np.array([[int(j < axis) + int(k < axis) for axis in range(len(harmonics))] for j, k in pairs])
@@ -189,12 +192,12 @@ def _turned(pairs: list[tuple[int, int]], harmonics: tuple[int, ...]) -> np.ndar
 
 
 def _grid(model: ModalModel, poses: np.ndarray) -> np.ndarray:
-    """Poses (grid, n_axes) over the range that was swept."""
+    """Return poses (grid, n_axes) over the range that was swept."""
     ends = zip(poses.min(axis=0), poses.max(axis=0), model.harmonics, strict=True)
     return np.array(list(product(*(np.linspace(low, high, GRID * order + 1) for low, high, order in ends))))
 
 
 def _told(system: np.ndarray, target: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Least squares beside what is expected of the unknowns."""
+    """Solve by least squares with the expected size of the unknowns as a prior."""
     scaled = system * expected
     return expected * np.linalg.solve(scaled.T @ scaled + np.eye(len(expected)), scaled.T @ target)

@@ -1,1 +1,1 @@
-"""Images received while a run goes on: frames taken from the panel, looked at, written as a scan."""
+"""Images received during a run: frames taken from the panel, looked at, written as a scan."""

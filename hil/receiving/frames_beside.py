@@ -30,7 +30,7 @@ from hil.recording import Recording
 
 @dataclass(frozen=True)
 class ReceivedScan:
-    """What came: exposures, the numbers skipped between them, and the panel's clock against the loop's, known to `doubt_ppm`."""
+    """The result: exposures, numbers skipped between them, and the panel's clock against the loop's, known to `doubt_ppm`."""
 
     exposures: int
     lost: tuple[int, ...]
@@ -41,7 +41,9 @@ class ReceivedScan:
 
 @contextmanager
 def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[[str], None] | None = None) -> Iterator[Callable[[], None]]:
-    """Receive while the block runs; leave it when all frames are in. Yields what raises once frames cannot be received any more.
+    """Receive while the block runs; leave it when all frames are in.
+
+    Yields a function that raises once frames cannot be received any more.
 
     Parameters
     ----------
@@ -111,14 +113,14 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
 
 
 def _say_if_one_ends(order: ReceiverOrder, started: Sequence[BaseProcess], is_left: threading.Event, say: Callable[[str], None]) -> None:
-    """Wait for it; once the block is left they are to end."""
+    """Wait for the processes, which should end only once the block is left."""
     wait([process.sentinel for process in started])
     if not is_left.is_set():
         say(f"{_trouble(order) or 'the process that receives frames ended'}: no more images; the run goes on without")
 
 
 def _must_be_empty(panel: Path) -> None:
-    """Before anything moves."""
+    """Refuse a folder that is not empty, before anything moves."""
     if not panel.is_dir():
         raise UnusableInputError(f"{panel}: no folder; the panel's software must write its frames there")
     if any(panel.iterdir()):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from multiprocessing.context import BaseContext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -24,15 +25,15 @@ class RowSpan:
         Of `multiprocessing`, whose processes get it as an argument.
     """
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, context: BaseContext) -> None:
         self._memory = context.RawArray("q", [-1, -1])
 
     def begin(self, syncs: int) -> None:
-        """Row 0 is the next SYNC, after so many."""
+        """Set row 0 to the next SYNC, after so many."""
         self._memory[0] = syncs + 1
 
     def end(self, syncs: int) -> None:
-        """The last row was the last of so many SYNCs."""
+        """Set the last row to the last of so many SYNCs."""
         self._memory[1] = syncs
 
     @property
@@ -48,7 +49,7 @@ class RowSpan:
 
 @dataclass(frozen=True)
 class RemotePanel:
-    """A panel on the network, what it is told, and when."""
+    """A panel on the network, its settings, and when it is told them."""
 
     url: str
     rate_Hz: float
@@ -58,21 +59,21 @@ class RemotePanel:
 
 
 class FrameSource(Protocol):
-    """What the receiving process looks at."""
+    """Source of the receiving process's frames."""
 
     def poll(self) -> list[Frame]:
-        """Frames that have come since."""
+        """Return frames that have come since."""
 
     def wait(self, seconds: float) -> None:
-        """So long, or until something has come."""
+        """Wait so long, or until something has come."""
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing comes any more once the run is over."""
+        """Tell whether nothing more comes once the run is over."""
 
 
 class SpooledFrames:
-    """A folder: what is in it when the run is over is all there is."""
+    """A folder: what is in it when the run is over is complete."""
 
     is_over = True
 
@@ -85,7 +86,7 @@ class SpooledFrames:
 
 
 class PanelFrames:
-    """A panel on the network: exposes from row 0 to the last; what lies outside is left out.
+    """A panel on the network that exposes from row 0 to the last; frames outside are left out.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "t
 
 @dataclass(frozen=True)
 class ReceiverOrder:
-    """What the process is told.
+    """Orders for the process.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ReceiverOrder:
 
 
 def serve(order: ReceiverOrder, is_over: Event) -> None:
-    """Take frames until the panel is done and all have been taken; what goes wrong is left in a file for the bench to say."""
+    """Take frames until the panel is done and all have been taken; leave an error in a file for the bench."""
     try:
         _serve(order, is_over)
     except (DriverError, UnusableInputError, OSError) as error:
@@ -97,7 +97,7 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
 
 
 def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, PanelClock]:
-    """Numbers, starts and widths (N,) of what was received, in the time that the pulses are told in.
+    """Return numbers, starts and widths (N,) of what was received, in the time base of the pulses.
 
     Raises
     ------

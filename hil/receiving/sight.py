@@ -1,4 +1,4 @@
-"""What one frame shows while the run goes on: the phantom's nine parameters or the marker plate's six."""
+"""Measurements from one frame during the run: the phantom's nine parameters or the marker plate's six."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from hil.machine import Machine
 
 
 def phantom_in(image: np.ndarray, detector: Detector, machine: Machine, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Nine deviations (9,) from nominal at axis positions (axes,) by the bullet phantom, and their covariance (9, 9); None if not seen."""
+    """Return nine deviations (9,) from nominal at axis positions (axes,) by the bullet phantom, and their covariance (9, 9).
+
+    None if the phantom is not seen.
+    """
     phantom, nominal = dodecahedron(), nominal_beam(machine, positions)
     try:
         points, sigma = bullets_seen(image, detector, phantom, nominal)
@@ -31,7 +34,10 @@ def phantom_in(image: np.ndarray, detector: Detector, machine: Machine, position
 
 
 def marker_in(image: np.ndarray, detector: Detector, name: str, nominal: MarkerProjection) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Six parameters (6,) of (6.8) by the plate of this name, their covariance (6, 6) and the crossings seen; None if it is not seen."""
+    """Return six parameters (6,) of (6.8) by the plate of this name, their covariance (6, 6) and the crossings seen.
+
+    None if the plate is not seen.
+    """
     plate = PLATES[name]()
     try:
         found = find_marker(image, plate, nominal, detector)

@@ -1,4 +1,4 @@
-"""Frames looked at as they come, and what they show sent to the loop (`hil.imaging.mailbox`)."""
+"""Frames looked at as they come, and their measurements sent to the loop (`hil.imaging.mailbox`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hil.receiving.sight import phantom_in
 
 @dataclass(frozen=True)
 class Live:
-    """What a receiver needs to serve a live calibration: the machine, and where what it sees goes.
+    """What a receiver needs to serve a live calibration: the machine, and where its measurements go.
 
     `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time.
     """
@@ -29,10 +29,10 @@ class Live:
 
 
 class Watch:
-    """From frames to sightings.
+    """Turns frames into sightings.
 
-    The panel's clock in the loop's time is a line through the pulses so far, known to some part of a tick. Before there are enough of them
-    frames wait. How well it is known is counted in the covariance: a pose that is some milliseconds off is off along the motion.
+    The panel's clock in the loop's time is a line through the pulses so far, known to some part of a tick. Until there are enough of them,
+    frames wait. The clock's uncertainty is counted in the covariance: a pose that is some milliseconds off is off along the motion.
 
     Parameters
     ----------
@@ -53,7 +53,9 @@ class Watch:
         self._handled = 0
 
     def take(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None) -> None:
-        """One frame, and the marker plate's parameters in it, where one is looked for (`hil.receiving.sight.marker_in`).
+        """Take one frame, and the marker plate's parameters in it, where one is looked for.
+
+        They come from `hil.receiving.sight.marker_in`.
 
         Raises
         ------

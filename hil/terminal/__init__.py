@@ -1,1 +1,1 @@
-"""What a person at a terminal sees: answers, progress, JSON beside them."""
+"""Output for a person at a terminal: answers, progress, JSON beside them."""

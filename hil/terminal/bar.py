@@ -1,4 +1,4 @@
-"""A run's progress bar on the wall clock, drawn by a process of its own: it reads how many rows there are from the recorder's ring.
+"""A run's progress bar on the wall clock, drawn by a process of its own, which reads the number of rows from the recorder's ring.
 
 `python -m hil.terminal.bar RING WIDTH CAPACITY ROWS NAME`, started by `drawn_beside` before the run; it ends when its standard input does.
 Drawing in the loop's process would cost it milliseconds.
@@ -21,7 +21,7 @@ from hil.recording.ring import PRODUCED, Ring
 from hil.terminal.output import progress
 
 LOOK_S = 0.5
-"""How often it looks: a bar that moves twice a second moves, and leaves the processor alone."""
+"""Period at which it looks: two updates a second look smooth and leave the processor alone."""
 
 END_S = 2.0
 NICENESS = 10
@@ -29,7 +29,7 @@ NICENESS = 10
 
 @contextlib.contextmanager
 def drawn_beside(recorder: RecorderProcess, rows: int, name: str) -> Iterator[None]:
-    """A bar on standard error from here to the end of the block, for a recording of so many rows."""
+    """Draw a bar on standard error from here to the end of the block, for a recording of so many rows."""
     ring = recorder.ring
     drawer = subprocess.Popen(
         [sys.executable, "-m", "hil.terminal.bar", ring.key, str(ring.width), str(ring.capacity), str(rows), name],

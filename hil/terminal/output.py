@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -41,7 +41,7 @@ class Answer:
         """Print for a person."""
         self.console.print(text, markup=False)
 
-    def write(self, document: Any) -> None:
+    def write(self, document: object) -> None:
         """Write the JSON document, where one was asked for."""
         if self._json_to is None:
             return
@@ -51,8 +51,8 @@ class Answer:
         else:
             Path(self._json_to).write_text(text + "\n", encoding="utf-8")
 
-    def write_at_once(self, document: Any) -> None:
-        """The same in one line for a program that waits for it while the command goes on."""
+    def write_at_once(self, document: object) -> None:
+        """Write the document in one line, for a program that waits for it while the command goes on."""
         if self._json_to is None:
             return
         text = json.dumps(plain(document), ensure_ascii=False) + "\n"
@@ -66,8 +66,8 @@ class Answer:
 def refuse_unwritable(file: Path, named: str) -> None:
     """Refuse a file that cannot be written, before the work is done and not after it.
 
-    Nothing is written: where there is no such file yet, one without a name is made in its folder and gone at once, for neither permissions
-    nor mount options say all that may stand against it. A device or a pipe is left alone.
+    Nothing is written. Where there is no such file yet, an unnamed temporary file is made in its folder and removed at once, since
+    permissions and mount options alone do not show everything that may prevent writing. A device or a pipe is left alone.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def refuse_unwritable(file: Path, named: str) -> None:
 
 
 def refuse_unwritable_folder(folder: Path, named: str) -> None:
-    """The same for a folder that is there.
+    """Refuse an existing folder that cannot be written to.
 
     Raises
     ------
@@ -102,8 +102,8 @@ def refuse_unwritable_folder(folder: Path, named: str) -> None:
         raise UnusableInputError(f"{named}: cannot be written to: {error.strerror}; give another place") from None
 
 
-def plain(value: Any) -> Any:
-    """The same value in JSON's own types: arrays as lists, dataclasses as objects, NaN and infinities as null."""
+def plain(value: object) -> object:
+    """Return the value in JSON's own types: arrays as lists, dataclasses as objects, NaN and infinities as null."""
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, set)):
@@ -136,7 +136,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], None]:
-    """A callback that moves a bar to `done` plus what it is told."""
+    """Return a callback that moves a bar to `done` plus its argument."""
 
     def follow(row: int) -> None:
         bars.update(task, completed=done + row)
@@ -146,7 +146,7 @@ def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], Non
 
 @contextmanager
 def progress(console: Console, live: bool = True, refresh_Hz: float = 10.0) -> Iterator[Progress]:
-    """Progress bars for whatever takes longer than two seconds; drawn on a terminal, silent elsewhere.
+    """Show progress bars for whatever takes longer than two seconds; drawn on a terminal, silent elsewhere.
 
     With `live` False nothing is drawn while the block runs: a drawing thread beside a sample loop on the wall clock costs it milliseconds.
     """

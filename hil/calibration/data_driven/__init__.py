@@ -1,1 +1,1 @@
-"""Data-driven calibration (thesis Chapter 5): geometric parameters as states of a filter, offline and along with the loop."""
+"""Data-driven calibration (thesis Chapter 5): geometric parameters as states of a filter, offline or during a run."""

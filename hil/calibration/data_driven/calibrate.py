@@ -1,4 +1,4 @@
-"""A recording and its images, walked through by the data-driven filter (Chapter 5): the geometry of every sample."""
+"""The data-driven filter (Chapter 5) run over a recording and its images: the geometry of every sample."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _publish(
     stop: int,
     now: float,
 ) -> int:
-    """Geometry and deviations of samples [first, stop) with what is known at `now`."""
+    """Write geometry and deviations of samples [first, stop) with what is known at time `now`."""
     if stop <= first:
         return first
     size = work.size

@@ -1,4 +1,4 @@
-"""What a data-driven calibration found, on disk: the geometry of a recording at every sample, and the parameters to go on from."""
+"""The file of a data-driven calibration: the geometry of a recording at every sample, and the parameters to continue from."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class DataFile:
     static: np.ndarray
 
     def parameters(self, model: QuasiStatic) -> Parameters:
-        """To start another scan's calibration from.
+        """Return the parameters, to start another scan's calibration from.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class DataFile:
         return Parameters(self.values, self.covariance)
 
     def beam(self, machine: Machine, time_s: np.ndarray) -> ConeBeam:
-        """Geometry at times (M,) of the recording.
+        """Return the geometry at times (M,) of the recording.
 
         Raises
         ------
@@ -85,15 +85,19 @@ class DataFile:
 
 
 def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Correlations (N, 36) of covariances (N, 9, 9), by rows above the diagonal, in single precision; zero where there is no variance."""
+    """Return correlations (N, 36) of covariances (N, 9, 9), by rows above the diagonal, in single precision.
+
+    They are zero where there is no variance.
+    """
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     first, second = np.triu_indices(9, 1)
     product = sigma[:, first] * sigma[:, second]
-    return np.divide(covariance[:, first, second], product, out=np.zeros_like(product), where=product > 0.0).astype(np.float32)
+    shares: np.ndarray = np.divide(covariance[:, first, second], product, out=np.zeros_like(product), where=product > 0.0)
+    return shares.astype(np.float32)
 
 
 def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibration, path: Path) -> None:
-    """To its file; RecordingError where it cannot be written."""
+    """Write the calibration to its file; raise RecordingError where it cannot be written."""
     arrays = {
         "data_calibration_format": FORMAT,
         "machine": model.machine.name,
@@ -114,7 +118,7 @@ def write_data_file(model: QuasiStatic, observed: ObservedBeam, found: Calibrati
 
 
 def read_data_file(path: Path) -> DataFile:
-    """What `write_data_file` wrote.
+    """Read a file of `write_data_file`.
 
     Raises
     ------
@@ -128,5 +132,5 @@ def read_data_file(path: Path) -> DataFile:
     if absent:
         raise UnusableInputError(f"{path}: holds no {', '.join(absent)}; `isocenter calibrate data` writes a whole one")
     text = {name: tuple(str(each) for each in arrays[name]) for name in ("axes", "names")}
-    static = arrays.get("static", np.zeros((4, 9)))  # files of before it was kept: as without an observer
+    static = arrays.get("static", np.zeros((4, 9)))  # absent in some files: then as without an observer
     return DataFile(str(arrays["machine"]), text["axes"], text["names"], *(*(arrays[name] for name in _ARRAYS), static))

@@ -14,7 +14,7 @@ from hil.machine import Machine
 
 
 def from_phantom(machine: Machine, scan: ImageScan, fit: PoseFit, observed: ObservedBeam) -> list[Measurement]:
-    """The phantom's exposures that could be used, all nine parameters of each."""
+    """Return the usable exposures of the phantom, all nine parameters of each."""
     positions, _, _ = observed.at(scan.middle_s)
     deviation = fit.beam.deviation_from(nominal_beam(machine, positions))
     wobble = np.diag(np.repeat([SPOT_M**2, 0.0], [3, 6]))
@@ -22,6 +22,6 @@ def from_phantom(machine: Machine, scan: ImageScan, fit: PoseFit, observed: Obse
 
 
 def from_marker(scan: ImageScan, found: MarkerScan) -> list[Measurement]:
-    """The marker plate's exposures that could be used."""
+    """Return the usable exposures of the marker plate."""
     change = (found.values - found.nominal)[:, :6]
     return [Measurement(float(scan.middle_s[k]), change[k], found.covariance[k][:6, :6], "marker") for k in np.flatnonzero(found.good)]

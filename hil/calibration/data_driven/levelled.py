@@ -1,8 +1,8 @@
 """Inertial measurements as a machine without offsets would have made them.
 
-An accelerometer on a machine that is built askew by a milliradian reads what it would on one that is bent by a milliradian, and an observer
-that knows the drawing's geometry believes the latter. Once images have told the offsets, the readings are turned back by them:
-f' = f + w x f, with w the turn that the offsets, not gravity, give the detector in the pose of the row.
+An accelerometer on a machine with a mounting offset of a milliradian reads the same as on one that is bent by a milliradian, and an
+observer that knows only the drawing's geometry assumes the latter. Once images have determined the offsets, the readings are turned back by
+them: f' = f + w x f, with w the turn that the offsets, not gravity, give the detector in the pose of the row.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from hil.machine import Machine
 from hil.recording import Channel, Recording
 
 NOT_OFFSETS = ("detector_sag", "source_sag", "mount_yield")
-"""Bending by gravity is the observer's to find."""
+"""Not offsets: bending by gravity is estimated by the observer."""
 
 
 def levelled(machine: Machine, recording: Recording, model: QuasiStatic, values: np.ndarray) -> Recording:
-    """The recording with its detector's inertial measurements turned back by the offsets among the parameters (p,).
+    """Return the recording with its detector's inertial measurements turned back by the offsets among the parameters (p,).
 
     Raises
     ------

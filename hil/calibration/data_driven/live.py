@@ -1,9 +1,9 @@
-"""The data-driven calibration along with the loop: geometry at every row as it is known then, images taken in as they arrive.
+"""The data-driven calibration during a run: geometry at every row from what is known then, images taken in as they arrive.
 
-The filter is that of `parameter_filter` behind the observer. It stands at the exposure of the last image that came; from there to the
-present row its parameters stay and the error of the displacement fades, so a late image counts for what it would have in time. Over a
-whole recording the observer's slow part is smoothed away without delay, with later rows. Here it is taken out as far as an earlier
-calibration found it to follow the pose, and a first-order high-pass takes the rest.
+The filter is that of `parameter_filter` behind the observer. Its state belongs to the exposure of the last image that came; from there to
+the present row its parameters stay and the error of the displacement fades, so a late image counts as if it had come in time. Offline, the
+observer's slow part is removed by smoothing without delay, which needs later rows. Here it is removed as far as an earlier calibration
+found it to follow the pose, and a first-order high-pass removes the rest.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ CHANNELS = (
     *((f"deviation_{name}_variance", "m^2" if k < 6 else "rad^2") for k, name in enumerate(DEVIATIONS)),
     ("deviation_images", ""),
 )
-"""What a recording gets: deviations from the nominal geometry at the observer's link sides, their variances, images taken in so far."""
+"""Columns of a recording: deviations from the nominal geometry at the observer's link sides, their variances, images taken in so far."""
 
 
 class Inbox(Protocol):
-    """Where images' measurements come from, and what who makes them is told."""
+    """Source of images' measurements; it is told where the axes are."""
 
     def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
-        """Where the axes are, NaN if nobody knows; every row is told."""
+        """Tell where the axes are, NaN if unknown; every row is told."""
 
     def collect(self, row: int) -> list[Sighting]:
-        """What arrives in this row."""
+        """Return what arrives in this row."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Arrival:
 
 
 class LiveCalibration:
-    """One calibration for the loop.
+    """A calibration that runs with the loop.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class LiveCalibration:
         self._publish(0.0, np.zeros(9))
 
     def restart(self, rows: int) -> None:
-        """Before row 0 of a plan of so many ticks."""
+        """Prepare for row 0 of a plan of so many ticks."""
         self.filter = DataDrivenFilter(self.model, self._start, np.repeat([FLOOR_M, FLOOR_RAD], 3))
         self.arrivals: list[Arrival] = []
         self.withdrawn_after: int | None = None
@@ -134,7 +134,7 @@ class LiveCalibration:
     def level(self, measured: np.ndarray) -> None:
         """Turn the detector's inertial reading in a row of the observer's measurements back by the offsets, in place.
 
-        What `calibrate level` does to a recording; after it was seen whether the reading is a new one.
+        `levelled` does the same to a recording. Call it after the check for a repeated reading.
         """
         place, position = self._imu_at, measured[: len(self._link)]
         imu = measured[place]
@@ -150,7 +150,7 @@ class LiveCalibration:
         measured[place] = (self._orientation.T @ turned).T.ravel()
 
     def step(self, tick: int, estimate: np.ndarray) -> None:
-        """One row: the tick of the plan and the observer's estimate (channels,) of it."""
+        """Process one row: the tick of the plan and the observer's estimate (channels,) of it."""
         positions = estimate[self._link]
         self._inbox.tell(tick, tick * self._period_s, positions)
         if not np.isfinite(positions).all():
@@ -169,7 +169,7 @@ class LiveCalibration:
         for sighting in arrived:
             fate = self._take(sighting)
             self.arrivals.append(Arrival(tick, sighting, fate))
-        if arrived:  # they have left their own pose there
+        if arrived:  # taking them in has left their own pose in the buffers
             pose_rows(*self._chain, self.gravity, positions, self._rows, self._nominal)
         self._publish(now, fast)
         self.live[tick], self.covariance[tick] = self.values[:9], self._together
@@ -211,7 +211,7 @@ class LiveCalibration:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Of the run: images by what became of them, and how well the isocentre's place is known in the end."""
+        """Return the run's images by what became of them, and how well the isocentre's place is known in the end."""
         fates = [arrival.fate for arrival in self.arrivals]
         return {
             **{fate: fates.count(fate) for fate in ("used", CHANGE, REFUSED, "late", "withdrawn")},

@@ -1,4 +1,4 @@
-"""What a live calibration leaves: sightings as they arrived, from which it can be replayed, and the geometry of the run."""
+"""Files of a live calibration: sightings as they arrived, from which it can be replayed, and the geometry of the run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIGHTINGS, GEOMETRY = "sightings.npz", "geometry.npz"
 
 
 def write_sightings(live: LiveCalibration, path: Path) -> None:
-    """Of the run that has ended, to their file; RecordingError where it cannot be written."""
+    """Write the sightings of the finished run to their file; raise RecordingError where it cannot be written."""
     arrivals = live.arrivals
     values, covariance = np.full((len(arrivals), LARGEST), np.nan), np.full((len(arrivals), LARGEST, LARGEST), np.nan)
     for k, arrival in enumerate(arrivals):
@@ -44,7 +44,7 @@ def write_sightings(live: LiveCalibration, path: Path) -> None:
 
 
 class KeptSightings:
-    """Sightings of a run, handed out in the rows in which they came: a replay's inbox.
+    """Sightings of a run, handed out in the rows in which they came: the inbox of a replay.
 
     Parameters
     ----------
@@ -89,15 +89,15 @@ class KeptSightings:
             self._by_row.setdefault(int(row), []).append(sighting)
 
     def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
-        """Nobody listens."""
+        """Ignore the row: a replay needs no positions."""
 
     def collect(self, row: int) -> list[Sighting]:
-        """What came in this row."""
+        """Return what came in this row."""
         return self._by_row.get(row, [])
 
 
 def write_live_geometry(live: LiveCalibration, path: Path) -> None:
-    """The geometry of the run that has ended, as `isocenter calibrate data` writes a recording's."""
+    """Write the geometry of the finished run, in the format of `isocenter calibrate data`."""
     known = np.isfinite(live.live).all(axis=1)
     period_s = 1.0 / live.machine.sample_rate_Hz
     positions, fast = live.positions[known], live.fast[known]

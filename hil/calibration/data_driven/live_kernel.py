@@ -1,6 +1,6 @@
-"""One row of a live calibration, compiled: the nominal geometry at the row's pose, what each parameter changes there, and the sum.
+"""One row of a live calibration, compiled: the nominal geometry at the row's pose, the effect of each parameter there, and the sum.
 
-The same numbers as `QuasiStatic.rows` (tests/calibration hold the two together), in microseconds instead of two milliseconds.
+The numbers are those of `QuasiStatic.rows` (a test in tests/hil/calibration compares the two), in microseconds instead of two milliseconds.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from hil.machine import Machine
 
 
 def chain_of(machine: Machine) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Axes (n, 3) and a point on each (n, 3) at position zero in the world, from the isocentre [m]; (5, 3): panel's axes by rows, its
-    centre, the focal spot, likewise.
+    """Return the axes, a point on each, and panel and focal spot, all at position zero in the world.
+
+    Axes (n, 3); points (n, 3) from the isocentre [m]; (5, 3): the panel's axes by rows, its centre, the focal spot, from the isocentre.
     """
     geometry = imaging_geometry(machine)
     bodies = {each.joint.name: each for each in machine.plant.tree.bodies if each.joint is not None}
@@ -31,8 +32,8 @@ def chain_of(machine: Machine) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @exactly_called
-def _turn(axis, angle):
-    """(3, 3) rotation about a unit vector, Rodrigues."""
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation (3, 3) about a unit vector, by Rodrigues' formula."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = axis[0], axis[1], axis[2]
     v = 1.0 - c
@@ -44,8 +45,8 @@ def _turn(axis, angle):
 
 
 @exactly_called
-def _product(a, b):
-    """(3, 3) by (3, n)."""
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiply (3, 3) by (3, n)."""
     out = np.zeros((3, b.shape[1]))
     for i in range(3):
         for j in range(b.shape[1]):
@@ -54,23 +55,32 @@ def _product(a, b):
 
 
 @exactly_called
-def _cross(a, b):
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @exactly_called
-def _turn_vector(rotation):
-    """Rotation vector (3,) of a small rotation (3, 3)."""
+def _turn_vector(rotation: np.ndarray) -> np.ndarray:
+    """Return the rotation vector (3,) of a small rotation (3, 3)."""
     s = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     sine = np.sqrt(s[0] ** 2 + s[1] ** 2 + s[2] ** 2)
     if sine < 1e-12:
         return s
-    return s * (np.arctan2(sine, 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)) / sine)
+    turned: np.ndarray = s * (np.arctan2(sine, 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)) / sine)
+    return turned
 
 
 @exactly_compiled
-def pose_rows(axes, points, ends, gravity, positions, rows, nominal):  # type: ignore[no-untyped-def]
-    """What the parameters change at axis positions (n,), and the geometry there.
+def pose_rows(
+    axes: np.ndarray,
+    points: np.ndarray,
+    ends: np.ndarray,
+    gravity: np.ndarray,
+    positions: np.ndarray,
+    rows: np.ndarray,
+    nominal: np.ndarray,
+) -> None:
+    """Compute the effect of each parameter at axis positions (n,), and the geometry there.
 
     Parameters
     ----------
@@ -134,8 +144,8 @@ def pose_rows(axes, points, ends, gravity, positions, rows, nominal):  # type: i
 
 
 @exactly_compiled
-def deviation_from_nominal(ends, nominal, estimate, out):  # type: ignore[no-untyped-def]
-    """Nine deviations (9,) of an observer's estimate (9,) from the geometry that `pose_rows` left in `nominal`.
+def deviation_from_nominal(ends: np.ndarray, nominal: np.ndarray, estimate: np.ndarray, out: np.ndarray) -> None:
+    """Compute the nine deviations (9,) of an observer's estimate (9,) from the geometry that `pose_rows` left in `nominal`.
 
     The observer's orientation (extrinsic x, y, z angles) is of the detector's frame at position zero, here it is of the world's.
     """
@@ -153,8 +163,18 @@ def deviation_from_nominal(ends, nominal, estimate, out):  # type: ignore[no-unt
 
 
 @exactly_compiled
-def published(rows, first, x, covariance, kept, renewed, fast, out, together):  # type: ignore[no-untyped-def]
-    """Deviations and their variances (18,) of a row: parameters and faded error of the displacement, and the observer's fast part.
+def published(
+    rows: np.ndarray,
+    first: int,
+    x: np.ndarray,
+    covariance: np.ndarray,
+    kept: float,
+    renewed: np.ndarray,
+    fast: np.ndarray,
+    out: np.ndarray,
+    together: np.ndarray,
+) -> None:
+    """Compute a row's deviations and variances (18,): parameters, faded error of the displacement, observer's fast part.
 
     Parameters
     ----------

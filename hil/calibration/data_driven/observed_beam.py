@@ -1,8 +1,8 @@
-"""What an observer says of a machine's geometry at every sample, from the estimates in a recording: its fast part, and the load.
+"""An observer's account of a machine's geometry at every sample, from the estimates in a recording: its fast part, and the load.
 
-At rest an accelerometer cannot tell a machine that is bent from one that is built askew, and an observer that knows the drawing's geometry
-takes the one for the other: milliradians, on a machine as it is built. So what changes slower than the motion of a scan is left to the
-quasi-static parameters, which images tell; the observer's estimate counts from `SLOW_Hz` on.
+At rest an accelerometer cannot distinguish a machine that is bent from one with mounting offsets, and an observer that knows only the
+drawing's geometry mistakes one for the other: milliradians, on a real machine. So what changes more slowly than the motion of a scan is
+left to the quasi-static parameters, which images determine; the observer's estimate counts from `SLOW_Hz` on.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from hil.machine import Machine
 from hil.recording import Recording
 
 FLOOR_M, FLOOR_RAD = 10e-6, 100e-6
-"""An observer's own variances leave out what its model lacks, and slow bending leaves some of it: below these it is not believed."""
+"""Least deviations: an observer's own variances leave out its model's errors and some of slow bending."""
 
 UNOBSERVED_M, UNOBSERVED_RAD = 50e-6, 200e-6
-"""How far the detector swings in a scan that nothing shakes, where no observer says how."""
+"""How far the detector swings in a scan without disturbances, where no observer estimates it."""
 
 
 SLOW_Hz, ORDER = 0.3, 3
@@ -49,8 +49,8 @@ class ObservedBeam:
     displacement_std : (6,) array
         Of the detector's displacement [m, rad].
     static : (4, 9) array
-        What was taken out as slow, as far as it follows the pose: a constant and gravity's components in the detector's frame, times these.
-        A live run, which has no later rows to smooth with, takes this out at once. Zero without an observer.
+        The removed slow part, as far as it follows the pose: a constant and gravity's components in the detector's frame, times these.
+        A live run, which has no later rows to smooth with, removes this at once. Zero without an observer.
     """
 
     time_s: np.ndarray
@@ -61,10 +61,11 @@ class ObservedBeam:
     static: np.ndarray = field(default_factory=lambda: np.zeros((4, 9)))
 
     def __len__(self) -> int:
+        """Return the number of samples N."""
         return len(self.time_s)
 
     def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (M, axes), deviations (M, 9) and load (M, 3) at other times, linear between samples.
+        """Return positions (M, axes), deviations (M, 9) and load (M, 3) at other times, linear between samples.
 
         Raises
         ------
@@ -84,7 +85,7 @@ class ObservedBeam:
 
 
 def unobserved_beam(machine: Machine, recording: Recording) -> ObservedBeam:
-    """Geometry by the encoders alone.
+    """Return the geometry by the encoders alone.
 
     Raises
     ------
@@ -146,15 +147,17 @@ def observed_beam(machine: Machine, recording: Recording) -> ObservedBeam:
 
 
 def _slow(values: np.ndarray, rate_Hz: float) -> np.ndarray:
-    """What changes slower than `SLOW_Hz`, without delay."""
+    """Return the part that changes more slowly than `SLOW_Hz`, without delay."""
     pad = round(PAD_S * rate_Hz)
     padded = np.concatenate([np.repeat(values[:1], pad, axis=0), values, np.repeat(values[-1:], pad, axis=0)])
     smooth = sosfiltfilt(butter(ORDER, SLOW_Hz, fs=rate_Hz, output="sos"), padded, axis=0)
-    return smooth[pad : pad + len(values)]
+    inside: np.ndarray = smooth[pad : pad + len(values)]
+    return inside
 
 
 def _load(machine: Machine, positions: np.ndarray) -> np.ndarray:
     center = nominal_beam(machine, _slow(positions, machine.sample_rate_Hz)).detector_in_phantom_m
     gravity = machine.plant.tree.gravity_m_s2
     acceleration = np.gradient(np.gradient(center, axis=0), axis=0) * machine.sample_rate_Hz**2
-    return (gravity - acceleration) / np.linalg.norm(gravity)
+    specific_force: np.ndarray = (gravity - acceleration) / np.linalg.norm(gravity)
+    return specific_force

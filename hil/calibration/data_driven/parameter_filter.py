@@ -1,9 +1,9 @@
 """Data-driven calibration (Chapter 5): quasi-static parameters and the detector's displacement as states of one filter at the sample rate.
 
-The observer's estimate moves the displacement from sample to sample and draws it back where it has strayed, so that it cannot drift; the
-parameters stay, but for what they may have changed by since the last scan. Images measure the sum of both at the instant they show. They
-arrive late: the displacement of that instant is kept as a state of its own until they do, which is the same as having had them in time.
-Once the parameters have converged, images of the phantom are no longer needed.
+The observer's estimate moves the displacement from sample to sample, and its error decays to zero, so that it cannot drift. The parameters
+are constant, except for what they may have changed by since the last scan. Images measure the sum of both at the instant they show. They
+arrive late: the displacement of that instant is kept as a separate state until they do, which is the same as having had them in time. Once
+the parameters have converged, the filter can do without images of the phantom.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.calibration.data_driven.values import CHANGE, REFUSED, USED, Parameters
 
 STRAYS_S = 3.0
-"""How long an error of the observer's displacement lasts: most of it lies below 0.5 Hz (docs/observer.md)."""
+"""How long an error of the observer's displacement lasts: most of it lies below 0.5 Hz (docs/explanation/observer.md)."""
 
 CHANGED = {size: float(chi2.ppf(1.0 - 1e-6, size)) for size in (6, 9)}
-"""An image of so many numbers farther off than this is no accident: the machine has changed, or the image shows something else."""
+"""Limit of an image's normalised innovation by its size: beyond it the machine has changed, or the image shows something else."""
 
 
 class DataDrivenFilter:
@@ -34,7 +34,7 @@ class DataDrivenFilter:
     ----------
     x, covariance : (states,), (states, states) arrays
     renewed_variance : (6,) array
-        Of the displacement's error when nothing is known of it any more.
+        Of the displacement's error once nothing is known of it.
     """
 
     def __init__(self, model: QuasiStatic, start: Parameters, displacement_std: np.ndarray) -> None:
@@ -49,11 +49,11 @@ class DataDrivenFilter:
 
     @property
     def parameters(self) -> Parameters:
-        """The present estimate."""
+        """Return the present estimate."""
         return Parameters(self.x[: self.size].copy(), self.covariance[: self.size, : self.size].copy())
 
     def predict(self, seconds: float) -> None:
-        """Time passes: the displacement's error fades and is renewed."""
+        """Let time pass: the displacement's error fades and is renewed."""
         place = slice(self.size, self.size + 6)
         kept = np.exp(-seconds / STRAYS_S)
         self.x[place] *= kept
@@ -62,7 +62,7 @@ class DataDrivenFilter:
         self.covariance[place, place] += (1.0 - kept**2) * np.diag(self.renewed_variance)
 
     def exposed(self, number: int) -> None:
-        """An image is taken now: remember the displacement's error until it arrives."""
+        """Remember the displacement's error of an exposure until its image arrives."""
         place = slice(self.size, self.size + 6)
         self.x = np.concatenate([self.x, self.x[place]])
         grown = np.vstack([self.covariance, self.covariance[place, :]])
@@ -70,14 +70,14 @@ class DataDrivenFilter:
         self._waiting.append(number)
 
     def dropped(self, number: int) -> None:
-        """An image will not come, or has been taken in."""
+        """Forget an exposure whose image will not come, or has been taken in."""
         first = self.size + 6 + 6 * self._waiting.index(number)
         keep = np.r_[0:first, first + 6 : len(self.x)]
         self.x, self.covariance = self.x[keep], self.covariance[np.ix_(keep, keep)]
         self._waiting.remove(number)
 
     def innovation(self, number: int, rows: np.ndarray, twist: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What an image says beyond what is expected, and how it depends on the states.
+        """Return what an image measures beyond what is expected, and how it depends on the states.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class DataDrivenFilter:
         return rest - gradient @ self.x, gradient
 
     def update(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> None:
-        """Take it in (Joseph's form, which keeps the covariance positive)."""
+        """Take an innovation in (Joseph's form, which keeps the covariance positive)."""
         spread = gradient @ self.covariance @ gradient.T + covariance
         gain = np.linalg.solve(spread, gradient @ self.covariance).T
         rest = np.eye(len(self.x)) - gain @ gradient
@@ -105,25 +105,25 @@ class DataDrivenFilter:
         self.covariance = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
 
     def surprise(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> float:
-        """Normalised innovation squared."""
+        """Return the normalised innovation squared."""
         spread = gradient @ self.covariance @ gradient.T + covariance
         return float(innovation @ np.linalg.solve(spread, innovation))
 
     def forget_mount(self) -> None:
-        """The machine was moved against what is imaged: of the mount nothing is known any more."""
+        """Make the mount unknown: the machine was moved against what is imaged."""
         for k, name in enumerate(self.model.names):
             if name.startswith(("mount_place", "mount_turn")):
                 self.covariance[k, k] += self.model.prior[k] ** 2
 
 
 def displacement_columns(model: QuasiStatic) -> slice:
-    """The detector's own offsets: its displacement moves the geometry as they do."""
+    """Return the columns of the detector's own offsets: its displacement moves the geometry as they do."""
     first = model.names.index("detector_place_x")
     return slice(first, first + 6)
 
 
 def take_in(work: DataDrivenFilter, k: int, rows: np.ndarray, twist: np.ndarray, rest: np.ndarray, covariance: np.ndarray) -> str:
-    """Take a measurement in that was exposed as number `k`, see `DataDrivenFilter.innovation`.
+    """Take in a measurement that was exposed as number `k`, see `DataDrivenFilter.innovation`.
 
     Returns
     -------
@@ -144,6 +144,9 @@ def take_in(work: DataDrivenFilter, k: int, rows: np.ndarray, twist: np.ndarray,
 
 
 def place_sigma(work: DataDrivenFilter, rows: np.ndarray) -> float:
-    """Standard deviation [m] of the isocentre's place in the detector's frame by the parameters alone, rms over poses, per component."""
+    """Return the standard deviation [m] of the isocentre's place in the detector's frame by the parameters alone.
+
+    It is the rms over poses, per component.
+    """
     covariance = work.covariance[: work.size, : work.size]
     return float(np.sqrt(np.mean(np.sum((rows @ covariance) * rows, axis=2))))

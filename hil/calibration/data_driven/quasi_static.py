@@ -1,8 +1,8 @@
-"""How a C-arm's geometry departs from its drawing at rest, as parameters: the quasi-static part M_qs of (5.37), linear in small offsets.
+"""Deviations of a C-arm's geometry from its drawing at rest, as parameters: the quasi-static part M_qs of (5.37), linear in small offsets.
 
-Offsets sit where the chain can be wrong: the mount against the phantom, between the axes, detector and focal spot at the chain's end. What
-gravity bends follows its direction in the detector's frame; what the mount yields follows where the masses hang. Several of them show
-alike in the images of two axes: the filter's prior holds those apart, and poses are compared, never parameters.
+Offsets are placed where the chain can be wrong: the mount against the phantom, between the axes, detector and focal spot at the chain's
+end. Bending by gravity follows its direction in the detector's frame; the mount's compliance follows where the masses hang. Several
+parameters look alike in the images of two axes; the filter's prior separates them. Therefore compare poses, never parameters.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from hil.imaging.nominal import imaging_geometry, nominal_beam
 from hil.machine import Machine
 
 PLACE_M, TURN_RAD = 2e-3, 2e-3
-"""Standard deviation of an offset before any image: what assembly and a phantom placed by hand leave."""
+"""Standard deviation of an offset before any image: errors of assembly and of a phantom placed by hand."""
 
 SAG_PLACE_M, SAG_TURN_RAD = 1e-3, 3e-3
-"""Of what gravity bends: a detector of some 40 kg on a mount that swings at 14 Hz."""
+"""Of bending by gravity: a detector of some 40 kg on a mount with a mode at 14 Hz."""
 
 YIELD_PLACE_M, YIELD_TURN_RAD = 50e-6, 50e-6
 """Of how much the mount yields as the masses swing around."""
@@ -60,7 +60,7 @@ class QuasiStatic:
 
     @classmethod
     def of(cls, machine: Machine) -> QuasiStatic:
-        """The parameters of a machine with axes about which the detector turns.
+        """Return the parameters of a machine with axes about which the detector turns.
 
         Raises
         ------
@@ -100,9 +100,10 @@ class QuasiStatic:
         return cls(machine, tuple(names), of_each, np.array(prior), np.array(between))
 
     def rows(self, positions: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """(N, 9, p) change of the nine deviations with each parameter, at axis positions (N, axes) under a load (N, 3).
+        """Return the change of the nine deviations with each parameter, (N, 9, p).
 
-        The load is what bends: gravity less acceleration, in the world, over gravity (`ObservedBeam.load`).
+        At axis positions (N, axes) under a load (N, 3). The load is what bends: gravity less acceleration, in the world, over gravity
+        (`ObservedBeam.load`).
         """
         machine = self.machine
         positions = np.atleast_2d(positions)
@@ -127,7 +128,7 @@ class QuasiStatic:
         return np.concatenate(parts, axis=2)
 
     def marker_rows(self, rows: np.ndarray) -> np.ndarray:
-        """(N, 6, p) change of what a marker plate on the tube shows, from `rows` (N, 9, p).
+        """Return the change (N, 6, p) of what a marker plate on the tube shows, from `rows` (N, 9, p).
 
         Source (u, v, distance) in the panel's frame, and the plate's turn against the panel: of the parameters that turn the panel only
         those of its own mount turn it against the tube.
@@ -141,15 +142,15 @@ class QuasiStatic:
 
 
 def marker_view(deviation: np.ndarray) -> np.ndarray:
-    """(N, 6, ...) focal_u, focal_v, focal_length, theta_x, theta_y, theta_z from changes (N, 9, ...) of the nine with the tube at rest."""
+    """Return focal_u, focal_v, focal_length, theta_x, theta_y, theta_z (N, 6, ...) from changes (N, 9, ...), tube at rest."""
     return np.concatenate([deviation[:, :2], -deviation[:, 2:3], -deviation[:, 6:9]], axis=1)
 
 
 def screw(panel: np.ndarray, center: np.ndarray, source: np.ndarray, frame: np.ndarray, both: bool) -> np.ndarray:
-    """(N, 9, 6) change of the nine deviations by a shift and a turn about the isocentre along the axes of `frame` (N, 3, 3).
+    """Return the change of the nine deviations (N, 9, 6) by a shift and a turn about the isocentre.
 
-    panel (N, 3, 3), center (N, 3) and source (N, 3) are the panel's orientation and centre and the focal spot in the world. `both`: tube
-    and panel move together, else the panel alone.
+    They are along the axes of `frame` (N, 3, 3). panel (N, 3, 3), center (N, 3) and source (N, 3) are the panel's orientation and centre
+    and the focal spot in the world. `both`: tube and panel move together, else the panel alone.
     """
     result = np.zeros((len(panel), 9, 6))
     to_panel = np.swapaxes(panel, 1, 2)
@@ -164,7 +165,10 @@ def screw(panel: np.ndarray, center: np.ndarray, source: np.ndarray, frame: np.n
 
 
 def panel_twist(panel: np.ndarray, center: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """(N, 9, 6) change of the nine deviations by a shift of the panel's centre and a turn about it, along its own axes."""
+    """Return the change of the nine deviations (N, 9, 6) by a shift of the panel's centre and a turn about it.
+
+    Both are along the panel's own axes.
+    """
     result = screw(panel, center, source, panel, both=False)
     about_isocenter = result[:, :, 3:].copy()
     for j in range(3):

@@ -1,7 +1,7 @@
-"""The detector's displacement over a recording with all of its images, later ones included: what a marker plate in every exposure tells.
+"""The detector's displacement over a recording from all of its images, later ones included: for a marker plate in every exposure.
 
-The plate's place is one set of numbers for the scan, the error of the observer's displacement fades and is renewed in seconds: forward
-through the exposures by the filter, backward by Rauch, Tung and Striebel. Between two exposures the process of first order is bridged.
+The plate's place is one set of numbers for the scan; the error of the observer's displacement fades and is renewed in seconds. The filter
+runs forward through the exposures, a Rauch-Tung-Striebel smoother backward. Between two exposures the first-order process is interpolated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def smoothed_displacement(
     changes: Collection[int],
     at_s: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (p,) with all images, and the displacement's error (N, 6) at times `at_s` (N,).
+    """Return the parameters (p,) with all images, and the displacement's error (N, 6) at times `at_s` (N,).
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def smoothed_displacement(
         What each says.
     covariances : sequence of M (k, k) arrays
     changes : collection of int
-        Those before which the mount was moved.
+        Exposures before which the mount was moved.
     """
     size, count = work.size, work.size + 6
     scale = np.sqrt(np.diag(work.covariance))
@@ -69,7 +69,7 @@ def smoothed_displacement(
 
 
 def _bridged(time_s: np.ndarray, strays: np.ndarray, at_s: np.ndarray, lasts_s: float) -> np.ndarray:
-    """Mean of a process of first order between instants at which it is known; beyond them it fades."""
+    """Return the mean of a first-order process between instants at which it is known; beyond them it fades."""
     after = np.searchsorted(time_s, at_s)
     left, right = np.maximum(after - 1, 0), np.minimum(after, len(time_s) - 1)
     since, until = np.abs(at_s - time_s[left]) / lasts_s, np.abs(time_s[right] - at_s) / lasts_s
@@ -77,4 +77,5 @@ def _bridged(time_s: np.ndarray, strays: np.ndarray, at_s: np.ndarray, lasts_s: 
     whole = np.where(left == right, 1.0, -np.expm1(-2.0 * (since + until)))
     of_left = np.exp(-since) * np.where(left == right, 1.0, -np.expm1(-2.0 * until) / whole)
     of_right = np.where(left == right, 0.0, -np.exp(-until) * np.expm1(-2.0 * since) / whole)
-    return of_left[:, None] * strays[left] + of_right[:, None] * strays[right]
+    blended: np.ndarray = of_left[:, None] * strays[left] + of_right[:, None] * strays[right]
+    return blended

@@ -1,4 +1,4 @@
-"""Values of a data-driven calibration: what an image says, what is known of the parameters, what was found."""
+"""Values of a data-driven calibration: an image's measurement, knowledge of the parameters, results."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ USED, CHANGE, REFUSED = "used", "change", "refused"
 """What became of an image."""
 
 SPOT_M = 10e-6
-"""Wobble of the focal spot with the anode, which no image of it can foresee."""
+"""Wobble of the focal spot with the anode, which cannot be predicted."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one image says of its exposure.
+    """The measurement from one image.
 
     Attributes
     ----------
@@ -37,12 +37,12 @@ class Measurement:
 
 
 Sight = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of a measurement: change with the parameters (k, p) and with the displacement (k, 6), and what it says beyond the observer (k,)."""
+"""A measurement's change with the parameters (k, p) and with the displacement (k, 6), and its value beyond the observer's (k,)."""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What is known of the quasi-static parameters.
+    """Estimate of the quasi-static parameters.
 
     Attributes
     ----------
@@ -55,17 +55,17 @@ class Parameters:
 
     @classmethod
     def unknown(cls, model: QuasiStatic) -> Parameters:
-        """Before any image."""
+        """Return the prior, before any image."""
         return cls(np.zeros(len(model.names)), np.diag(model.prior**2))
 
     def aged(self, model: QuasiStatic) -> Parameters:
-        """For another scan than the one they were found in."""
+        """Return the parameters for another scan than the one they were found in."""
         return Parameters(self.values.copy(), self.covariance + np.diag(model.between_scans**2))
 
 
 @dataclass
 class Calibration:
-    """A recording's geometry, found.
+    """The geometry found for a recording.
 
     Attributes
     ----------
@@ -105,5 +105,6 @@ class Calibration:
 
     @property
     def sigma(self) -> np.ndarray:
-        """(N, 9) standard deviations of `live`."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        """Standard deviations of `live`, (N, 9)."""
+        root: np.ndarray = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return root

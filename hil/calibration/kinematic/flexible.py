@@ -16,16 +16,16 @@ from hil.errors import UnusableInputError
 from hil.imaging.geometry import ConeBeam
 
 TOLERANCE = {"m": 5e-3, "rad": 0.02, "-": 0.01}
-"""How far off its drawing a machine may be before it is measured; a compliance, its own nominal value."""
+"""How far a machine may be from its drawing before it is measured; for a compliance, its own nominal value."""
 
 ROUNDS = 4
-"""Rounds of fitting and of asking what the residuals leave unexplained."""
+"""Rounds of fitting and of estimating what the residuals leave unexplained."""
 
 SHAPE = np.diag(np.repeat([1.0, 1.0, 1.0 / 0.5], 3) ** 2)
 """What is not modelled moves source and phantom alike, and turns the panel as at the end of half a metre."""
 
 FIRST_UNMODELLED_M, LEAST_UNMODELLED_M = 1e-4, 1e-7
-"""An image sees some combinations to micrometres: taken at their word at first, those would bend the model to what it leaves out."""
+"""An image shows some combinations to micrometres; trusted fully at first, those would distort the model to absorb its own errors."""
 
 SMALL = 1e-3
 """Share of the way to the next exposure over which a pose's change is differenced."""
@@ -43,7 +43,7 @@ class FlexibleFit:
     covariance : (p, p) array
         Of all parameters, from the poses and the drawing's tolerance; zero for what was frozen.
     rank : int
-        Combinations of the free parameters that the poses know better than the drawing.
+        Combinations of the free parameters that the poses determine better than the drawing.
     singular_values : array
         Tolerance over standard deviation of every combination.
     null : tuple of NullCombination
@@ -55,8 +55,8 @@ class FlexibleFit:
     chi2 : float
         Mean squared residual in units of the poses' covariance, per degree of freedom.
     unmodelled_m : float
-        What the poses scatter by besides [m], and over half a metre in angle: shaking, and what the model leaves out. It is added to the
-        poses' covariance.
+        Additional scatter of the poses [m], and over half a metre in angle: shaking, and what the model leaves out. It is added to
+        the poses' covariance.
     """
 
     model: FlexibleChain
@@ -71,7 +71,7 @@ class FlexibleFit:
 
 
 def beam_of(model: FlexibleChain, positions: np.ndarray) -> ConeBeam:
-    """The model's geometry at axis positions (N, axes), referred to the phantom."""
+    """Return the model's geometry at axis positions (N, axes), referred to the phantom."""
     source, phantom, to_detector = model.poses(np.atleast_2d(positions))
     return ConeBeam(source, phantom, np.swapaxes(to_detector, 1, 2))
 
@@ -81,8 +81,8 @@ def fit_flexible(
 ) -> FlexibleFit:
     """Fit the model to measured poses by Levenberg-Marquardt, every parameter within its tolerance of the drawing.
 
-    The tolerances count as measurements of the nominal values; what the poses do not see so stays at the drawing, and what they hardly see
-    does not run away with what the model leaves out (errata: delta_theta_4 and theta_z to 3e5 rad).
+    The tolerances count as measurements of the nominal values. A parameter that the poses do not show then stays at the drawing, and one
+    that they hardly show does not absorb the model's own error (errata: delta_theta_4 and theta_z reach 3e5 rad without this).
 
     Parameters
     ----------
@@ -118,12 +118,14 @@ def fit_flexible(
 
         def deviation_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
             deviation = measured.deviation_from(beam_of(start.with_values(values), positions))
-            return (white @ deviation[:, used, None]).ravel()
+            residuals: np.ndarray = (white @ deviation[:, used, None]).ravel()
+            return residuals
 
         def jacobian_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
             jacobian = start.with_values(values).jacobian(positions)
             jacobian[:, 6:] *= -1.0  # the model turns the phantom in the detector's frame, a deviation the detector in the phantom's
-            return (white @ jacobian[:, used]).reshape(-1, len(start.names))
+            rows: np.ndarray = (white @ jacobian[:, used]).reshape(-1, len(start.names))
+            return rows
 
         def residual_of(values: np.ndarray, white: np.ndarray = white) -> np.ndarray:
             return np.concatenate([deviation_of(values, white), (nominal - values) / tolerance])
@@ -152,7 +154,7 @@ def fit_flexible(
 
 
 def _unmodelled(residual: np.ndarray, covariance: np.ndarray, used: np.ndarray, freedom: int) -> float:
-    """How far every pose must be off besides its covariance for residuals (N, 9) as large as these [m]; 0 where it need not."""
+    """Return the error of every pose beside its covariance that explains residuals (N, 9) as large as these [m]; 0 if none is needed."""
 
     def excess(unmodelled_m: float) -> float:
         return _chi2(residual, covariance + unmodelled_m**2 * SHAPE, used) - freedom
@@ -170,10 +172,11 @@ def _chi2(residual: np.ndarray, covariance: np.ndarray, used: np.ndarray) -> flo
 
 
 def clock_lag(fit: FlexibleFit, tables: Sequence[LookUp]) -> tuple[float, float]:
-    """How much later the images were taken than their positions say, in exposure periods, and its standard deviation.
+    """Return how much later the images were taken than their positions say, and its standard deviation.
 
-    Regresses the residuals on how the poses change from exposure to exposure, with what the parameters could have taken up projected out.
-    One direction of motion shows nothing: a lag is then an offset of the joint. Exposures of a table are taken as evenly spaced.
+    Both are in exposure periods. The residuals are regressed on how the poses change from exposure to exposure, with what the parameters
+    could have absorbed projected out. One direction of motion shows nothing: a lag is then an offset of the joint. Exposures of a table are
+    taken as evenly spaced.
 
     Parameters
     ----------
@@ -208,18 +211,18 @@ def _source_held(covariance: np.ndarray) -> bool:
 
 
 def _whitening(covariance: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """(N, m, m) W with W' W the inverse of the covariance of the deviations `used`."""
+    """Return W (N, m, m) with W' W the inverse of the covariance of the deviations `used`."""
     return np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance[:, used[:, None], used])), 1, 2)
 
 
 def tolerances(model: FlexibleChain) -> np.ndarray:
-    """(p,) how far each parameter may be from the drawing."""
+    """Return how far each parameter may be from the drawing, (p,)."""
     rigid = len(model.names) - len(model.compliance)
     return np.array([TOLERANCE[unit] if k < rigid else model.values[k] for k, unit in enumerate(model.units)])
 
 
 def joined(tables: Sequence[LookUp]) -> LookUp:
-    """Several scans' tables as one.
+    """Join the tables of several scans.
 
     Raises
     ------

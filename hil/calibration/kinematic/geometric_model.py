@@ -55,30 +55,32 @@ class GeometricModel:
             raise UnusableInputError(f"the model is of {self.machine.name}; calibrate {machine.name}")
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """(M, 9) deviations from the nominal geometry at positions (M, axes), as `ConeBeam.moved` takes them; static poses."""
+        """Return deviations (M, 9) from the nominal geometry at positions (M, axes), as `ConeBeam.moved` takes them; static poses."""
         positions = np.atleast_2d(positions)
         return beam_of(self.chain, positions).deviation_from(nominal_beam(self.machine, positions))
 
     def covariance_at(self, positions: np.ndarray) -> np.ndarray:
-        """(M, 9, 9) covariance of those deviations, from the parameters' alone: what the model leaves out is not in it."""
+        """Return the covariance (M, 9, 9) of those deviations, from the parameters' alone, without the model's own error."""
         jacobian = self.chain.jacobian(np.atleast_2d(positions))
         jacobian[:, 6:] *= -1.0
         half = jacobian @ self._root
-        return half @ np.swapaxes(half, 1, 2)
+        rotation: np.ndarray = half @ np.swapaxes(half, 1, 2)
+        return rotation
 
     @cached_property
     def _root(self) -> np.ndarray:
-        """(p, p) R with R R' the covariance."""
+        """Return R (p, p) with R R' the covariance."""
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         size, turned = np.linalg.eigh(self.covariance / scale / scale[:, None])
-        return scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
+        vectors: np.ndarray = scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
+        return vectors
 
 
 Calibration = LookUp | GeometricModel
 
 
 def write_model(model: GeometricModel, path: Path) -> None:
-    """To its file; RecordingError where it cannot be written."""
+    """Write the model to its file; raise RecordingError where it cannot be written."""
     arrays = {
         "format": FORMAT,
         "kind": KIND,
@@ -93,7 +95,7 @@ def write_model(model: GeometricModel, path: Path) -> None:
 
 
 def read_calibration(path: Path, machine: Machine) -> Calibration:
-    """A look-up table or a model, for a machine.
+    """Read a look-up table or a model for a machine.
 
     Raises
     ------

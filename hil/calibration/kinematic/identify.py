@@ -60,11 +60,12 @@ class Identified:
 
     @property
     def position_rms_m(self) -> float:
+        """Root mean square of the position residual [m]."""
         return float(np.sqrt(np.mean(np.sum(self.residual[:, :3] ** 2, axis=1))))
 
 
 def pose_difference(position: np.ndarray, rotation: np.ndarray, model_position: np.ndarray, model_rotation: np.ndarray) -> np.ndarray:
-    """(N, 6) measured less model: position [m] and rotation vector [rad], both in detector coordinates."""
+    """Return measured less model (N, 6): position [m] and rotation vector [rad], both in detector coordinates."""
     turned = Rotation.from_matrix(rotation @ np.swapaxes(model_rotation, 1, 2)).as_rotvec()
     return np.concatenate([position - model_position, turned], axis=1)
 
@@ -126,7 +127,9 @@ def identify_kinematics(
 
 
 def free_parameters(chain: DenavitHartenberg, names: Sequence[str], angles: np.ndarray, frozen: Collection[str]) -> np.ndarray:
-    """Numbers of the parameters to fit: all but what was asked to be kept and the ratio of joints that do not move.
+    """Return the numbers of the parameters to fit.
+
+    These are all but the requested frozen ones and the gear ratio of joints that do not move.
 
     Parameters
     ----------

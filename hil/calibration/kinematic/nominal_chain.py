@@ -1,4 +1,4 @@
-"""The kinematic model that a machine file promises: Denavit-Hartenberg rows by common normals, elastic joints, gravity at the bodies."""
+"""The kinematic model according to the machine file: Denavit-Hartenberg rows by common normals, elastic joints, gravity at the bodies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Line:
 
 
 def nominal_chain(machine: Machine) -> FlexibleChain:
-    """The chain from the panel over every driven axis to the phantom, whose frame is the world's in the isocentre.
+    """Return the chain from the panel over every driven axis to the phantom, whose frame is the world's in the isocentre.
 
     An elastic joint behind a drive is left out where a link encoder sums both: what was measured holds it already.
 
@@ -50,16 +50,16 @@ def nominal_chain(machine: Machine) -> FlexibleChain:
             raise UnusableInputError(f"{machine.name}: {axis} slides; the kinematic model knows turning axes")
         if body not in panel_path or body not in tube_path:
             raise UnusableInputError(f"{machine.name}: {axis} moves tube and panel apart; the kinematic model holds them together")
-    on_the_way = [body for body in panel_path if body.joint is not None and body.joint.name in driven]
+    on_the_way = [(body.name, body.joint) for body in panel_path if body.joint is not None and body.joint.name in driven]
     zero = np.zeros((1, len(machine.axes)))
     frame = {name: _pose(machine, name, zero) for name in bodies}
     panel = frame[geometry.detector_body]
     center = panel[:3, :3] @ geometry.detector_center_m + panel[:3, 3]
     lines = [_Line(panel[:3, 2], center)]
-    for body in on_the_way:
-        lines.append(_Line(-frame[body.name][:3, :3] @ body.joint.axis, frame[body.name][:3, 3]))  # type: ignore[union-attr]
+    for name, joint in on_the_way:
+        lines.append(_Line(-frame[name][:3, :3] @ joint.axis, frame[name][:3, 3]))
     lines.append(_Line(np.array([0.0, 0.0, 1.0]), geometry.isocenter_m))
-    names = (PANEL, *(machine.axes[driven[body.joint.name]] for body in on_the_way), PHANTOM)  # type: ignore[union-attr]
+    names = (PANEL, *(machine.axes[driven[joint.name]] for _, joint in on_the_way), PHANTOM)
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = panel[:3, :3], center
     end = np.eye(4)
@@ -78,7 +78,7 @@ def nominal_chain(machine: Machine) -> FlexibleChain:
 
 
 def _path(bodies: dict[str, Body], name: str) -> list[Body]:
-    """Bodies from one to the world."""
+    """Return the bodies from one to the world."""
     path = []
     while name != "world":
         path.append(bodies[name])
@@ -94,7 +94,7 @@ def _pose(machine: Machine, body: str, positions: np.ndarray) -> np.ndarray:
 
 
 def _rows(lines: list[_Line], start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(n, 5) Denavit-Hartenberg rows from the frame `start` on the first line over the others to the frame `end` on the last."""
+    """Return Denavit-Hartenberg rows (n, 5) from frame `start` on the first line over the others to frame `end` on the last."""
     table = np.zeros((len(lines), 5))
     table[:, 4] = 1.0
     x, origin = start[:3, 0], start[:3, 3]
@@ -112,7 +112,7 @@ def _rows(lines: list[_Line], start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _common_normal(here: _Line, there: _Line, origin: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Foot on `here`, direction towards `there`, and distance; parallel lines: through the present origin."""
+    """Return the foot on `here`, the direction towards `there`, and the distance; parallel lines: through the present origin."""
     normal = np.cross(here.direction, there.direction)
     apart = there.point - here.point
     if np.linalg.norm(normal) < ALIKE:

@@ -27,6 +27,7 @@ class NullCombination:
     shares: tuple[tuple[str, float], ...]
 
     def __str__(self) -> str:
+        """Name the parameters and their shares."""
         return " ".join(f"{share:+.2f} {name}" for name, share in self.shares if abs(share) > 0.05)
 
 
@@ -124,7 +125,7 @@ def fit_seen(
 
 
 def combinations_seen(jacobian: np.ndarray, tolerance: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, tuple[NullCombination, ...]]:
-    """What data know better than a drawing does.
+    """Return the combinations that data determine better than a drawing does.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ class _Seen:
 
 
 def _seen(jacobian: np.ndarray) -> _Seen:
-    """Singular value decomposition with columns scaled to unit length, cut where `VISIBLE` says."""
+    """Decompose by singular values, columns scaled to unit length, cut at `VISIBLE`."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     u, s, vt = np.linalg.svd(jacobian / scale, full_matrices=False)

@@ -70,7 +70,7 @@ class _Sweep:
 
 
 def propose_scan(machine: Machine, model: FlexibleChain, sweeps: int, exposures: int, share: float, pace: float) -> Proposal:
-    """Sweeps of one axis at a time, chosen one after the other so that the poses of the whole range are predicted best.
+    """Propose sweeps of one axis at a time, chosen one after the other so that poses of the whole range are predicted best.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def propose_scan(machine: Machine, model: FlexibleChain, sweeps: int, exposures:
 
 
 def grid_tour(machine: Machine, step: float, share: float, pace: float, dwell_s: float) -> Tour:
-    """Poses over the range of the axes that carry the panel, at most `step` [rad] apart, row by row, there and back.
+    """Return poses over the range of the axes that carry the panel, at most `step` [rad] apart, row by row, there and back.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def grid_tour(machine: Machine, step: float, share: float, pace: float, dwell_s:
 
 
 def _range(machine: Machine, model: FlexibleChain, share: float) -> tuple[list[int], np.ndarray]:
-    """Axes that carry the panel, and (axes, 2) ends of a share of every axis's range, about its middle."""
+    """Return the axes that carry the panel, and ends (axes, 2) of a share of every axis's range, about its middle."""
     axes = [k for k, row in enumerate(model.driven) if row >= 0]
     limits = np.array([[limit.lower, limit.upper] for limit in machine.limits])
     if not np.isfinite(limits[axes]).all():
@@ -152,7 +152,7 @@ def _range(machine: Machine, model: FlexibleChain, share: float) -> tuple[list[i
 
 
 def shown_by(model: FlexibleChain, positions: np.ndarray) -> tuple[int, tuple[NullCombination, ...], tuple[str, ...]]:
-    """What exposures at positions (N, axes) show of the parameters: rank, null combinations, and what is frozen."""
+    """Return what exposures at positions (N, axes) show of the parameters: rank, null combinations, and frozen parameters."""
     free = free_parameters(model.chain, model.names, model.angles(positions), ())
     white = (model.jacobian(positions) / POSE_SIGMA[:, None]).reshape(-1, len(model.names))
     _, null = combinations_seen(white[:, free], tolerances(model)[free], [model.names[k] for k in free])
@@ -175,20 +175,21 @@ def _candidates(ends: np.ndarray, axes: list[int], exposures: int) -> list[_Swee
 
 
 def _information(model: FlexibleChain, positions: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """(p, p) of the parameters in units of their tolerance."""
+    """Return the information (p, p) on the parameters in units of their tolerance."""
     white = (model.jacobian(positions) / POSE_SIGMA[:, None]).reshape(-1, len(scale)) * scale
-    return white.T @ white
+    gram: np.ndarray = white.T @ white
+    return gram
 
 
 def _predicted(judged: np.ndarray, information: np.ndarray) -> tuple[float, float]:
-    """Rms standard deviation of the poses' position [m] and rotation [rad] with that information."""
+    """Return the rms standard deviation of the poses' position [m] and rotation [rad] with that information."""
     half = np.linalg.solve(np.linalg.cholesky(information), judged.reshape(-1, len(information)).T)
     variance = np.sum(half**2, axis=0).reshape(-1, 6)
     return float(np.sqrt(variance[:, :3].sum(axis=1).mean())), float(np.sqrt(variance[:, 3:].sum(axis=1).mean()))
 
 
 def _tour(machine: Machine, sweeps: list[_Sweep], axes: list[int], pace: float) -> Tour:
-    """Every sweep from its nearer end."""
+    """Run every sweep from its nearer end."""
     stops = []
     here = np.zeros(len(machine.axes))
     for sweep in sweeps:

@@ -1,8 +1,8 @@
-"""Where the focal spot wanders on its tube, from a marker plate while the machine stands still (thesis Sec. 6.4.3, Fig. 6.15).
+"""Motion of the focal spot on its tube, from a marker plate while the machine stands still (thesis Sec. 6.4.3, Fig. 6.15).
 
-With the machine at rest all that moves the plate's shadow is the spot: by the plate's magnification m less one, opposite to it. So pose
-and angles are taken from all exposures together, and each exposure is asked for the plate's offset alone; an offset moves the shadow by m,
-so the spot moved by m / (m - 1) of it. The anode's rotation is faster than frames: it shows at its alias.
+With the machine at rest only the spot moves the plate's shadow: by the plate's magnification m less one, in the opposite direction. So pose
+and angles are fitted to all exposures together, and each exposure gives the plate's offset alone; an offset moves the shadow by m, so the
+spot moved by m / (m - 1) of it. The anode rotates faster than the frame rate: it shows at its alias.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FEWEST = 16
 """Exposures for a spectrum."""
 
 STOOD_RAD = 1e-3
-"""Axis positions that differ by more are a motion, and its sag would be taken for the spot's."""
+"""Axis positions that differ by more are a motion, whose sag would be mistaken for the spot's."""
 
 MEAN_OF = 8
 """Exposures averaged at either end for the drift."""
@@ -47,15 +47,17 @@ class SpotTrack:
 
     @property
     def rate_Hz(self) -> float:
+        """Mean rate of the exposures [Hz]."""
         return float(1.0 / np.median(np.diff(self.time_s)))
 
     @property
     def drift_m(self) -> np.ndarray:
-        """(2,) mean of the last exposures less mean of the first."""
-        return self.spot_m[-MEAN_OF:].mean(axis=0) - self.spot_m[:MEAN_OF].mean(axis=0)
+        """Mean of the last exposures less mean of the first, (2,)."""
+        drift: np.ndarray = self.spot_m[-MEAN_OF:].mean(axis=0) - self.spot_m[:MEAN_OF].mean(axis=0)
+        return drift
 
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies (M,) [Hz] to half the frame rate, and amplitudes (M, 2) [m], drift as a parabola taken out."""
+        """Return frequencies (M,) [Hz] to half the frame rate, and amplitudes (M, 2) [m], with drift removed as a parabola."""
         count = len(self.time_s)
         frequencies = np.arange(1, count // 2) * self.rate_Hz / count
         along = np.vander((self.time_s - self.time_s[0]) / np.ptp(self.time_s), 3)
@@ -64,7 +66,7 @@ class SpotTrack:
         return frequencies, 2.0 / count * np.abs(turned @ rest)
 
     def line(self, frequency_Hz: float) -> tuple[float, np.ndarray]:
-        """Where a line of the anode shows among these frames [Hz], and its amplitude (2,) [m] with the exposure's averaging undone."""
+        """Return where a line of the anode shows among these frames [Hz], and its amplitude (2,) [m] corrected for the exposure time."""
         alias = abs((frequency_Hz + 0.5 * self.rate_Hz) % self.rate_Hz - 0.5 * self.rate_Hz)
         turning = 2.0 * np.pi * frequency_Hz * self.time_s
         slow = np.vander((self.time_s - self.time_s[0]) / np.ptp(self.time_s), 3)

@@ -1,7 +1,7 @@
-"""How good the images of a running scan are, from the marker plate in them (thesis Sec. 8.2).
+"""Image quality of a running scan, from the marker plate in the images (thesis Sec. 8.2).
 
-Noise, scatter and motion during the exposure all widen what a groove's place is known to; motion also widens its edge in its direction. So
-each exposure's deviation and blur against the scan's own median say where image quality suffers, while the scan runs.
+Noise, scatter and motion during the exposure all increase the uncertainty of a groove's place; motion also widens its edge in its
+direction. So each exposure's deviation and blur against the scan's own median show where image quality suffers, while the scan runs.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ImageQuality:
 
     @property
     def suspects(self) -> list[int]:
-        """Exposures that are worse than the scan's own usual, in order."""
+        """Return the exposures that are worse than usual for the scan, in order."""
         columns = np.column_stack([self.deviation_pixels, self.blur_pixels])
         middle = np.nanmedian(columns, axis=0)
         spread = np.maximum(1.4826 * np.nanmedian(np.abs(columns - middle), axis=0), LEAST_SPREAD * middle)
@@ -45,7 +45,7 @@ class ImageQuality:
 
 
 def quality_of(points: MarkerPoints, plate: MarkerPlate) -> tuple[float, float, float]:
-    """Deviation, blur along columns and blur along rows of one exposure [pixel]."""
+    """Return deviation, blur along columns and blur along rows of one exposure [pixel]."""
     upright = len(plate.x_m)
 
     def blur(lines: Sequence[float]) -> float:

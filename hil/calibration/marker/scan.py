@@ -1,4 +1,4 @@
-"""Every exposure of a scan by the marker plate on its tube."""
+"""The geometry of every exposure of a scan from the marker plate on its tube."""
 
 from __future__ import annotations
 
@@ -58,12 +58,16 @@ class MarkerScan:
 
     @property
     def good(self) -> np.ndarray:
-        """(N,) bool."""
-        return np.isfinite(self.values).all(axis=1)
+        """Which exposures could be used, (N,) bool."""
+        complete: np.ndarray = np.isfinite(self.values).all(axis=1)
+        return complete
 
 
 def nominal_marker(beam: ConeBeam, distance_m: float) -> list[MarkerProjection]:
-    """Where a plate that stands `distance_m` from the focal spot and parallel to the panel should be seen, exposure by exposure."""
+    """Return where a plate should be seen, exposure by exposure.
+
+    The plate stands `distance_m` from the focal spot and parallel to the panel.
+    """
     return [MarkerProjection(np.array([u, v, -w, 0.0, 0.0, 0.0, 0.0, 0.0, distance_m])) for u, v, w in beam.source_m]
 
 
@@ -115,7 +119,7 @@ def calibrate_marker(
 def _look(
     scan: ImageScan, plate: MarkerPlate, nominal: list[MarkerProjection], free: tuple[str, ...], k: int
 ) -> tuple[MarkerFit, MarkerPoints] | str:
-    """Fit and crossings of one image, or why there are none."""
+    """Return fit and crossings of one image, or why there are none."""
     image = scan.frame(k)
     try:
         found = find_marker(image, plate, nominal[k], scan.detector)
@@ -127,7 +131,7 @@ def _look(
 
 
 def write_marker_scan(result: MarkerScan, scan: ImageScan, notes: dict[str, object], path: Path) -> None:
-    """To its file; RecordingError where it cannot be written."""
+    """Write the scan to its file; raise RecordingError where it cannot be written."""
     arrays = {
         "format": FORMAT,
         "parameters": PARAMETERS,

@@ -1,4 +1,4 @@
-"""Case I of thesis Sec. 6.4.1: where tube and panel stand to each other, from a marker plate on the tube."""
+"""Case I of thesis Sec. 6.4.1: the pose of tube and panel relative to each other, from a marker plate on the tube."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def fit_marker(
 def fit_marker_linear(
     points: MarkerPoints, plate: MarkerPlate, detector: Detector, known: MarkerProjection, spot_m: float = 0.0
 ) -> MarkerFit:
-    """Linear least squares for f_x, f_y and Z-bar (Sec. 6.4.1).
+    """Fit f_x, f_y and Z-bar by linear least squares (Sec. 6.4.1).
 
     Angles, offsets and the plate's distance are as in `known`; nothing is iterated, and where the fit starts does not matter. The rest is
     as in `fit_marker`.
@@ -132,13 +132,13 @@ def _columns(free: Sequence[str]) -> list[int]:
 
 
 def _metres(points: MarkerPoints, detector: Detector) -> tuple[np.ndarray, np.ndarray]:
-    """(2n,) coordinates on the panel and their covariance."""
+    """Return coordinates (2n,) on the panel and their covariance."""
     to_metres = np.kron(np.eye(len(points.index)), np.linalg.inv(detector.intrinsic[:2, :2]))
     return detector.to_metres(points.pixels).ravel(), to_metres @ points.covariance @ to_metres.T
 
 
 def _jacobian(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """(2n, 9) by central differences; steps of 10 um and 10 urad leave 1e-9 of curvature."""
+    """Return the Jacobian (2n, 9) by central differences; steps of 10 um and 10 urad leave 1e-9 of curvature."""
 
     def seen(at: np.ndarray) -> np.ndarray:
         return MarkerProjection(at).project(where).ravel()
@@ -156,7 +156,10 @@ def _result(
     detector: Detector,
     spot_m: float,
 ) -> MarkerFit:
-    """Covariance of weighted least squares whose data are correlated: points on one line share its errors, all the spot's place."""
+    """Return the fit with the covariance of weighted least squares for correlated data.
+
+    Points on one line share its errors, and all points share the error of the spot's place.
+    """
     whole = _jacobian(values, where)
     jacobian = whole[:, columns]
     weighted = jacobian * weight[:, None]

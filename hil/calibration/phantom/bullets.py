@@ -109,7 +109,7 @@ def _usable(image: np.ndarray) -> np.ndarray:
 
 
 def _moments(weights: np.ndarray, slices: tuple[slice, slice]) -> tuple[np.ndarray, float]:
-    """Centre (column, row) of a shadow, and the ratio of its long to short second moment (square rooted)."""
+    """Return the centre (column, row) of a shadow, and the ratio of its long to short second moment (square rooted)."""
     rows, columns = np.nonzero(weights > 0)
     center = np.array([columns.mean() + slices[1].start, rows.mean() + slices[0].start])
     if len(rows) < 3:
@@ -123,7 +123,7 @@ def _inside(center: np.ndarray, margin: float, shape: tuple[int, int]) -> bool:
 
 
 def _centroid(depth: np.ndarray, center: np.ndarray, radius: float, noise_of: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Centre of depth within a soft disc that is moved until it is centred; variance from the counts' Poisson noise.
+    """Return the centre of depth within a soft disc that is moved until it is centred; variance from the counts' Poisson noise.
 
     None where the disc is not darker than its rim: no shadow of a bullet.
     """

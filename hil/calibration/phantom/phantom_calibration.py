@@ -29,7 +29,7 @@ def calibrate_phantom(
     jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> PoseFit:
-    """Geometry of every exposure of a scan, referred to the phantom: `look_for_bullets`, then `fit_poses`. Raises as they do."""
+    """Calibrate every exposure of a scan, referred to the phantom: `look_for_bullets`, then `fit_poses`. Raises as they do."""
     observed, sigma = look_for_bullets(scan, phantom, nominal, jobs, progress)
     return fit_poses(phantom.centers_m, observed, sigma, nominal, nine)
 
@@ -41,7 +41,7 @@ def look_for_bullets(
     jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where every exposure shows the phantom's bullets.
+    """Find the phantom's bullets in every exposure.
 
     Parameters
     ----------
@@ -83,12 +83,14 @@ def look_for_bullets(
 
 
 def _look(scan: ImageScan, phantom: BulletPhantom, nominal: ConeBeam, k: int) -> tuple[int, np.ndarray, np.ndarray]:
-    """Observations of one exposure."""
+    """Return the observations of one exposure."""
     return k, *bullets_seen(scan.frame(k), scan.detector, phantom, nominal[k : k + 1])
 
 
 def bullets_seen(image: np.ndarray, detector: Detector, phantom: BulletPhantom, nominal: ConeBeam) -> tuple[np.ndarray, np.ndarray]:
-    """Bullets (P, 2) on the panel [m] and their deviations (P,) in one image, expected at a geometry of one exposure; NaN: not seen.
+    """Return bullets (P, 2) on the panel [m] and their deviations (P,) in one image; NaN: not seen.
+
+    They are expected at a geometry of one exposure.
 
     Raises
     ------

@@ -40,12 +40,12 @@ class PixelFit:
     covariance: np.ndarray
 
     def matrices(self, detector: Detector) -> np.ndarray:
-        """(N, 3, 4) projection matrix of each exposure with its own pixels."""
+        """Return the projection matrix (N, 3, 4) of each exposure with its own pixels."""
         own = [replace(detector, aspect=float(a), skew=float(s)) for a, s in zip(self.aspect, self.skew, strict=True)]
         return np.array([self.beam[k : k + 1].matrices(panel)[0] for k, panel in enumerate(own)])
 
     def of_the_panel(self, detector: Detector) -> tuple[Detector, np.ndarray]:
-        """The panel with the aspect and skew of all exposures, weighted, and their standard deviations (2,).
+        """Return the panel with the weighted aspect and skew of all exposures, and their standard deviations (2,).
 
         Raises
         ------
@@ -66,7 +66,7 @@ class PixelFit:
 
 
 def fit_pixels(points_m: np.ndarray, pixels: np.ndarray, sigma: np.ndarray, start: ConeBeam, detector: Detector) -> PixelFit:
-    """Eleven numbers an exposure, by Gauss-Newton.
+    """Fit eleven numbers per exposure by Gauss-Newton.
 
     Parameters
     ----------
@@ -100,15 +100,16 @@ def fit_pixels(points_m: np.ndarray, pixels: np.ndarray, sigma: np.ndarray, star
 
 
 def _project(beam: ConeBeam, shape: np.ndarray, points_m: np.ndarray, detector: Detector) -> np.ndarray:
-    """(N, P, 2) columns and rows, every exposure with its own aspect and skew."""
+    """Return columns and rows (N, P, 2), every exposure with its own aspect and skew."""
     on_panel = beam.project(points_m) / detector.pitch_m
     row = on_panel[..., 1] / shape[:, :1]
     column = on_panel[..., 0] + shape[:, 1:] * row
-    return np.stack([column, row], axis=-1) + detector.intrinsic[:2, 2]
+    pixels: np.ndarray = np.stack([column, row], axis=-1) + detector.intrinsic[:2, 2]
+    return pixels
 
 
 def _jacobian(beam: ConeBeam, shape: np.ndarray, points_m: np.ndarray, detector: Detector) -> np.ndarray:
-    """(N, P, 2, 11) by central differences."""
+    """Return the Jacobian (N, P, 2, 11) by central differences."""
     result = np.empty((len(beam), len(points_m), 2, 11))
     for k, step in enumerate(STEP):
         change = np.zeros((len(beam), 11))

@@ -25,7 +25,7 @@ OUTLIER = 5.0
 """A bullet this many standard deviations off, robustly estimated, is left out: a wrong match or an undetected overlap."""
 
 MISFIT = 5.0
-"""An exposure whose residuals are so many times what its bullets' deviations say shows something else than this phantom."""
+"""An exposure whose residuals exceed its bullets' deviations by this factor shows something other than this phantom."""
 
 OVERLAP = 3.3
 """Bullets whose predicted centres are nearer than this many shadow radii disturb each other's centroid and are left out."""
@@ -56,7 +56,7 @@ class PoseFit:
 
 
 def match_bullets(seen: np.ndarray, predicted: np.ndarray, gate: float) -> np.ndarray:
-    """Which of the seen shadows is which bullet.
+    """Assign the seen shadows to the bullets.
 
     A shift common to all is found first, by the vote of all pairs; then the assignment with the least sum of squared distances.
 
@@ -89,10 +89,11 @@ def match_bullets(seen: np.ndarray, predicted: np.ndarray, gate: float) -> np.nd
 
 
 def too_near(predicted: np.ndarray, radius_pixels: float) -> np.ndarray:
-    """(n,) bool: bullets whose shadow another bullet's shadow disturbs."""
+    """Tell which bullets' shadows are disturbed by another bullet's shadow, (n,) bool."""
     distance = np.linalg.norm(predicted[:, None, :] - predicted[None, :, :], axis=2)
     np.fill_diagonal(distance, np.inf)
-    return distance.min(axis=1) < OVERLAP * radius_pixels
+    hidden: np.ndarray = distance.min(axis=1) < OVERLAP * radius_pixels
+    return hidden
 
 
 def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray, start: ConeBeam, nine: bool = False) -> PoseFit:
@@ -159,7 +160,7 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
 
 
 def _jacobian(beam: ConeBeam, points_m: np.ndarray, fitted: slice, size: int) -> np.ndarray:
-    """(N, P, 2, size) change of the panel coordinates with each fitted deviation, by central differences."""
+    """Return the change (N, P, 2, size) of the panel coordinates with each fitted deviation, by central differences."""
     result = np.empty((len(beam), len(points_m), 2, size))
     for k, column in enumerate(range(9)[fitted]):
         step = STEP_M if column < 6 else STEP_RAD
@@ -178,7 +179,7 @@ def observe(
     radius_pixels: float,
     gate: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One exposure's shadows as observations of the bullets.
+    """Return one exposure's shadows as observations of the bullets.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Images shifted and turned as if the machine had been where it should (thesis Sec. 2.2.1)."""
+"""Images shifted and turned as if the machine had been in its nominal pose (thesis Sec. 2.2.1)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REACH_M = 0.05
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """In-plane motion of N images that takes shadows where they are to where they should be.
+    """In-plane motion of N images that takes shadows from their actual to their wanted places.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class ImageMotion:
 
 
 def compensation(true: ConeBeam, wanted: ConeBeam) -> ImageMotion:
-    """The turn and shift with the least squares over the corners of a cube about the phantom's origin."""
+    """Return the turn and shift with the least squares over the corners of a cube about the phantom's origin."""
     cube = REACH_M * np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) / np.sqrt(3.0)
     here, there = true.project(cube), wanted.project(cube)
     here_mean, there_mean = here.mean(axis=1), there.mean(axis=1)
@@ -47,17 +47,18 @@ def compensation(true: ConeBeam, wanted: ConeBeam) -> ImageMotion:
 
 
 def compensated(image: np.ndarray, turn_rad: float, shift_m: np.ndarray, detector: Detector) -> np.ndarray:
-    """The image (rows, columns) after one turn and shift, linear between pixels; what comes from outside is the nearest border's."""
+    """Return the image (rows, columns) after one turn and shift, linear between pixels; outside it the nearest border's value."""
     to_pixels = detector.intrinsic[:2, :2]
     rotation = _rotation(np.array([turn_rad]))[0]
     back = to_pixels @ rotation.T @ np.linalg.inv(to_pixels)  # from a place in the result to the place in the image, columns and rows
     middle = detector.intrinsic[:2, 2]
     offset = middle - back @ (middle + to_pixels @ np.asarray(shift_m))
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-    return affine_transform(np.asarray(image, dtype=float), swap @ back @ swap, swap @ offset, order=1, mode="nearest")
+    moved: np.ndarray = affine_transform(np.asarray(image, dtype=float), swap @ back @ swap, swap @ offset, order=1, mode="nearest")
+    return moved
 
 
 def _rotation(turn: np.ndarray) -> np.ndarray:
-    """(N, 2, 2)"""
+    """Return rotation matrices (N, 2, 2)."""
     cosine, sine = np.cos(turn), np.sin(turn)
     return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)

@@ -21,7 +21,7 @@ from hil.machine import Machine
 FORMAT = 1
 
 SAME_POSE = 2e-3
-"""Exposures in a row whose positions differ by less [rad or m] are of one pose: a loop that still settles, not a way."""
+"""Consecutive exposures whose positions differ by less [rad or m] are of one pose: the loop is settling, not moving."""
 
 FEWEST_SHARE = 0.5
 """Share of a scan's exposures that must fit the phantom."""
@@ -35,9 +35,9 @@ SAME_SPEED = 0.1
 
 
 def sweep_speed(time_s: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(axes,) median speed [rad/s or m/s] while each axis was on its way, signed by where it went.
+    """Return the median speed (axes,) [rad/s or m/s] of each axis while it moved, signed by direction.
 
-    0 where it stood; NaN where no one number says it: the axis went both ways, or there are fewer than two exposures.
+    0 where it stood; NaN where there is no single value: the axis went both ways, or there are fewer than two exposures.
 
     Parameters
     ----------
@@ -95,14 +95,14 @@ class LookUp:
             )
 
     def other_speed(self, speed: np.ndarray) -> str:
-        """How a scan at this speed (axes,) differs from what the table was made at; "" where it does not, or nobody knows."""
+        """Return how a scan at this speed (axes,) differs from that of the table; "" where it does not, or this is unknown."""
         own = np.asarray(self.notes.get("speed") or [np.nan] * len(self.axes), dtype=float)
         differs = np.abs(speed - own) > SAME_SPEED * np.maximum(np.abs(own), np.abs(speed))
         named = [f"{self.axes[k]} went at {own[k]:+.3g} in the calibration and goes at {speed[k]:+.3g}" for k in np.flatnonzero(differs)]
         return f"{', '.join(named)} (rad/s, m/s): what bends with speed is not this scan's; calibrate this scan type" if named else ""
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """(M, 9) deviations at positions (M, axes), linear between calibrated exposures.
+        """Return deviations (M, 9) at positions (M, axes), linear between calibrated exposures.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class LookUp:
         if len(moved) == 1:
             return self._along(int(moved[0]), positions)
         try:
-            found = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
+            found: np.ndarray = LinearNDInterpolator(self.positions[:, moved], self.deviation, rescale=True)(positions[:, moved])
         except QhullError:
             named = " and ".join(self.axes[k] for k in moved)
             raise UnusableInputError(f"{len(self.positions)} poses that span no area of {named}; calibrate a grid of both") from None
@@ -144,7 +144,7 @@ class LookUp:
 
 
 def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions: np.ndarray, notes: Mapping[str, Any]) -> LookUp:
-    """The table that a phantom calibration makes; exposures that could not be used are left out.
+    """Return the table of a phantom calibration; exposures that could not be used are left out.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
 
 
 def standing(table: LookUp) -> LookUp:
-    """The poses at which the machine stood: a roadmapping grid, the exposures of each pose averaged; of no speed.
+    """Return the poses at which the machine stood, each with its exposures averaged: a roadmapping grid, of no speed.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def standing(table: LookUp) -> LookUp:
 
 
 def write_look_up(table: LookUp, path: Path) -> None:
-    """To its file; RecordingError where it cannot be written."""
+    """Write the table to its file; raise RecordingError where it cannot be written."""
     arrays = {
         "format": FORMAT,
         "axes": table.axes,
@@ -197,7 +197,7 @@ def write_look_up(table: LookUp, path: Path) -> None:
 
 
 def read_look_up(path: Path) -> LookUp:
-    """A look-up table from its file.
+    """Read a look-up table from its file.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def _is_speed(value: object) -> bool:
 
 
 def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
-    """A look-up table from the arrays of its file.
+    """Make a look-up table from the arrays of its file.
 
     Raises
     ------

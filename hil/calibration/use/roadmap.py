@@ -34,7 +34,7 @@ class Overlay:
 
     @property
     def table(self) -> dict[str, dict[str, float]]:
-        """Over the poses, as Table 2.3: largest, largest of the best 90 %, mean [m]."""
+        """Return largest, largest of the best 90 %, and mean [m] over the poses, as in Table 2.3."""
         kept = max(1, int(np.floor(0.9 * self.errors_m.shape[1])))
         return {
             place: {"max": float(row.max()), "max_90": float(np.sort(row)[kept - 1]), "mean": float(row.mean())}
@@ -43,7 +43,7 @@ class Overlay:
 
 
 def overlay(true: ConeBeam, calibrated: ConeBeam, detector: Detector) -> Overlay:
-    """How far from its true shadow a point is drawn.
+    """Return how far from its true shadow a point is drawn.
 
     Points lie in the plane through the phantom's origin that is parallel to the panel, where the true geometry throws them on the image's
     middle and on rings of `PLACES` around it.
@@ -61,10 +61,10 @@ def overlay(true: ConeBeam, calibrated: ConeBeam, detector: Detector) -> Overlay
 
 
 def registered(true: ConeBeam, calibrated: ConeBeam, detector: Detector) -> ConeBeam:
-    """The calibrated geometry, its world shifted and turned as a whole to the least sum of squared overlay errors.
+    """Return the calibrated geometry, its world shifted and turned as a whole to the least sum of squared overlay errors.
 
-    A volume that was reconstructed with the same calibration stands in that world: what is wrong alike in all poses moves volume and
-    overlay together and is not seen.
+    A volume that was reconstructed with the same calibration stands in that world: an error common to all poses moves volume and overlay
+    together and is not seen.
     """
     points = _points(true, detector)
     target = true.project(points)
@@ -89,7 +89,7 @@ def _rings() -> list[slice]:
 
 
 def _points(true: ConeBeam, detector: Detector) -> np.ndarray:
-    """(N, 17, 3) points in the phantom's frame, the middle's first."""
+    """Return points (N, 17, 3) in the phantom's frame, the middle's first."""
     half = 0.5 * detector.pitch_m * np.array([detector.columns, detector.rows * detector.aspect])
     angles = 2.0 * np.pi * np.arange(AROUND) / AROUND
     ring = np.column_stack([np.cos(angles), np.sin(angles)]) * half
@@ -97,4 +97,5 @@ def _points(true: ConeBeam, detector: Detector) -> np.ndarray:
     on_panel = np.column_stack([on_panel, np.zeros(len(on_panel))])
     share = (true.source_m[:, 2] - true.phantom_m[:, 2]) / true.source_m[:, 2]
     seen = true.source_m[:, None] + share[:, None, None] * (on_panel[None] - true.source_m[:, None])
-    return np.einsum("nij,npj->npi", true.rotation, seen - true.phantom_m[:, None])
+    errors: np.ndarray = np.einsum("nij,npj->npi", true.rotation, seen - true.phantom_m[:, None])
+    return errors

@@ -31,7 +31,7 @@ class ReconstructionVolume:
 
 
 def reconstruction_volume(beam: ConeBeam, detector: Detector) -> ReconstructionVolume:
-    """Intersection of the exposures' pyramids from focal spot to panel (Definitions 2.1, 2.2), exactly: by their faces.
+    """Intersect the exposures' pyramids from focal spot to panel (Definitions 2.1, 2.2), exactly: by their faces.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def reconstruction_volume(beam: ConeBeam, detector: Detector) -> ReconstructionV
 
 
 def _faces(beam: ConeBeam, detector: Detector) -> np.ndarray:
-    """(5 N, 4) outward unit normals and offsets, n x + b <= 0 inside: four sides of each pyramid, and the panel."""
+    """Return outward unit normals and offsets (5 N, 4), n x + b <= 0 inside: four sides of each pyramid, and the panel."""
     half = 0.5 * detector.pitch_m * np.array([detector.columns, detector.rows * detector.aspect])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     corners_m = np.column_stack([corners, np.zeros(4)])
@@ -74,7 +74,7 @@ def _in_phantom(beam: ConeBeam, k: int, normal: np.ndarray, point: np.ndarray) -
 
 
 def _deepest(faces: np.ndarray) -> np.ndarray | None:
-    """(3,) the middle of the largest ball inside all faces; None where there is none."""
+    """Return the middle (3,) of the largest ball inside all faces; None where there is none."""
     from scipy.optimize import linprog
 
     found = linprog([0, 0, 0, -1], A_ub=np.column_stack([faces[:, :3], np.ones(len(faces))]), b_ub=-faces[:, 3], bounds=[(None, None)] * 4)

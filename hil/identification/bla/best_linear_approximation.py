@@ -7,6 +7,7 @@ realisations and is multiplied by M for one; (3.23) is Y Y^H without the modulus
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypedDict
 
 import numpy as np
 
@@ -21,7 +22,9 @@ UNITARY_TOLERANCE = 1e-4  # on T T^H - I and on the amplitudes' spread; excitati
 
 
 def robust_bla(records: PeriodicRecords) -> FrequencyResponse:
-    """Robust best linear approximation, (3.10) to (3.20): M >= 2 realisations tell the stochastic nonlinear distortion from noise.
+    """Estimate the robust best linear approximation, (3.10) to (3.20).
+
+    M >= 2 realisations separate the stochastic nonlinear distortion from noise.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def average_realisations(
     settings: dict[str, float | int | str],
     notes: tuple[str, ...],
 ) -> FrequencyResponse:
-    """Average over realisations and map to the plant, (3.12) to (3.20): what the robust methods have in common.
+    """Average over realisations and map to the plant, (3.12) to (3.20): the part that the robust methods share.
 
     Parameters
     ----------
@@ -110,7 +113,9 @@ def average_realisations(
 
 
 def fast_bla(records: PeriodicRecords) -> FrequencyResponse:
-    """Fast best linear approximation of one realisation, (3.21) to (3.23): the total covariance comes from the detection lines.
+    """Estimate the fast best linear approximation from one realisation, (3.21) to (3.23).
+
+    The total covariance comes from the detection lines.
 
     The detection lines' outputs are corrected for the loop, (3.21), with G interpolated between excited lines, (3.22); their covariance
     Y Y^H is interpolated back to the excited lines. Where only odd lines are excited the odd detection lines are used, the even ones
@@ -193,17 +198,18 @@ class AveragedOutputs:
             self.mean_over_periods = np.einsum("mep,mepln->meln", weights, spectra) / weights.sum(axis=2)[:, :, None, None]
 
     def variance_of_mean(self, lines: np.ndarray) -> np.ndarray | None:
-        """(M, E, K, n_z, n_z) sample covariance of the mean over periods, (3.11), or None with one period somewhere."""
+        """Return the sample covariance of the mean over periods, (3.11), (M, E, K, n_z, n_z); None if a record has only one period."""
         P = self.weights.sum(axis=2)
         if P.min() < 2:
             return None
         deviation = (self.spectra[..., lines, :] - self.mean_over_periods[:, :, None][..., lines, :]) * self.weights[..., None, None]
         deviation = np.moveaxis(deviation, 2, -1)
-        return deviation @ np.conj(np.swapaxes(deviation, -1, -2)) / (P * (P - 1))[:, :, None, None, None]
+        sample_covariance: np.ndarray = deviation @ np.conj(np.swapaxes(deviation, -1, -2)) / (P * (P - 1))[:, :, None, None, None]
+        return sample_covariance
 
 
 def averaged_spectra(records: PeriodicRecords) -> tuple[AveragedOutputs, np.ndarray, np.ndarray]:
-    """Spectra of the periods after settling, the excitation's spectrum (M, E, N // 2 + 1, n_u), and the periods' weights (M, E, P)."""
+    """Return the spectra of the settled periods, the excitation's spectrum (M, E, N // 2 + 1, n_u), and the weights (M, E, P)."""
     N, settle = records.period_samples, records.settle_periods
     z = records.closed_loop_outputs[:, :, settle * N :]
     M, E, T, n_z = z.shape
@@ -256,8 +262,20 @@ def amplitude_and_phase(W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return amplitude, T
 
 
-def labels(records: PeriodicRecords) -> dict:
-    """Names, units and sampling a result takes over from its records."""
+class Labels(TypedDict):
+    """What a frequency response takes over from its records, by the names of its fields."""
+
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    input_units: tuple[str, ...]
+    sample_rate_Hz: float
+    period_samples: int
+    pose: tuple[float, ...]
+
+
+def labels(records: PeriodicRecords) -> Labels:
+    """Return names, units and sampling that a result takes over from its records."""
     return {
         "output_names": records.output_names,
         "input_names": records.input_names,
@@ -270,7 +288,7 @@ def labels(records: PeriodicRecords) -> dict:
 
 
 def plant_from_closed_loop(G_wz: np.ndarray, n_y: int) -> np.ndarray:
-    """G = G_wy G_wu^-1, (3.17) and (4.27); in open loop (n_z = n_y) G_wz itself."""
+    """Return G = G_wy G_wu^-1, (3.17) and (4.27); in open loop (n_z = n_y) G_wz itself."""
     if G_wz.shape[1] == n_y:
         return G_wz
     return np.swapaxes(np.linalg.solve(np.swapaxes(G_wz[:, n_y:], 1, 2), np.swapaxes(G_wz[:, :n_y], 1, 2)), 1, 2)
@@ -287,23 +305,25 @@ def _closed_loop_and_plant(
 
 
 def _noise_covariance(z: AveragedOutputs, lines: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3.11) averaged over all records: (L, n_z, n_z)."""
+    """Average (3.11) over all records: (L, n_z, n_z)."""
     P = weights.sum(axis=2)
     scale = weights / np.sqrt(P * np.maximum(P - 1, 1) * np.count_nonzero(P > 1))[:, :, None]
     deviation = (z.spectra[..., lines, :] - z.mean_over_periods[:, :, None][..., lines, :]) * scale[..., None, None]
     n_z = deviation.shape[-1]
     stacked = np.moveaxis(deviation, -2, 0).reshape(len(lines), -1, n_z)
-    return np.swapaxes(stacked, 1, 2) @ np.conj(stacked)
+    covariance: np.ndarray = np.swapaxes(stacked, 1, 2) @ np.conj(stacked)
+    return covariance
 
 
 def _as_matrices(spectra: np.ndarray) -> np.ndarray:
-    """(M, E, L, n) to (M, L, n, E): experiments as columns, (3.12)."""
+    """Arrange (M, E, L, n) as (M, L, n, E): experiments as columns, (3.12)."""
     return np.moveaxis(spectra, 1, -1)
 
 
 def _inverse_gram(U: np.ndarray) -> np.ndarray:
     inverse = np.linalg.inv(U)
-    return np.conj(np.conj(np.swapaxes(inverse, 1, 2)) @ inverse)
+    gram: np.ndarray = np.conj(np.conj(np.swapaxes(inverse, 1, 2)) @ inverse)
+    return gram
 
 
 def _check_full_set(records: PeriodicRecords) -> None:

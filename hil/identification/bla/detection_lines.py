@@ -11,13 +11,13 @@ from hil.identification.result import Distortion
 
 
 def detection_lines(records: PeriodicRecords) -> np.ndarray:
-    """Unexcited lines between the first and the last excited one, the jog's lines left out."""
+    """Return the unexcited lines between the first and the last excited one, without the jog's lines."""
     band = np.arange(records.lines[0], records.lines[-1] + 1)
     return np.setdiff1d(band, np.concatenate((records.lines, np.asarray(records.unexcited_reference_lines, int))))
 
 
 def interpolate(values: np.ndarray, at: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Linear interpolation over lines, (3.22), constant beyond the ends; also the share of the upper neighbour, (len(wanted),)."""
+    """Interpolate linearly over lines, (3.22), constant beyond the ends; also return the upper neighbour's share, (len(wanted),)."""
     upper = np.clip(np.searchsorted(at, wanted), 1, max(len(at) - 1, 1))
     if len(at) == 1:
         return np.repeat(values, len(wanted), axis=0), np.zeros(len(wanted))
@@ -28,13 +28,17 @@ def interpolate(values: np.ndarray, at: np.ndarray, wanted: np.ndarray) -> tuple
 
 
 def loop_corrected(mean_z: np.ndarray, G: np.ndarray, lines: np.ndarray, at: np.ndarray, records: PeriodicRecords) -> np.ndarray:
-    """Y - G U on the lines `at`, (3.21), with G interpolated: (M, E, N // 2 + 1, n_z) to (M, E, K, n_y). Y itself in open loop."""
+    """Return Y - G U on the lines `at`, (3.21), with G interpolated; Y itself in open loop.
+
+    From (M, E, N // 2 + 1, n_z) to (M, E, K, n_y).
+    """
     n_y = records.n_outputs
     Y = mean_z[:, :, at, :n_y]
     if records.inputs is None:
         return Y
     between, _ = interpolate(G, lines, at)
-    return Y - np.einsum("kij,mekj->meki", between, mean_z[:, :, at, n_y:])
+    corrected: np.ndarray = Y - np.einsum("kij,mekj->meki", between, mean_z[:, :, at, n_y:])
+    return corrected
 
 
 def distortion(
@@ -43,7 +47,7 @@ def distortion(
     G: np.ndarray,
     variance_of_mean: Callable[[np.ndarray], np.ndarray | None],
 ) -> Distortion | None:
-    """Distortion levels on the detection lines, noise taken off; None without detection lines or without a noise estimate."""
+    """Return the distortion on the detection lines less the noise; None without detection lines or without a noise estimate."""
     at = detection_lines(records)
     if len(at) == 0:
         return None

@@ -1,7 +1,7 @@
-"""Transients of periodic records, estimated from the bins between the lines and taken off: (3.24) to (3.36), (4.7) to (4.13).
+"""Transients of periodic records, estimated from the bins between the lines and removed: (3.24) to (3.36), (4.7) to (4.13).
 
-The thesis's (3.30) has K = [1, r, ..., -r Z, ...]: as printed the Z of the last entries stands without its r. (3.35) is right, (4.29) is
-with Sigma inverted. The window is strictly larger than the number of unknowns, which (3.29) does not ensure.
+The thesis's (3.30) has K = [1, r, ..., -r Z, ...]: in print the Z of the last entries lacks its r. (3.35) is right; (4.29) is right with
+Sigma inverted. The window is strictly larger than the number of unknowns, which (3.29) does not ensure.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hil.identification.spectra import record_spectra
 
 @dataclass(frozen=True)
 class SteadyState:
-    """Spectra of the records with their transients taken off.
+    """Spectra of the records with their transients removed.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def steady_state(records: PeriodicRecords, model: LocalModel, lines: np.ndarray)
 
 
 def complete_periods(records: PeriodicRecords, skip: int) -> tuple[tuple[np.ndarray, ...], int, tuple[str, ...]]:
-    """Outputs, and inputs in closed loop, over the longest run of complete periods of each record, equally long in all.
+    """Return outputs, and inputs in closed loop, over the longest run of complete periods of each record, cut to equal length.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def complete_periods(records: PeriodicRecords, skip: int) -> tuple[tuple[np.ndar
     """
     N = records.period_samples
     if records.unexcited_reference_lines:
-        skip = max(skip, records.settle_periods)  # the jog grows in over them: a motion that is neither periodic nor a transient
+        skip = max(skip, records.settle_periods)  # the jog is faded in over them: a motion that is neither periodic nor a transient
     measured = (records.outputs,) if records.inputs is None else (records.outputs, records.inputs)
     signals = tuple(signal[:, :, skip * N :] for signal in measured)
     M, E, T = signals[0].shape[:3]

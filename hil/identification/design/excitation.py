@@ -1,9 +1,9 @@
 """Excitation designed from a first, broad measurement: steps 2 and 3 of Sec. 3.3.
 
-Lines are set where the measured response changes: spaced so that it changes by the same share from line to line, as far as the change
-stands out of the noise. With responses at several poses the fastest change of any pose counts, so a resonance that moves gets its whole
-range. Power goes where the measured standard deviation is large beside the response, so that the next measurement is equally sure
-everywhere.
+Lines are set where the measured response changes, spaced so that it changes by the same share from line to line, as far as the change
+stands out of the noise. With responses at several poses the fastest change of any pose counts, so the whole range of a moving resonance
+gets dense lines. Power goes where the measured standard deviation is large beside the response, so that the next measurement has the same
+relative uncertainty everywhere.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def design_excitation(
     odd: bool = True,
     without: Sequence[int] = (1,),
 ) -> ExcitationDesign:
-    """Choose lines and weights.
+    """Choose lines and weights of the next experiment.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def design_excitation(
 
 
 def _change_per_hertz(response: FrequencyResponse) -> np.ndarray:
-    """(L,) largest relative change of an element per hertz, noise's share taken off, spread over neighbouring lines."""
+    """Return the largest relative change of an element per hertz (L,), less noise, spread over neighbouring lines."""
     G, variance = response.G, response.standard_deviation("noise" if response.total_covariance is None else "total") ** 2
     step = np.diff(response.frequencies_Hz)[:, None, None]
     size = _largest_around(response.frequencies_Hz, np.abs(G))
@@ -104,28 +104,31 @@ def _change_per_hertz(response: FrequencyResponse) -> np.ndarray:
     between = np.max(real / (size * step), axis=(1, 2))
     at_lines = np.maximum(np.concatenate((between[:1], between)), np.concatenate((between, between[-1:])))
     padded = np.pad(at_lines, SPREAD, mode="edge")
-    return np.max([padded[k : k + len(at_lines)] for k in range(2 * SPREAD + 1)], axis=0)
+    fastest: np.ndarray = np.max([padded[k : k + len(at_lines)] for k in range(2 * SPREAD + 1)], axis=0)
+    return fastest
 
 
 def _largest_around(frequencies_Hz: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
-    """(L, n_y, n_u) largest magnitude within a factor of SURROUNDINGS in frequency."""
+    """Return the largest magnitude within a factor of SURROUNDINGS in frequency, (L, n_y, n_u)."""
     low = np.searchsorted(frequencies_Hz, frequencies_Hz / SURROUNDINGS)
     high = np.searchsorted(frequencies_Hz, frequencies_Hz * SURROUNDINGS, side="right")
     return np.stack([magnitude[a:b].max(axis=0) for a, b in zip(low, high, strict=True)])
 
 
 def _uncertainty(response: FrequencyResponse) -> np.ndarray:
-    """(L,) standard deviation over response of the element best known of each output, the worst output counting."""
+    """Return the relative standard deviation (L,) of the worst output, each output judged by its best-known element."""
     deviation = response.standard_deviation("noise" if response.total_covariance is None else "total")
-    return np.max(np.min(deviation / np.abs(response.G), axis=2), axis=1)
+    least_sure: np.ndarray = np.max(np.min(deviation / np.abs(response.G), axis=2), axis=1)
+    return least_sure
 
 
 def _on(at_Hz: np.ndarray, response: FrequencyResponse, values: np.ndarray) -> np.ndarray:
-    return np.interp(at_Hz, response.frequencies_Hz, values)
+    interpolated: np.ndarray = np.interp(at_Hz, response.frequencies_Hz, values)
+    return interpolated
 
 
 def _spread_by_density(density: np.ndarray, count: int) -> np.ndarray:
-    """Indices of `count` candidates, as many per unit of density everywhere, none twice."""
+    """Return indices of `count` candidates, equally many per unit of density everywhere, none twice."""
     density = np.maximum(density, LEAST_DENSITY * density.mean() if density.any() else 1.0)
     share = density / density.sum() * count
     for _ in range(len(density)):

@@ -1,4 +1,4 @@
-"""Does the machine hold its pose well enough for a frequency response at a frozen pose? The check of thesis Sec. 4.8."""
+"""A check that the pose stands still enough for a frequency response at a frozen pose, thesis Sec. 4.8."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FrozenPoseCheck:
 
 
 def frozen_pose_check(responses: Sequence[FrequencyResponse], excitation_rms: np.ndarray, direction: int) -> FrozenPoseCheck:
-    """Does the response change, over the motion of the excitation, by more than it is known? Sec. 4.8, last paragraphs.
+    """Compare the response's change over the excitation's motion with its uncertainty, Sec. 4.8, last paragraphs.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Local polynomial and rational method for arbitrary excitations, one pose or many: Sec. 4.5, (4.48) to (4.51).
+"""Local polynomial and rational method for arbitrary excitations, at one pose or many: Sec. 4.5, (4.48) to (4.51).
 
-Response and transient are estimated together at every bin, since no bin is free of excitation. The residual holds noise and nonlinear
-distortion alike: there is a total covariance and no split. Every record has a transient of its own.
+Response and transient are estimated together at every bin, since no bin is free of excitation. The residual holds both noise and nonlinear
+distortion, so there is a total covariance and no split into the two. Every record has its own transient.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ class ArbitraryRecords:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        """Check that the arrays fit together."""
         for name in ("outputs", "inputs", "excitation"):
             values = getattr(self, name)
             if values is not None and not np.isfinite(values).all():
@@ -62,7 +63,7 @@ def arbitrary_local(
     model: LocalModel | None = None,
     over_poses: PoseModel = ONE_POSE,
 ) -> tuple[FrequencyResponse, ...]:
-    """Frequency responses over the bins of a band, one per pose.
+    """Estimate frequency responses over the bins of a band, one per pose.
 
     Parameters
     ----------

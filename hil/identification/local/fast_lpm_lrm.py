@@ -9,7 +9,9 @@ from hil.identification.result import FrequencyResponse
 
 
 def fast_local(records: PeriodicRecords, model: LocalModel | None = None) -> FrequencyResponse:
-    """Fast LRM (or LPM where `model.denominator` is 0): one experiment of one realisation suffices, further ones are used as they come.
+    """Estimate the response with the fast LRM (LPM where `model.denominator` is 0).
+
+    One experiment of one realisation suffices; any further ones are used too.
 
     Raises
     ------

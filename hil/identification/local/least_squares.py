@@ -5,9 +5,9 @@ of the excitation and the closed-loop outputs inside the window, the unknowns N 
 
     z_i^T = sum_a phi_ia w_i^T N_a^T - sum_d psi_id y_i^T D_d^T + w_i^T N_0^T + residual,       (3.30), (3.41), (4.47), (4.51)
 
-are found by modified Gram-Schmidt on scaled columns, (4.37). Only N_0, its share of (K^H K)^-1 and the residuals' products are wanted, so
-its columns come last: what the elimination leaves behind are they. Problems are worked on LANES at a time, side by side in memory, so that
-every inner loop is a vector instruction.
+are found by modified Gram-Schmidt on scaled columns, (4.37). Only N_0, its share of (K^H K)^-1 and the products of the residuals are
+wanted, so the columns of N_0 come last and the elimination leaves these quantities. Problems are solved LANES at a time, side by side in
+memory, so that every inner loop is a vector instruction.
 """
 
 from __future__ import annotations
@@ -79,7 +79,17 @@ def local_fits(
 
 
 @quickly_compiled
-def _fit_all(rows, bases, w, z, n_y, response, inverse_gram, residual_products, dof):  # type: ignore[no-untyped-def]
+def _fit_all(
+    rows: np.ndarray,
+    bases: tuple[np.ndarray, ...],
+    w: np.ndarray,
+    z: np.ndarray,
+    n_y: int,
+    response: np.ndarray,
+    inverse_gram: np.ndarray,
+    residual_products: np.ndarray,
+    dof: np.ndarray,
+) -> None:
     numerator, denominator, extra = bases
     centres, n = rows.shape
     n_w, n_z = w.shape[1], z.shape[1]
@@ -105,8 +115,19 @@ def _fit_all(rows, bases, w, z, n_y, response, inverse_gram, residual_products, 
 
 
 @quickly_compiled
-def _fill(re, im, lane, rows, numerator, denominator, extra, w, z, n_y):  # type: ignore[no-untyped-def]
-    """Columns in the order numerator, denominator, extra, N_0, targets."""
+def _fill(
+    re: np.ndarray,
+    im: np.ndarray,
+    lane: int,
+    rows: np.ndarray,
+    numerator: np.ndarray,
+    denominator: np.ndarray,
+    extra: np.ndarray,
+    w: np.ndarray,
+    z: np.ndarray,
+    n_y: int,
+) -> None:
+    """Fill the columns of one lane in the order numerator, denominator, extra, N_0, targets."""
     n_w, n_z = w.shape[1], z.shape[1]
     a, d, x = numerator.shape[1], denominator.shape[1], extra.shape[1]
     behind = a * n_w + d * n_y + x
@@ -132,8 +153,8 @@ def _fill(re, im, lane, rows, numerator, denominator, extra, w, z, n_y):  # type
 
 
 @quickly_compiled
-def _scale_columns(re, im, unknowns, scale):  # type: ignore[no-untyped-def]
-    """Unit length for every column of K, (4.37), (4.38)."""
+def _scale_columns(re: np.ndarray, im: np.ndarray, unknowns: int, scale: np.ndarray) -> None:
+    """Scale every column of K to unit length, (4.37), (4.38)."""
     n = re.shape[1]
     square = np.empty(LANES)
     for c in range(unknowns):
@@ -150,8 +171,18 @@ def _scale_columns(re, im, unknowns, scale):  # type: ignore[no-untyped-def]
 
 
 @quickly_compiled
-def _eliminate(re, im, unknowns, n_w, n_z, upper_re, upper_im, length, rank):  # type: ignore[no-untyped-def]
-    """Modified Gram-Schmidt over the columns of K, targets included; the rows of R that belong to N_0 are kept."""
+def _eliminate(
+    re: np.ndarray,
+    im: np.ndarray,
+    unknowns: int,
+    n_w: int,
+    n_z: int,
+    upper_re: np.ndarray,
+    upper_im: np.ndarray,
+    length: np.ndarray,
+    rank: np.ndarray,
+) -> None:
+    """Orthogonalise the columns of K and the targets by modified Gram-Schmidt; keep the rows of R that belong to N_0."""
     n = re.shape[1]
     square, inverse = np.empty(LANES), np.empty(LANES)
     dot_re, dot_im = np.empty(LANES), np.empty(LANES)
@@ -189,7 +220,21 @@ def _eliminate(re, im, unknowns, n_w, n_z, upper_re, upper_im, length, rank):  #
 
 
 @quickly_compiled
-def _collect(centre, lane, n, unknowns, re, im, scale, upper_re, upper_im, length, response, inverse_gram, residual_products):  # type: ignore[no-untyped-def]
+def _collect(
+    centre: int,
+    lane: int,
+    n: int,
+    unknowns: int,
+    re: np.ndarray,
+    im: np.ndarray,
+    scale: np.ndarray,
+    upper_re: np.ndarray,
+    upper_im: np.ndarray,
+    length: np.ndarray,
+    response: np.ndarray,
+    inverse_gram: np.ndarray,
+    residual_products: np.ndarray,
+) -> None:
     n_w, n_z = response.shape[2], response.shape[1]
     inverse = np.zeros((n_w, n_w), np.complex128)  # of the unit upper triangle
     for j in range(n_w - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""Orders and windows of a local model, and what they ask of the data."""
+"""Orders and windows of a local model, and what they require of the data."""
 
 from __future__ import annotations
 
@@ -38,22 +38,26 @@ class LocalModel:
     skip_periods: int = 0
 
     def __post_init__(self) -> None:
+        """Check the orders."""
         for name in ("numerator", "transient", "denominator", "skip_periods"):
             if getattr(self, name) < 0:
                 raise IdentificationError(f"{name} = {getattr(self, name)}: orders are 0 or more")
 
     @property
     def name(self) -> str:
+        """The method's short name."""
         return "lpm" if self.denominator == 0 else "lrm"
 
     @property
     def settings(self) -> dict[str, float | int | str]:
-        """What a result keeps of it."""
+        """Return the settings that a result records."""
         return {"N_n": self.numerator, "N_m": self.transient, "N_d": self.denominator, "border": self.border}
 
 
 def transient_offsets(model: LocalModel, periods: int, n_y: int, n_z: int) -> np.ndarray:
-    """Bins r of (3.29) round an excited bin: the nearest ones that no harmonic of the period occupies, strictly more than unknowns.
+    """Return the bins r of (3.29) round an excited bin.
+
+    They are the nearest bins that no harmonic of the period occupies, strictly more than there are unknowns.
 
     Raises
     ------
@@ -80,7 +84,7 @@ def transient_offsets(model: LocalModel, periods: int, n_y: int, n_z: int) -> np
 
 
 def half_width(model: LocalModel, unknowns: int, rows_per_line: int, n_z: int, lines: int) -> int:
-    """Excited lines to either side of the centre in the response's fit.
+    """Return how many excited lines to either side of the centre the response's fit uses.
 
     Raises
     ------
@@ -105,11 +109,11 @@ def half_width(model: LocalModel, unknowns: int, rows_per_line: int, n_z: int, l
 
 
 def smallest_half_width(equations: int, rows_per_line: int) -> int:
-    """Smallest n for which 2 n + 1 lines give at least so many equations."""
+    """Return the smallest n for which 2 n + 1 lines give at least this many equations."""
     lines = -(-equations // rows_per_line)
     return max(lines // 2, 0) if lines % 2 else lines // 2
 
 
 def powers(x: np.ndarray, order: int) -> np.ndarray:
-    """(..., order) x, x^2, ... without the constant."""
+    """Return x, x^2, ... without the constant: (..., order)."""
     return x[..., None] ** np.arange(1, order + 1)

@@ -48,12 +48,12 @@ def fits_with_true_residuals(
     extra: np.ndarray | None = None,
     n_y: int | None = None,
 ) -> LocalFits:
-    """`hil.identification.local.least_squares.local_fits` with residuals that noise alone leaves at its own size.
+    """Fit like `hil.identification.local.least_squares.local_fits`, with residuals that keep the noise at its own size.
 
     With a rational model the residual is D v, and D is one at the centre. A column psi z of the denominator whose psi has a mean over the
-    window (a window to one side of its centre, Remark 4.2; any even order) is akin to z's own noise and takes it for dynamics: half the
-    variance is lost. The residuals, and they alone, are therefore taken from a second fit of the same data with psi less its mean, so
-    that D is one on average over the window.
+    window (a window to one side of its centre, Remark 4.2; any even order) correlates with z's own noise and models it as dynamics, which
+    loses half the variance. Therefore the residuals alone are taken from a second fit of the same data with psi less its mean, so that D is
+    one on average over the window.
     """
     fits = local_fits(rows, numerator, denominator, w, z, extra, n_y)
     mean = denominator.mean(axis=1, keepdims=True)
@@ -80,8 +80,8 @@ def fits_with_true_residuals(
 
 
 def check_told(fits: LocalFits, frequencies_Hz: np.ndarray, input_names: Sequence[str]) -> None:
-    """Raise IdentificationError where a window does not tell an input's response from the other unknowns."""
-    share = np.real(np.diagonal(fits.inverse_gram, axis1=1, axis2=2))  # (B, n_w), nought where a column depends on those before it
+    """Raise IdentificationError where a window cannot separate an input's response from the other unknowns."""
+    share = np.real(np.diagonal(fits.inverse_gram, axis1=1, axis2=2))  # (B, n_w), zero where a column depends on those before it
     lines, inputs = np.nonzero(~(share > 0.0))
     if len(lines):
         raise IdentificationError(

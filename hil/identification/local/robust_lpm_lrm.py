@@ -11,12 +11,12 @@ from hil.identification.bla.detection_lines import detection_lines, distortion
 from hil.identification.bla.transient import SteadyState, steady_state
 from hil.identification.local.model import LocalModel
 from hil.identification.records import PeriodicRecords
-from hil.identification.result import FrequencyResponse
+from hil.identification.result import Distortion, FrequencyResponse
 from hil.identification.spectra import period_spectra
 
 
 def robust_local(records: PeriodicRecords, model: LocalModel | None = None) -> FrequencyResponse:
-    """Robust LRM (or LPM where `model.denominator` is 0) of M realisations of n_u experiments.
+    """Estimate the response with the robust LRM (LPM where `model.denominator` is 0) from M realisations of n_u experiments.
 
     Every period is used, the settling ones too.
 
@@ -43,8 +43,8 @@ def robust_local(records: PeriodicRecords, model: LocalModel | None = None) -> F
     return replace(response, even_odd=even_odd(records, steady, response.G))
 
 
-def even_odd(records: PeriodicRecords, steady: SteadyState, G: np.ndarray):
-    """Distortion on the detection lines behind the excited ones in `steady`."""
+def even_odd(records: PeriodicRecords, steady: SteadyState, G: np.ndarray) -> Distortion | None:
+    """Return the distortion on the detection lines, which follow the excited ones in `steady`."""
     spectrum = np.zeros((*steady.z.shape[:2], records.period_samples // 2 + 1, steady.z.shape[3]), complex)
     spectrum[:, :, steady.lines] = steady.z
     return distortion(records, spectrum, G, lambda at: steady.noise[:, :, len(records.lines) :] if len(at) else None)

@@ -1,9 +1,9 @@
 """Orders and windows of a local model chosen from the data: the recommendation left open in Sec. 3.5.3.
 
-The criterion is how well each line's output is foretold by its neighbours alone. At the centre of its own window the local model reduces to
-z = N_0 w, so leaving the centre line out costs nothing: with H = w (K^H K)^-1 w^H over the centre's records, the foretold error is
-(I - H)^-1 (z - N_0 w). Its mean square is noise + variance of the estimate + bias^2, the first being the same for every candidate; so the
-candidate with the least mean square has the least total error, bias and variance weighed as they weigh in the response.
+The criterion is how well each line's output is predicted from its neighbours alone. At the centre of its own window the local model reduces
+to z = N_0 w, so leaving the centre line out costs nothing: with H = w (K^H K)^-1 w^H over the centre's records, the prediction error is
+(I - H)^-1 (z - N_0 w). Its mean square is noise + variance of the estimate + bias^2. The noise is the same for every candidate, so the
+candidate with the least mean square has the least total error, with bias and variance weighted as in the response.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Selection:
-    """What was chosen, and how every candidate did.
+    """The candidate that was chosen, and how every candidate did.
 
     Attributes
     ----------
     chosen : Candidate
-    candidates : those that the data could carry.
-    scores : (n,) mean over lines and outputs of the foretold error's square in units of the noise variance, 1 at best.
+    candidates : those that the data had enough lines for.
+    scores : (n,) mean over lines and outputs of the squared prediction error in units of the noise variance, 1 at best.
     refused : (candidate, reason) of those without a degree of freedom.
     """
 
@@ -52,7 +52,9 @@ class Selection:
 
 
 def default_candidates(records: PeriodicRecords, poses: int = 1) -> tuple[Candidate, ...]:
-    """Polynomial and rational models of moderate order, each with windows from the smallest it can do with to three times that.
+    """Return polynomial and rational models of moderate order.
+
+    Each comes with windows from the smallest possible one to three times its size.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def select_local_model(records_of_poses: Sequence[PeriodicRecords], candidates: 
         if coordinates.shape[1] > 1:
             raise IdentificationError("over several scheduling parameters the candidates to select from must be given")
         candidates = default_candidates(records_of_poses[0], len(records_of_poses))
-    prepared: dict[tuple, list[PoseSpectra]] = {}
+    prepared: dict[tuple[object, ...], list[PoseSpectra]] = {}
     noise: list[np.ndarray] = []
     errors, usable, refused = [], [], []
     for candidate in candidates:
@@ -112,7 +114,7 @@ def select_local_model(records_of_poses: Sequence[PeriodicRecords], candidates: 
 
 
 def _foretold(poses: list[PoseSpectra], coordinates: np.ndarray, candidate: Candidate, noise: list[np.ndarray]) -> np.ndarray:
-    """(poses, L, n_y) mean square over records of the foretold error of y - G u, in units of its noise variance."""
+    """Return the mean square over records of the prediction error of y - G u, in units of its noise variance: (poses, L, n_y)."""
     model, over_poses = candidate.model, candidate.over_poses
     windows = pose_windows(coordinates, over_poses.windows, over_poses.border, over_poses.symmetry)
     z, w = np.stack([pose.z for pose in poses]), np.stack([pose.w for pose in poses])
@@ -139,4 +141,5 @@ def _at_centre(pose: PoseSpectra, fits: LocalFits, noise_z: np.ndarray) -> np.nd
         error = error @ np.swapaxes(Q, 1, 2)
         noise_z = Q @ noise_z @ np.conj(np.swapaxes(Q, 1, 2))
     variance = np.real(np.diagonal(noise_z, axis1=1, axis2=2))
-    return np.mean(np.abs(error) ** 2, axis=1) / variance
+    squares: np.ndarray = np.mean(np.abs(error) ** 2, axis=1) / variance
+    return squares

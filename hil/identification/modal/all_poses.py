@@ -1,15 +1,15 @@
 """All poses of a modal model fitted together: denominators and numerators as polynomials of the pose, maximum likelihood.
 
-Fitted pose by pose, the numerators of poles that are close, or barely visible, are known badly one by one and well in their sum; smoothed
-one by one, the sum is lost, and with it the response away from resonances. Fitted together it is the sum that is fitted.
+In a fit pose by pose, the numerators of poles that are close together or barely visible are poorly known one by one, but well in their sum.
+Smoothing them one by one loses the sum, and with it the response away from resonances. The joint fit keeps the sum.
 
-Numerators enter linearly and are solved for within (variable projection, Kaufman's slopes). Every pose's equations are first reduced to as
-many as it has unknowns, by QR, so that the polynomials are solved for from few rows.
+Numerators enter linearly and are eliminated (variable projection, Kaufman's slopes). Every pose's equations are first reduced by QR to as
+many as it has unknowns, so that the polynomials are solved for from few rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ SOFTER, HARDER, STIFFEST = 0.2, 8.0, 1e9
 
 @dataclass(frozen=True)
 class JointFit:
-    """Blocks, numerators and what they leave.
+    """Blocks, numerators and the misfit of a joint fit.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class JointFit:
 
 
 class JointProblem:
-    """Weighted responses of all poses, at the same lines; numerators solved for given denominators."""
+    """Weighted responses of all poses, at the same lines; numerators are solved for given denominators."""
 
     def __init__(self, responses: Sequence[FrequencyResponse], x: np.ndarray) -> None:
         first = responses[0]
@@ -64,7 +64,7 @@ class JointProblem:
         self.equations = self.data.size
 
     def fit(self, blocks: Sequence[Block], numerator_orders: Sequence[int]) -> JointState:
-        """Levenberg-Marquardt from starting denominators; orders are kept, those of the numerators given per element.
+        """Run Levenberg-Marquardt from starting denominators, whose orders are kept; numerator orders are given per element.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class JointProblem:
         return state
 
     def numerator_orders(self, blocks: Sequence[Block], highest: int) -> tuple[int, ...]:
-        """Order of least BIC for every element's numerators, denominators held."""
+        """Return the order of least BIC for every element's numerators, denominators held."""
         self._require_usable(blocks)
         found = []
         by_order = [JointState(self, tuple(blocks), (order,) * self.elements) for order in range(highest + 1)]
@@ -113,14 +113,14 @@ class JointProblem:
                 )
 
     def basis(self, blocks: Sequence[Block]) -> np.ndarray:
-        """(poses, L, S + 1) sampled responses of every numerator coefficient, and of D last."""
+        """Return the sampled responses of every numerator coefficient, and of D last: (poses, L, S + 1)."""
         parts = [block.responses(block.values(self.x), self.frequencies_Hz, self.sample_rate_Hz) for block in blocks]
         tick = np.exp(-2j * np.pi * self.frequencies_Hz / self.sample_rate_Hz)
         return np.concatenate((*parts, np.broadcast_to(tick[:, None], (len(self.x), len(tick), 1))), axis=2)
 
 
 class JointState:
-    """Denominators with the numerators that suit them best."""
+    """Denominators with the numerators that fit best."""
 
     def __init__(self, problem: JointProblem, blocks: tuple[Block, ...], orders: tuple[int, ...]) -> None:
         self.problem, self.blocks, self.orders = problem, blocks, orders
@@ -142,7 +142,7 @@ class JointState:
         self.square = float(self.squares.sum())
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """J^T J, J^T (residual) over the denominators' coefficients, numerators eliminated."""
+        """Return J^T J and J^T residual over the denominators' coefficients, numerators eliminated."""
         gram: np.ndarray = np.zeros(0)
         gradient: np.ndarray = np.zeros(0)
         for e, (R, S1) in enumerate(self._reduced()):
@@ -154,17 +154,18 @@ class JointState:
 
     @property
     def parameters(self) -> int:
-        """How many numbers are fitted."""
-        return sum(len(c) for block in self.blocks for c in block.coefficients) + sum(n.size for n in self.numerators)
+        """Return how many numbers are fitted."""
+        count: int = sum(len(c) for block in self.blocks for c in block.coefficients) + sum(n.size for n in self.numerators)
+        return count
 
     @property
     def criterion(self) -> float:
-        """BIC for an unknown scale of the noise."""
+        """Return the BIC for an unknown scale of the noise."""
         rows = self.problem.equations
         return rows * float(np.log(self.square / rows)) + self.parameters * float(np.log(rows))
 
     def result(self) -> JointFit:
-        """With covariances."""
+        """Return the fit with its covariances."""
         problem = self.problem
         moved = self._moved_columns()
         slopes = [self._full_slopes(moved[:, e], e) for e in range(problem.elements)]
@@ -186,8 +187,8 @@ class JointState:
             misfit=misfit,
         )
 
-    def _reduced(self):  # type: ignore[no-untyped-def]
-        """Per element the triangular factor (poses, rows, S + 1 + S + 1) of [basis, its slopes, data], and S + 1."""
+    def _reduced(self) -> Iterator[tuple[np.ndarray, int]]:
+        """Yield per element the triangular factor (poses, rows, S + 1 + S + 1) of [basis, its slopes, data], and S + 1."""
         moved = self._moved_columns()
         every = np.concatenate((self.columns, moved, self.problem.data[..., None]), axis=3)
         R = np.asarray(np.linalg.qr(every, mode="r"))
@@ -195,21 +196,22 @@ class JointState:
             yield R[:, e], self.columns.shape[3]
 
     def _split(self, R: np.ndarray, S1: int, e: int) -> tuple[np.ndarray, np.ndarray]:
-        """Orthonormal span of the numerators, and the denominators' slopes off it."""
+        """Return an orthonormal basis of the numerators' span, and the denominators' slopes orthogonal to it."""
         K = _over_poses(R[..., :S1], self.problem.x, self.orders[e])
         Q = np.linalg.qr(K / np.linalg.norm(K, axis=0))[0]
         J = self._denominator_columns(R[..., S1:])
         return Q, J - Q @ (Q.T @ J)
 
     def _full_slopes(self, moved_columns: np.ndarray, e: int) -> np.ndarray:
-        """(poses 2 L, coefficients) slopes of the residuals in the data's own rows."""
+        """Return the slopes of the residuals in the data's own rows: (poses 2 L, coefficients)."""
         problem, order = self.problem, self.orders[e]
         moved = self._denominator_columns(moved_columns)
         K = _over_poses(self.columns[:, e], problem.x, order)
         size = np.linalg.norm(K, axis=0)
         R = np.linalg.qr(K / size, mode="r")
         along = linalg.solve_triangular(R, linalg.solve_triangular(R, (K / size).T @ moved, trans="T"))
-        return moved - K / size @ along
+        projected: np.ndarray = moved - K / size @ along
+        return projected
 
     def _denominator_columns(self, moved: np.ndarray) -> np.ndarray:
         """(poses, rows, S) slopes with the coefficients at each pose to (poses rows, polynomial coefficients)."""
@@ -237,7 +239,7 @@ class JointState:
 
 
 def _meat(problem: JointProblem, slopes: list[np.ndarray]) -> np.ndarray:
-    """J^T V J with V the covariance of the weighted data under the responses' full covariance, halved: circular."""
+    """Return J^T V J, with V the halved (circular) covariance of the weighted data under the responses' full covariance."""
     poses, _, L = problem.weight.shape
     n_y, n_u = problem.shape
     order = [i * n_u + j for j in range(n_u) for i in range(n_y)]  # vec stacks columns
@@ -264,15 +266,15 @@ def _moved(blocks: tuple[Block, ...], move: np.ndarray) -> tuple[Block, ...]:
 
 
 def _over_poses(K: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
-    """(poses, rows, S + 1) to (poses rows, (order + 1) (S + 1)): every column times every polynomial."""
+    """Multiply every column with every polynomial: (poses, rows, S + 1) to (poses rows, (order + 1) (S + 1))."""
     return (K[:, :, None, :] * legendre.legvander(x, order)[:, None, :, None]).reshape(K.shape[0] * K.shape[1], -1)
 
 
 def _by_element(values: np.ndarray) -> np.ndarray:
-    """(poses, L, n_y, n_u) to (poses, elements, L)."""
+    """Reshape (poses, L, n_y, n_u) to (poses, elements, L)."""
     return values.reshape(*values.shape[:2], -1).swapaxes(1, 2)
 
 
 def _real(values: np.ndarray) -> np.ndarray:
-    """Real parts, then imaginary ones, along the last axis."""
+    """Put real parts, then imaginary ones, along the last axis."""
     return np.concatenate((values.real, values.imag), axis=-1)

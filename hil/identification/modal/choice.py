@@ -1,4 +1,4 @@
-"""What a modal model over poses is made of: modes from fits at single poses; poles outside the band and orders over the poses by BIC."""
+"""Structure of a modal model over poses: modes from fits at single poses; poles outside the band and orders over the poses by BIC."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ ABOVE, ABOVE_DAMPING = 2.0, 0.4  # of the highest line's: where those above star
 
 
 def modes_along(ordered: Sequence[FrequencyResponse]) -> tuple[tuple[PoseModes, ...], np.ndarray]:
-    """Fits at single poses, each from its neighbour's poles, and which pairs are modes in the band at every pose.
+    """Fit single poses, each from its neighbour's poles, and tell which pairs are modes in the band at every pose.
 
-    The first fit, which chooses the number of pairs, is the one of the middle and the outermost poses that sees most modes.
+    The number of pairs is chosen at the middle or an outermost pose: at the one that shows most modes.
     """
     band = 2 * np.pi * np.array([ordered[0].frequencies_Hz[0], ordered[0].frequencies_Hz[-1]])
     chosen = {index: choose_pairs(ordered[index]) for index in dict.fromkeys((len(ordered) // 2, 0, len(ordered) - 1))}
@@ -44,7 +44,7 @@ def modes_along(ordered: Sequence[FrequencyResponse]) -> tuple[tuple[PoseModes, 
 
 
 def mode_blocks(fits: Sequence[PoseModes], modes: np.ndarray, x: np.ndarray, order: int, *, flexible: bool = True) -> list[Block]:
-    """Blocks of the modes, rising in frequency, from the fits at single poses."""
+    """Return blocks of the modes, rising in frequency, from the fits at single poses."""
     blocks = []
     K = len(modes)
     for k in np.flatnonzero(modes):
@@ -66,7 +66,7 @@ def mode_blocks(fits: Sequence[PoseModes], modes: np.ndarray, x: np.ndarray, ord
 
 
 def outside_block(pairs: int, frequency_rad_s: float, damping: float) -> list[Block]:
-    """Poles outside the band, the same at all poses: none for 0 pairs."""
+    """Return poles outside the band, the same at all poses; none for 0 pairs."""
     if pairs == 0:
         return []
     polynomial = np.array([1.0])
@@ -76,7 +76,10 @@ def outside_block(pairs: int, frequency_rad_s: float, damping: float) -> list[Bl
 
 
 def choose_blocks(problem: JointProblem, modes: list[Block], outside: tuple[int, int], order: int) -> JointState:
-    """Fit with the number of pairs below and above the band that has the least BIC, from a first guess upwards; numerators of one order."""
+    """Choose the numbers of pole pairs below and above the band with the least BIC, upwards from a first guess.
+
+    All numerators have one order.
+    """
     lowest, highest = 2 * np.pi * problem.frequencies_Hz[[0, -1]]
     fits: dict[tuple[int, int], JointState] = {}
 
@@ -103,22 +106,22 @@ def choose_blocks(problem: JointProblem, modes: list[Block], outside: tuple[int,
 
 
 def with_better_form(problem: JointProblem, state: JointState, modes: list[Block]) -> JointState:
-    """`state`, or the same poles with the modes in the form that `modes` have, whichever has the lower BIC."""
+    """Return `state`, or the same poles with the modes in the form of `modes`, whichever has the lower BIC."""
     others = iter(modes)
     other = problem.fit([next(others) if block.is_mode else block for block in state.blocks], state.orders)
     return min(state, other, key=lambda each: each.criterion)
 
 
 def with_chosen_orders(problem: JointProblem, state: JointState, highest: int) -> JointFit:
-    """The same blocks with every polynomial of the order that the data ask for; refitted."""
+    """Refit the same blocks with each polynomial's order chosen from the data."""
     blocks = _pruned(state.result(), float(np.log(problem.equations)))
     return problem.fit(blocks, problem.numerator_orders(blocks, highest)).result()
 
 
 def _pruned(fit: JointFit, price: float) -> tuple[Block, ...]:
-    """Highest coefficients of the denominators' polynomials dropped, one by one, while their squared t value is below `price`.
+    """Drop the highest coefficients of the denominators' polynomials one by one, while their squared t value is below `price`.
 
-    What is dropped is a constraint on the others, which move as their covariance says.
+    Dropping one constrains the others, which move as their covariance says.
     """
     mean = np.concatenate([c for block in fit.blocks for c in block.coefficients])
     covariance = fit.pole_covariance.copy()
@@ -141,4 +144,5 @@ def _pruned(fit: JointFit, price: float) -> tuple[Block, ...]:
 
 def _are_modes(a0: np.ndarray, a1: np.ndarray, band_rad_s: np.ndarray) -> np.ndarray:
     omega = np.sqrt(np.maximum(a0, np.finfo(float).tiny))
-    return (a0 > 0.0) & (a1 > 0.0) & (a1 < 2 * LIGHT * omega) & (omega > band_rad_s[0]) & (omega < band_rad_s[1])
+    kept: np.ndarray = (a0 > 0.0) & (a1 > 0.0) & (a1 < 2 * LIGHT * omega) & (omega > band_rad_s[0]) & (omega < band_rad_s[1])
+    return kept

@@ -1,9 +1,9 @@
 """Parametric LPV modal model, Sec. 5.4: poles and numerators as smooth functions of a scheduling parameter, from responses over poses.
 
-Every mode in the band has a denominator with coefficients that are polynomials of the pose; poles below and above the band stand for what
-they do within it. All poses are fitted together, weighted by the covariances (`all_poses`); the number of modes, of poles outside
-the band and every polynomial's order are chosen (`choice`). (5.31) and (5.32) are used with the
-first rows [0 I] and [C_m 0].
+Every mode in the band has a denominator with coefficients that are polynomials of the pose. Poles below and above the band represent the
+effect of the dynamics there within the band. All poses are fitted together, weighted by the covariances (`all_poses`). The number of modes,
+of poles outside the band and every polynomial's order are chosen (`choice`). (5.31) and (5.32) are used with the first rows [0 I] and [C_m
+0].
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ModalFrfModel:
     sample_rate_Hz: float
 
     def modes(self, pose: float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Natural frequencies [Hz] and damping ratios (K,) of the modes in the band, with the half widths of their confidence intervals."""
+        """Return natural frequencies [Hz] and damping ratios (K,) of the modes in the band, and half widths of their intervals."""
         x = self._scaled(pose)
         factor = special.ndtri(0.5 + probability / 2)
         found, at = [], 0
@@ -65,7 +65,10 @@ class ModalFrfModel:
         return values[:, 0], values[:, 1], factor * values[:, 2], factor * values[:, 3]
 
     def state_space(self, pose: float) -> control.StateSpace:
-        """Continuous model from the effort as applied to the outputs; a mode takes two states, a pole outside the band one per input."""
+        """Return the continuous model from the applied effort to the outputs.
+
+        A mode takes two states, a pole outside the band one per input.
+        """
         import control  # takes half a second to load, and only this needs it
 
         numerators = self._numerators(pose)
@@ -93,21 +96,26 @@ class ModalFrfModel:
         return control.ss(A, np.vstack(blocks_B), np.hstack(blocks_C), D, inputs=list(self.input_names), outputs=list(self.output_names))
 
     def response(self, pose: float, frequencies_Hz: np.ndarray) -> np.ndarray:
-        """(L, n_y, n_u) sampled response from command to outputs, tick and hold included."""
+        """Return the sampled response from command to outputs, including delay of one tick and hold: (L, n_y, n_u)."""
         x = self._scaled(pose)
         parts = [block.responses(block.values(x)[0], frequencies_Hz, self.sample_rate_Hz) for block in self.fit.blocks]
         tick = np.exp(-2j * np.pi * frequencies_Hz / self.sample_rate_Hz)
-        return np.einsum("ls,ijs->lij", np.concatenate((*parts, tick[:, None]), axis=1), self._numerators(pose))
+        G: np.ndarray = np.einsum("ls,ijs->lij", np.concatenate((*parts, tick[:, None]), axis=1), self._numerators(pose))
+        return G
 
     def is_stable(self, pose: float) -> bool:
-        """Every pole of `state_space` is damped. Of poles outside the band the data tell only what they do within it."""
+        """Tell whether every pole of `state_space` is damped.
+
+        The data only determine the effect within the band of poles outside it.
+        """
         roots = [np.roots(np.concatenate(([1.0], c[::-1]))) for c in self._monic(pose)]
         return bool(np.all(np.concatenate(roots).real < 0.0))
 
     def passive_modes(self, pose: float) -> np.ndarray:
-        """(K, pairs of one axis's position and command) whether each mode's collocated numerator is not negative beyond its 95 % interval.
+        """Tell whether each mode's collocated numerators are not negative beyond their 95 % intervals.
 
-        Effort and speed at the same place exchange power with the machine one way only, so every mode's numerator is c b >= 0 there.
+        Returns (K, pairs of one axis's position and command). Effort and speed at the same place exchange power with the machine one way
+        only, so every mode's numerator is c b >= 0 there.
         """
         x, n_u = self._scaled(pose), self.shape[1]
         first = np.cumsum([0] + [block.order for block in self.fit.blocks])[:-1]
@@ -141,7 +149,7 @@ class ModalFrfModel:
         return np.array([x])
 
     def _numerators(self, pose: float) -> np.ndarray:
-        """(n_y, n_u, S + 1) of the numerators as scaled, D last."""
+        """Return the scaled numerators, D last: (n_y, n_u, S + 1)."""
         x = self._scaled(pose)
         return np.stack([legendre.legvander(x, len(n) - 1)[0] @ n for n in self.fit.numerators]).reshape(*self.shape, -1)
 
@@ -151,7 +159,9 @@ class ModalFrfModel:
 
 
 def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> ModalFrfModel:
-    """Fit the model to responses at poses along one scheduling parameter; the number of modes and every polynomial's order are chosen.
+    """Fit the model to responses at poses along one scheduling parameter.
+
+    The number of modes and every polynomial's order are chosen from the data.
 
     Parameters
     ----------
@@ -197,7 +207,10 @@ def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> M
 
 
 def _mode(block: Block, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float, float, float]:
-    """Natural frequency [Hz], damping ratio and their standard deviations from a mode's coefficients: zeta = other / (2 root of square)."""
+    """Return a mode's natural frequency [Hz], damping ratio and their standard deviations from its coefficients.
+
+    The damping ratio is zeta = other / (2 root of square).
+    """
     at, power = (1, -0.5) if block.flexible else (0, 0.5)
     square, other = values[at], values[1 - at]
     frequency, ratio = block.scale * square**power / (2 * np.pi), other / (2 * np.sqrt(square))
@@ -208,7 +221,7 @@ def _mode(block: Block, values: np.ndarray, covariance: np.ndarray) -> tuple[flo
 
 
 def _one_direction(N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """C (n_y, 2, 1) and B (1, n_u) of a mode's numerators (n_y, 2, n_u): it is driven in one direction."""
+    """Return C (n_y, 2, 1) and B (1, n_u) of a mode's numerators (n_y, 2, n_u): it is driven in one direction."""
     scale = np.linalg.norm(N[:, 0]) / max(float(np.linalg.norm(N[:, 1])), np.finfo(float).tiny)
     stacked = np.concatenate((N[:, 0], N[:, 1] * scale))
     left, singular, right = np.linalg.svd(stacked, full_matrices=False)

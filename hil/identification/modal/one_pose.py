@@ -47,7 +47,7 @@ class PoseModes:
 
 
 def fit_modes(response: FrequencyResponse, start: tuple[np.ndarray, np.ndarray]) -> PoseModes:
-    """Maximum likelihood with the element-wise variances, from starting pairs (a0, a1); their order is kept.
+    """Fit by maximum likelihood with the element-wise variances, from starting pairs (a0, a1), whose order is kept.
 
     Numerators are solved for within (variable projection). The covariances given are those of the fit under the response's full
     covariance, not only its diagonal.
@@ -90,7 +90,7 @@ def fit_modes(response: FrequencyResponse, start: tuple[np.ndarray, np.ndarray])
 
 
 def choose_pairs(response: FrequencyResponse, largest: int = 10) -> PoseModes:
-    """Fits of rising order from scratch; the first minimum of BIC.
+    """Fit models of rising order from scratch and return the first minimum of BIC.
 
     Raises
     ------
@@ -125,7 +125,10 @@ def choose_pairs(response: FrequencyResponse, largest: int = 10) -> PoseModes:
 
 
 def start_pairs(response: FrequencyResponse, K: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starting pairs (a0, a1) by vector fitting on the unit circle (Gustavsen and Semlyen 1999), poles spread over the band at first."""
+    """Find starting pairs (a0, a1) by vector fitting on the unit circle (Gustavsen and Semlyen 1999).
+
+    The poles are spread over the band at first.
+    """
     T = 1.0 / response.sample_rate_Hz
     f = response.frequencies_Hz
     z = np.exp(2j * np.pi * f * T)
@@ -150,13 +153,16 @@ def start_pairs(response: FrequencyResponse, K: int) -> tuple[np.ndarray, np.nda
 
 
 def _partial_fractions(z: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """(L, 2 K) real-coefficient basis of conjugate pairs."""
+    """Return the real-coefficient basis of conjugate pairs: (L, 2 K)."""
     first, second = 1.0 / (z[:, None] - poles), 1.0 / (z[:, None] - np.conj(poles))
     return np.stack((first + second, 1j * (first - second)), axis=2).reshape(len(z), -1)
 
 
 def _zeros_of(poles: np.ndarray, sigma: np.ndarray, K: int) -> np.ndarray:
-    """Zeros of 1 + sum of sigma's partial fractions: the relocated poles, inside the unit circle, as K in the upper half plane."""
+    """Return the zeros of 1 + sum of sigma's partial fractions.
+
+    They are the relocated poles, inside the unit circle, as K in the upper half plane.
+    """
     A, b = np.zeros((2 * K, 2 * K)), np.zeros(2 * K)
     for k, p in enumerate(poles):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
@@ -174,7 +180,7 @@ def _real(values: np.ndarray) -> np.ndarray:
 
 
 class _Problem:
-    """Weighted data of one pose; numerators solved for given poles."""
+    """Weighted data of one pose; numerators are solved for given poles."""
 
     def __init__(self, response: FrequencyResponse) -> None:
         self.response = response
@@ -186,7 +192,7 @@ class _Problem:
         self._last: tuple[tuple[bytes, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
 
     def project(self, a0: np.ndarray, a1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (n_y, n_u, 2 L), coefficients (n_y, n_u, 2 K + 1) and their covariance with the poles held."""
+        """Return residuals (n_y, n_u, 2 L), coefficients (n_y, n_u, 2 K + 1) and their covariance with the poles held."""
         Q, R, size = self._factors(a0, a1)
         target = np.concatenate((self.data.real, self.data.imag), axis=2)[..., None]
         along = np.swapaxes(Q, 2, 3) @ target
@@ -195,7 +201,10 @@ class _Problem:
         return (target - Q @ along)[..., 0], (inverse @ along)[..., 0] / size, covariance
 
     def jacobian(self, a0: np.ndarray, a1: np.ndarray) -> np.ndarray:
-        """(n_y, n_u, 2 L, 2 K) of the residuals with the poles, Kaufman's form: the basis moves, its own span is projected out."""
+        """Return the residuals' slopes with the poles in Kaufman's form: (n_y, n_u, 2 L, 2 K).
+
+        The basis moves; its own span is projected out.
+        """
         Q, _, _ = self._factors(a0, a1)
         coefficients = self.project(a0, a1)[1]
         K = len(a0)
@@ -209,13 +218,14 @@ class _Problem:
                 moved = coefficients[:, :, 2 * k : 2 * k + 2] @ slope[k].T * self.weight
                 columns.append(np.concatenate((moved.real, moved.imag), axis=2))
         moved = np.stack(columns, axis=-1)
-        return Q @ (np.swapaxes(Q, 2, 3) @ moved) - moved
+        slopes: np.ndarray = Q @ (np.swapaxes(Q, 2, 3) @ moved) - moved
+        return slopes
 
     def _pairs(self, a0: np.ndarray, a1: np.ndarray) -> np.ndarray:
         return block_responses(np.stack((a0, a1), axis=-1), self.response.frequencies_Hz, self.response.sample_rate_Hz)
 
     def _factors(self, a0: np.ndarray, a1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """QR of every element's weighted basis (n_y, n_u, 2 L, 2 K + 1), columns scaled; the last poles' are kept."""
+        """Return the QR of every element's weighted, scaled basis (n_y, n_u, 2 L, 2 K + 1); those of the last poles are kept."""
         key = (a0.tobytes(), a1.tobytes())
         if self._last is None or self._last[0] != key:
             basis = np.concatenate((np.moveaxis(self._pairs(a0, a1), 0, 1).reshape(len(self.z), -1), 1.0 / self.z[:, None]), axis=1)
@@ -225,7 +235,7 @@ class _Problem:
         return self._last[1]
 
     def meat(self, jacobian: np.ndarray) -> np.ndarray:
-        """J^T V J with V the covariance of the weighted data under the response's full covariance."""
+        """Return J^T V J with V the covariance of the weighted data under the response's full covariance."""
         L = len(self.z)
         n_y, n_u = self.n_y, self.n_u
         weighted = self.weight.transpose(2, 1, 0).reshape(L, n_y * n_u)
@@ -234,4 +244,5 @@ class _Problem:
         real, imaginary = J[:L], J[L:]
         both = np.einsum("lap,lab,lbq->pq", real, V.real, real) + np.einsum("lap,lab,lbq->pq", imaginary, V.real, imaginary)
         cross = np.einsum("lap,lab,lbq->pq", imaginary, V.imag, real)
-        return both + cross + cross.T
+        hessian: np.ndarray = both + cross + cross.T
+        return hessian

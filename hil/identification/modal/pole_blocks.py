@@ -39,15 +39,15 @@ class Block:
 
     @property
     def order(self) -> int:
-        """Of the denominator in s."""
+        """Order of the denominator in s."""
         return len(self.coefficients)
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """(poses, n) coefficients as scaled."""
+        """Return the scaled coefficients at poses x: (poses, n)."""
         return np.stack([legendre.legval(x, c) for c in self.coefficients], axis=-1)
 
     def is_usable(self, x: np.ndarray, sample_rate_Hz: float) -> bool:
-        """No pole far faster than the sample rate, and no mode with omega^2 below zero, at any pose."""
+        """Tell whether at every pose no pole is far faster than the sample rate and no mode has omega^2 below zero."""
         values = self.values(x)
         if self.is_mode and not (values[:, -1 if self.flexible else 0] > 0.0).all():
             return False
@@ -55,7 +55,7 @@ class Block:
         return bool((speed < FASTEST * 2 * np.pi * sample_rate_Hz).all())
 
     def monic(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(..., n) c_0 ... c_(n-1) of s^n + ... for coefficients as scaled, and (...) what the numerator is divided by."""
+        """Return c_0 ... c_(n-1) of s^n + ... (..., n) for scaled coefficients, and the divisor (...) of the numerator."""
         powers = self.scale ** (self.order - np.arange(self.order))
         if not self.flexible:
             return values * powers, np.ones(values.shape[:-1])
@@ -64,7 +64,7 @@ class Block:
         return below / leading * powers, leading[..., 0] / self.scale**self.order
 
     def numerator_scale(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) and (...) with which numerator coefficients as scaled become those of s^i over the monic denominator: times, divided by.
+        """Return factors (n,) and divisors (...) that turn scaled numerator coefficients into those of s^i over the monic denominator.
 
         As scaled, numerators are of (s / scale)^i over the denominator as scaled.
         """
@@ -72,14 +72,15 @@ class Block:
         return size, self.monic(values)[1]
 
     def responses(self, values: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-        """(..., L, n) sampled responses of the scaled numerators, coefficients `values` (..., n)."""
+        """Return sampled responses (..., L, n) of the scaled numerators for coefficients `values` (..., n)."""
         c, _ = self.monic(values)
         size, divisor = self.numerator_scale(values)
-        return block_responses(c, frequencies_Hz, sample_rate_Hz) * size / divisor[..., None, None]
+        sampled: np.ndarray = block_responses(c, frequencies_Hz, sample_rate_Hz) * size / divisor[..., None, None]
+        return sampled
 
 
 def block_responses(denominators: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-    """(..., L, n) sampled responses z^-1 ZOH{s^i / (s^n + ...)} of denominators (..., n)."""
+    """Return sampled responses z^-1 ZOH{s^i / (s^n + ...)} of denominators (..., n): (..., L, n)."""
     n = denominators.shape[-1]
     A = np.zeros((*denominators.shape[:-1], n + 1, n + 1))
     A[..., np.arange(n - 1), np.arange(1, n)] = 1.0

@@ -1,4 +1,4 @@
-"""What a modal fit weighs a response with."""
+"""The variance that weights a response in a modal fit."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ NEIGHBOURS = 10  # lines to either side over which total over noise variance is 
 
 
 def fit_variance(response: FrequencyResponse) -> np.ndarray:
-    """(L, n_y, n_u) variance of each element, smoother over lines than the estimated total variance.
+    """Return the variance of each element (L, n_y, n_u), smoother over lines than the estimated total variance.
 
-    A total variance has few degrees of freedom, M - 1 for each experiment: its inverse as a weight trusts by chance. The noise variance
-    has many. So it is taken, times the ratio of total to noise variance averaged over neighbouring lines, 1 at least.
+    A total variance has few degrees of freedom, M - 1 for each experiment, so that weights from its inverse depend on chance. The noise
+    variance has many. Therefore the noise variance is taken, times the ratio of total to noise variance averaged over neighbouring lines,
+    and at least 1.
     """
     if response.total_covariance is None:
         return response.standard_deviation("noise") ** 2
@@ -25,4 +26,5 @@ def fit_variance(response: FrequencyResponse) -> np.ndarray:
     at = np.arange(len(total))
     low, high = np.maximum(at - NEIGHBOURS, 0), np.minimum(at + NEIGHBOURS + 1, len(total))
     ratio = (sums[high] - sums[low]) / (high - low)[:, None, None]
-    return noise * np.maximum(ratio, 1.0)
+    weighed: np.ndarray = noise * np.maximum(ratio, 1.0)
+    return weighed

@@ -67,7 +67,7 @@ class PoseSpectra:
 def nd_local(
     records_of_poses: Sequence[PeriodicRecords], model: LocalModel | None = None, over_poses: PoseModel | None = None
 ) -> tuple[FrequencyResponse, ...]:
-    """nD-LRM (or nD-LPM) over frozen poses: one response per pose, in the order given.
+    """Estimate one response per frozen pose with the nD-LRM (or nD-LPM), in the order given.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def nd_local(
 
 
 def local_orders(model: LocalModel, over_poses: PoseModel, window: PoseWindow) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Orders of numerator and denominator over frequency and each scheduling parameter, none where the window does not extend."""
+    """Return orders of numerator and denominator over frequency and each scheduling parameter, 0 where the window has no extent."""
 
     def carried(orders: Sequence[int]) -> tuple[int, ...]:
         return tuple(min(order, 2 * p) for order, p in zip(orders, window.reach, strict=True))
@@ -117,7 +117,7 @@ def fit_pose(
     denominator: tuple[int, ...],
     n: int | None = None,
 ) -> LocalFits:
-    """Local fits at every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u).
+    """Fit every line of one pose from its neighbours' steady-state spectra z (k, R, L, n_z), w (k, R, L, n_u).
 
     n lines to either side; None takes `lines_to_either_side`.
     """
@@ -154,7 +154,10 @@ def lines_to_either_side(
     *,
     alike: bool = False,
 ) -> int:
-    """Half width of the window over frequency; where poses are excited `alike`, one that could carry the model for one pose as well."""
+    """Return the half width of the window over frequency.
+
+    Where poses are excited `alike`, it could carry the model for one pose as well.
+    """
     k, R, L, n_z = z.shape
     n_u, n_y = w.shape[3], records.n_outputs
     unknowns = (1 + len(multi_indices(numerator))) * n_u + len(multi_indices(denominator)) * n_y
@@ -164,25 +167,29 @@ def lines_to_either_side(
 
 
 def excited_alike(w: np.ndarray) -> bool:
-    """(k, R, L, n_u) spectra of poses that are the same: then distortion is the same too, but for what the pose changes."""
+    """Tell whether the spectra (k, R, L, n_u) of all poses are the same.
+
+    Then distortion is the same too, except for what the pose changes.
+    """
     return bool(np.abs(w - w[0]).max() <= ALIKE * np.abs(w).max())
 
 
 def _weighted_mean_fits(
     z: np.ndarray, w: np.ndarray, window: PoseWindow, records: PeriodicRecords, model: LocalModel, orders: Sequence[int], n: int
 ) -> LocalFits:
-    """Fit for one pose of the weighted mean of the poses' outputs that the polynomial over the poses amounts to at its centre.
+    """Fit, for one pose, the weighted mean of the poses' outputs that the polynomial over the poses gives at its centre.
 
     With the same w at every pose the regressors are those over frequency times those over the poses, so the estimate at the centre is that
-    of one pose from sum_q a_q z_q, a the first row of the pseudoinverse over the poses. Its residuals hold noise and distortion as they add
-    up over the poses, however correlated; (4.31) takes them for independent, and over poses distorted alike for a third of what they are.
+    of one pose from sum_q a_q z_q, with a the first row of the pseudoinverse over the poses. Its residuals hold noise and distortion as
+    they add up over the poses, however correlated. (4.31) takes them as independent; over poses with the same distortion it gives a third
+    of the true covariance.
     """
     mean = np.tensordot(window.weights(orders[1:]), z, axes=1)[None]
     return fit_pose(mean, w[:1], ALONE, records, model, (orders[0],), (model.denominator,), n)
 
 
 def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """The n lines' mirror images below 0 and above f_s / 2: conjugate spectra of a real, sampled signal."""
+    """Add the n lines' mirror images below 0 and above f_s / 2: conjugate spectra of a real, sampled signal."""
     lines, N = records.lines, records.period_samples
     below, above = slice(n - 1, None, -1) if n else slice(0, 0), slice(None, -n - 1, -1)
     extended = np.concatenate((-lines[below][-n:], lines, N - lines[above]))
@@ -193,7 +200,10 @@ def _with_images(records: PeriodicRecords, z: np.ndarray, w: np.ndarray, n: int)
 def _response(
     pose: PoseSpectra, fits: LocalFits, residuals: LocalFits, model: LocalModel, numerator: tuple[int, ...], neighbours: int
 ) -> FrequencyResponse:
-    """`residuals` are the fits that tell the total covariance: `fits` themselves, or those of the weighted mean over the poses."""
+    """Assemble the response of one pose.
+
+    `residuals` are the fits that give the total covariance: `fits` themselves, or those of the weighted mean over the poses.
+    """
     records, steady = pose.records, pose.steady
     L, n_y, n_u = len(records.lines), records.n_outputs, records.n_inputs
     check_told(fits, records.frequencies_Hz, records.input_names)
@@ -235,7 +245,7 @@ def _response(
 
 
 def prepare(records: PeriodicRecords, model: LocalModel) -> PoseSpectra:
-    """Take the transients off and keep the excited lines."""
+    """Remove the transients and keep the excited lines."""
     steady = steady_state(records, model, np.concatenate((records.lines, detection_lines(records))))
     L = len(records.lines)
     w = period_spectra(records.excitation[:, :, : records.period_samples], records.period_samples)[:, :, 0, records.lines]
@@ -243,7 +253,7 @@ def prepare(records: PeriodicRecords, model: LocalModel) -> PoseSpectra:
 
 
 def scheduling(records_of_poses: Sequence[PeriodicRecords]) -> np.ndarray:
-    """(n, m) scheduling parameters that vary; (1, 0) for one pose."""
+    """Return the scheduling parameters that vary, (n, m); (1, 0) for one pose."""
     if not records_of_poses:
         raise IdentificationError("no records given")
     first = records_of_poses[0]

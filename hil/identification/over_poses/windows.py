@@ -29,7 +29,7 @@ class PoseSymmetry:
     period: float | None = None
 
     def images(self, values: np.ndarray) -> np.ndarray:
-        """(n,) to (n, i): the values themselves first, then those that respond like them, once round."""
+        """Return the values themselves first, then those that respond like them, within one turn: (n,) to (n, i)."""
         shifts = () if self.period is None else (values + self.period, values - self.period)
         return np.stack((values, *(2.0 * m - values for m in self.mirrors), *shifts), axis=1)
 
@@ -56,7 +56,9 @@ class PoseWindow:
     centre: int
 
     def coordinates(self, psi: np.ndarray, records: int) -> tuple[np.ndarray, np.ndarray]:
-        """Offsets of line and scheduling parameters of every row of the windows over frequency psi (B, n) of `records` at each pose.
+        """Return offsets of line and scheduling parameters for every row of the windows, psi (B, n) over frequency.
+
+        There are `records` at each pose.
 
         Returns
         -------
@@ -70,13 +72,14 @@ class PoseWindow:
         return made.reshape(len(psi), -1, i, 1 + m), centre
 
     def weights(self, orders: Sequence[int]) -> np.ndarray:
-        """(k,) with which a least-squares polynomial over the poses weighs its values for the value at the centre."""
+        """Return the weights (k,) with which a least-squares polynomial over the poses gives its value at the centre."""
         basis = symmetric_monomials(self.offsets, self.offsets[self.centre], orders)
-        return np.linalg.pinv(np.concatenate((np.ones((len(basis), 1)), basis), axis=1))[0]
+        at_centre: np.ndarray = np.linalg.pinv(np.concatenate((np.ones((len(basis), 1)), basis), axis=1))[0]
+        return at_centre
 
 
 def varying_directions(poses: np.ndarray) -> np.ndarray:
-    """(m,) columns of `poses` (n, all) that are not the same in all poses."""
+    """Return the columns (m,) of `poses` (n, all) that are not the same in all poses."""
     spread = np.ptp(poses, axis=0) if len(poses) else np.zeros(0)
     return np.flatnonzero(spread > SAME_LEVEL * max(np.abs(poses).max(initial=0.0), 1e-3))
 
@@ -84,7 +87,7 @@ def varying_directions(poses: np.ndarray) -> np.ndarray:
 def pose_windows(
     poses: np.ndarray, half_widths: Sequence[int], border: PoseBorder = "adaptive", symmetry: Sequence[PoseSymmetry] = ()
 ) -> list[PoseWindow]:
-    """Window of every pose.
+    """Return the window of every pose.
 
     On a grid, complete or not, a window takes the poses within p_i levels in each direction, (4.21). At its edges "adaptive" shrinks it
     evenly, so that the edge poses fall back on the method for one pose; "asymmetric" shifts it. With a symmetry the grid goes on with
@@ -112,32 +115,36 @@ def pose_windows(
 
 
 def multi_indices(orders: Sequence[int]) -> np.ndarray:
-    """(k, directions) exponents of a Taylor series, (4.23) and (4.53): each at most its direction's order, together at most the largest.
+    """Return exponents (k, directions) of a Taylor series, (4.23) and (4.53).
 
-    The constant is left out; pure powers of every direction are in (errata to (4.53)).
+    Each is at most its direction's order, and their sum at most the largest order. The constant is left out; pure powers of every direction
+    are included (errata to (4.53)).
     """
     every = itertools.product(*(range(order + 1) for order in orders))
     return np.array([i for i in every if 0 < sum(i) <= max(orders, default=0)], int).reshape(-1, len(orders))
 
 
 def monomials(coordinates: np.ndarray, orders: Sequence[int]) -> np.ndarray:
-    """(..., directions) coordinates to (..., k) products of their powers."""
-    return np.prod(coordinates[..., None, :] ** multi_indices(orders), axis=-1)
+    """Return products of powers of the coordinates: (..., directions) to (..., k)."""
+    values: np.ndarray = np.prod(coordinates[..., None, :] ** multi_indices(orders), axis=-1)
+    return values
 
 
 def symmetric_monomials(coordinates: np.ndarray, centre: np.ndarray, orders: Sequence[int]) -> np.ndarray:
-    """(..., i, directions) to (..., k): monomials averaged over places of equal response, less their value at the centre (i, directions).
+    """Average monomials over places of equal response, less their value at the centre (i, directions).
 
-    A series of them is as symmetric as the machine, whichever its coefficients, and is its constant at the centre.
+    From (..., i, directions) to (..., k). A series of them is as symmetric as the machine, whatever its coefficients, and equals its
+    constant at the centre.
     """
     if coordinates.shape[-2] == 1:
         return monomials(coordinates[..., 0, :], orders)
     at_centre = np.nanmean(monomials(centre, orders), axis=-2)
-    return np.nanmean(monomials(coordinates, orders), axis=-2) - at_centre
+    even_part: np.ndarray = np.nanmean(monomials(coordinates, orders), axis=-2) - at_centre
+    return even_part
 
 
 def _levels(values: np.ndarray) -> np.ndarray:
-    """(n,) index of each value among the distinct ones."""
+    """Return the index (n,) of each value among the distinct ones."""
     order = np.argsort(values)
     steps = np.diff(values[order]) > SAME_LEVEL * np.ptp(values)
     index = np.empty(len(values), int)
@@ -176,7 +183,7 @@ def _nearest(poses: np.ndarray, images: np.ndarray, half_widths: Sequence[int]) 
 
 
 def _window(poses: np.ndarray, images: np.ndarray, centre: int, inside: np.ndarray, reach: tuple[int, ...]) -> PoseWindow:
-    """Window of the poses with an image inside (n, i); places that coincide count once."""
+    """Return the window of the poses with an image inside (n, i); places that coincide count once."""
     members = np.flatnonzero(inside.any(axis=1))
     offsets = np.where(inside[:, :, None], images - poses[centre], np.nan)[members]
     largest = np.nanmax(np.abs(offsets), axis=(0, 1))

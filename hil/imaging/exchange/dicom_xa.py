@@ -3,14 +3,15 @@
 Patient on the table, head first, supine, feet towards the world's x, left side towards y, front towards z. With d the unit vector from the
 focal spot to the panel: PositionerPrimaryAngle (LAO positive) = atan2(d_left, d_front), PositionerSecondaryAngle (CRA positive) =
 asin(d_head) [deg]. On the C-arm they are minus propeller and minus roll.
-The attributes hold a machine without errors: no offset, no turn in the panel's plane; what is lost is told.
+The attributes hold a machine without errors: no offset, no turn in the panel's plane; `positioner_of` returns what is lost.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,13 +21,16 @@ from hil.imaging.detector import Detector
 from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
+
 XA_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.12.1"
 EXPLICIT_LITTLE_ENDIAN = "1.2.840.10008.1.2.1"
 
 
 @dataclass(frozen=True)
 class Positioner:
-    """What the attributes say of N exposures.
+    """The attributes of N exposures.
 
     Attributes
     ----------
@@ -45,7 +49,7 @@ class Positioner:
 
     @property
     def beam(self) -> ConeBeam:
-        """The geometry of a machine without errors, in the world's directions about the isocentre."""
+        """Return the geometry of a machine without errors, in the world's directions about the isocentre."""
         turn = Rotation.from_euler("XY", -np.column_stack([self.primary_rad, self.secondary_rad])).as_matrix()
         normal = turn[:, :, 2]
         source = -self.source_to_patient_m * normal
@@ -53,7 +57,7 @@ class Positioner:
 
 
 def positioner_of(beam: ConeBeam, detector: Detector | None) -> tuple[Positioner, np.ndarray]:
-    """The attributes nearest to a geometry, and the deviation (N, 9) that they lose, as `ConeBeam.moved` takes it."""
+    """Return the attributes nearest to a geometry, and the deviation (N, 9) that they lose, as `ConeBeam.moved` takes it."""
     ray = beam.detector_in_phantom_m - beam.source_in_phantom_m
     ray = ray / np.linalg.norm(ray, axis=1)[:, None]
     found = Positioner(
@@ -110,7 +114,7 @@ def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = Non
 
 
 def read_xa(path: Path) -> Positioner:
-    """The attributes of a file.
+    """Read the attributes of a file.
 
     Raises
     ------
@@ -132,7 +136,7 @@ def read_xa(path: Path) -> Positioner:
         raise UnusableInputError(f"{path}: an attribute is no number, or not as many as it should be ({error})") from None
 
 
-def _positioner(path: Path, data: Any) -> Positioner:
+def _positioner(path: Path, data: Dataset) -> Positioner:
     count = int(data.get("NumberOfFrames") or 1)
     detector = None
     if data.get("Rows") and data.get("Columns") and data.get("ImagerPixelSpacing"):
@@ -147,7 +151,7 @@ def _positioner(path: Path, data: Any) -> Positioner:
     )
 
 
-def _angles(path: Path, data: Any, name: str, count: int) -> np.ndarray:
+def _angles(path: Path, data: Dataset, name: str, count: int) -> np.ndarray:
     first = _number(path, data, f"Positioner{name}Angle")
     increments = data.get(f"Positioner{name}AngleIncrement")
     if increments is None or increments == "":
@@ -160,7 +164,7 @@ def _angles(path: Path, data: Any, name: str, count: int) -> np.ndarray:
     return np.radians(first + values)
 
 
-def _number(path: Path, data: Any, name: str) -> float:
+def _number(path: Path, data: Dataset, name: str) -> float:
     value = data.get(name)
     if value is None or value == "":
         raise UnusableInputError(f"{path}: no {name}; is it an X-ray angiography image?")
@@ -168,12 +172,12 @@ def _number(path: Path, data: Any, name: str) -> float:
 
 
 def _decimal(value: float) -> str:
-    """A number as a decimal string of at most 16 characters."""
+    """Write a number as a decimal string of at most 16 characters."""
     from pydicom.valuerep import format_number_as_ds
 
     return format_number_as_ds(float(value))
 
 
-def _pydicom() -> Any:
+def _pydicom() -> ModuleType:
     imaging_package("pydicom.errors", "DICOM files")
     return imaging_package("pydicom", "DICOM files")

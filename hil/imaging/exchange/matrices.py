@@ -23,7 +23,7 @@ MILLIMETRES = np.diag([1e-3, 1e-3, 1e-3, 1.0])
 
 
 def write_matrices(path: Path, beam: ConeBeam, detector: Detector) -> None:
-    """As the suffix says, .csv or .json.
+    """Write matrices in the format of the suffix, .csv or .json.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def write_matrices(path: Path, beam: ConeBeam, detector: Detector) -> None:
 
 
 def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
-    """From .csv or .json, and the detector they are for: a JSON file that names its own is read with that.
+    """Read matrices from .csv or .json, and the detector they are for; a JSON file may name its own.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
 
 
 def _same(path: Path, beam: ConeBeam, matrices: np.ndarray, detector: Detector) -> None:
-    """Refuse matrices of other pixels: what they say must be what the nine parameters say again."""
+    """Refuse matrices of other pixels: the nine parameters must reproduce them."""
     points = np.array([[x, y, z, 1.0] for x in (-50.0, 50.0) for y in (-50.0, 50.0) for z in (-50.0, 50.0)])
     seen = np.einsum("nij,pj->npi", matrices, points)
     again = np.einsum("nij,pj->npi", beam.matrices(detector) @ MILLIMETRES, points)

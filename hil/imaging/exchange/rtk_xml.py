@@ -72,7 +72,7 @@ def write_rtk(path: Path, beam: ConeBeam, rows_up: bool = False) -> None:
 
 
 def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
-    """Geometry of a file that RTK or `write_rtk` wrote, and whether its images are to be flipped up-down to be ours.
+    """Return the geometry of a file that RTK or `write_rtk` wrote, and whether its images must be flipped up-down for us.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
 
 
 def _text(value: float) -> str:
-    """Every digit; no subnormal numbers, which RTK's reader does not take."""
+    """Write every digit; no subnormal numbers, which RTK's reader does not take."""
     return repr(float(value) if abs(value) > np.finfo(float).tiny else 0.0)
 
 
@@ -123,7 +123,7 @@ def _numbers(path: Path, element: ElementTree.Element) -> dict[str, float]:
 
 
 def _angles(to_panel: np.ndarray) -> tuple[float, float, float]:
-    """Gantry, out-of-plane, in-plane [rad] of M; gantry zero where the panel's normal is along y."""
+    """Return gantry, out-of-plane, in-plane [rad] of M; gantry zero where the panel's normal is along y."""
     normal = to_panel[2]
     out_of_plane = float(np.arctan2(-normal[1], np.hypot(normal[0], normal[2])))
     gantry = float(np.arctan2(normal[0], normal[2])) if np.hypot(normal[0], normal[2]) > 1e-12 else 0.0
@@ -132,7 +132,11 @@ def _angles(to_panel: np.ndarray) -> tuple[float, float, float]:
 
 
 def _matrix(to_panel: np.ndarray, source: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """(3, 4) from the phantom's coordinates [mm] to (u, v) [mm] times depth, and depth; source and centre in the panel's directions."""
+    """Return the matrix (3, 4) from the phantom's coordinates [mm] to (u, v) [mm] times depth, and depth.
+
+    Source and centre are in the panel's directions.
+    """
     depth = center[2] - source[2]
     upper = np.array([[depth, 0.0, source[0] - center[0]], [0.0, depth, source[1] - center[1]], [0.0, 0.0, 1.0]])
-    return upper @ np.column_stack([to_panel, -source])
+    matrix: np.ndarray = upper @ np.column_stack([to_panel, -source])
+    return matrix

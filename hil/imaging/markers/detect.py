@@ -16,7 +16,7 @@ from hil.imaging.markers.profile import FineLine, fit_profile
 from hil.imaging.markers.projection import MarkerProjection
 
 GATE_SHARE = 0.45
-"""All lines together may lie this share of their least distance from where they are expected; beyond, one is taken for the next."""
+"""All lines together may be off by this share of their least distance; beyond, one is mistaken for the next."""
 
 FIRST_BLUR = 1.3
 """Where the fit of the blur starts [pixel]."""
@@ -30,7 +30,7 @@ spot is no Gaussian, and the more photons, the more of that shows."""
 
 
 MOST_REFUSED = 1.0 / 3.0
-"""With a larger share of the lines missing or out of place nobody knows which of the others are right."""
+"""With a larger share of the lines missing or out of place it is unknown which of the others are right."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class MarkerPoints:
 
 @dataclass(frozen=True)
 class CoarsePoints:
-    """What the thesis's chain finds: lines by least squares through edges, and their crossings (n, 2) by the plate's numbers."""
+    """Result of the thesis's method: lines by least squares through edges, and crossings (n, 2) by the plate's numbers."""
 
     lines: dict[int, CoarseLine]
     index: np.ndarray
@@ -119,7 +119,7 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
 
 
 def coarse_points(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> CoarsePoints:
-    """The first four steps alone: hybrid median, Canny, Hough, least squares."""
+    """Run the first four steps alone: hybrid median, Canny, Hough, least squares."""
     counts = _usable(image, detector)
     lines = _coarse_lines(counts, hybrid_median(counts), plate, _Expected.of(plate, expected, detector))
     index, pixels = [], []
@@ -184,7 +184,7 @@ def _coarse_lines(counts: np.ndarray, filtered: np.ndarray, plate: MarkerPlate, 
 
 
 def _family(edges: Edges, numbers: np.ndarray, shape: tuple[int, int], seen: _Expected) -> dict[int, CoarseLine]:
-    """Hough's lines of one direction by the plate's numbers."""
+    """Return Hough's lines of one direction by the plate's numbers."""
     middle = 0.5 * (shape[0] - 1)
     places = np.array([seen.ends[k, 0, 1] + seen.slope(k) * (middle - seen.ends[k, 0, 0]) for k in numbers])
     apart = float(np.diff(np.sort(places)).min())
@@ -197,13 +197,13 @@ def _family(edges: Edges, numbers: np.ndarray, shape: tuple[int, int], seen: _Ex
 def _clear(
     k: int, line: CoarseLine, lines: dict[int, CoarseLine], plate: MarkerPlate, seen: _Expected, shape: tuple[int, int]
 ) -> np.ndarray:
-    """(along,) bool: places on line k inside the plate and the image, away from every line that crosses it."""
+    """Return which places on line k lie inside the plate and the image, away from every crossing line: (along,) bool."""
     count = len(plate.x_m)
     length = shape[0] if k < count else shape[1]
     along = np.arange(length)
     margin = 0.5 * seen.width[k] + CLEAR_OF_CROSSINGS
     first, last = seen.ends[k, :, 0]
-    keep = (along > max(first + margin, 2.0)) & (along < min(last - margin, length - 3.0))
+    keep: np.ndarray = (along > max(first + margin, 2.0)) & (along < min(last - margin, length - 3.0))
     for other in range(count, plate.lines) if k < count else range(count):
         if other in lines:
             crossing = float(lines[other].at(line.at(0.5 * length)))
@@ -226,7 +226,7 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
 
 
 def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str]) -> MarkerPoints:
-    """Crossings, with the covariance of the lines carried over."""
+    """Return the crossings, with the covariance of the lines carried over."""
     numbers = sorted(lines)
     column_of = {k: 2 * place for place, k in enumerate(numbers)}
     upright, flat = [k for k in numbers if k < len(plate.x_m)], [k for k in numbers if k >= len(plate.x_m)]

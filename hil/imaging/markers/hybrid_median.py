@@ -7,7 +7,7 @@ from numba import njit
 
 
 def hybrid_median(image: np.ndarray) -> np.ndarray:
-    """Median of three medians: of the row, the column and the diagonals through each pixel of a 5 x 5 neighbourhood.
+    """Return the median of three medians: of the row, column and diagonals through each pixel of a 5 x 5 neighbourhood.
 
     Returns
     -------
@@ -21,19 +21,19 @@ def hybrid_median(image: np.ndarray) -> np.ndarray:
 
 
 @njit(inline="always")
-def _middle3(a, b, c):
+def _middle3(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
 @njit(inline="always")
-def _middle5(a, b, c, d, e):
+def _middle5(a: float, b: float, c: float, d: float, e: float) -> float:
     low = max(min(a, b), min(c, d))
     high = min(max(a, b), max(c, d))
     return _middle3(low, high, e)
 
 
 @njit(cache=True, fastmath=True)
-def _hybrid(image, result):
+def _hybrid(image: np.ndarray, result: np.ndarray) -> None:
     rows, columns = image.shape
     for r in range(2, rows - 2):
         for c in range(2, columns - 2):

@@ -45,12 +45,12 @@ class CoarseLine:
     slope: float
 
     def at(self, along: np.ndarray | float) -> np.ndarray | float:
-        """Where the line is."""
+        """Return where the line is."""
         return self.offset + self.slope * along
 
 
 def edges_of(filtered: np.ndarray, image: np.ndarray) -> tuple[Edges, Edges]:
-    """Canny's edges: those of lines along the rows' growing index, and those of lines along the columns'.
+    """Find Canny's edges of lines along the rows' growing index, and of lines along the columns'.
 
     Counts become 2 sqrt(counts), whose noise is the same everywhere; its size is measured, so any linear unit will do.
     """
@@ -74,7 +74,7 @@ def edges_of(filtered: np.ndarray, image: np.ndarray) -> tuple[Edges, Edges]:
 
 
 def hough_lines(edges: Edges, shape: tuple[int, int], width: float, turn: float, length: float, apart: float) -> list[CoarseLine]:
-    """Bright lines of a known width.
+    """Find bright lines of a known width.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def hough_lines(edges: Edges, shape: tuple[int, int], width: float, turn: float,
 
 
 def fit_edges(edges: Edges, line: CoarseLine, width: float, keep: np.ndarray) -> CoarseLine | None:
-    """Least squares (6.11) through either edge of a line; the line is their mean.
+    """Fit least squares (6.11) through either edge of a line; the line is their mean.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def fit_edges(edges: Edges, line: CoarseLine, width: float, keep: np.ndarray) ->
 
 
 def matched(lines: list[CoarseLine], expected: np.ndarray, middle: float, gate: float) -> dict[int, CoarseLine]:
-    """Which found line is which of the drawing's.
+    """Match the found lines to those of the drawing.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Lines that do not belong: what is straight and flat on the plate is seen by one homography."""
+"""Rejection of lines that are not the plate's: whatever is straight and flat on the plate is imaged by one homography."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ to a few micrometres, and pixels cost more than photons do."""
 
 
 def refused_lines(lines: dict[int, FineLine], plate: MarkerPlate, detector: Detector) -> dict[int, str]:
-    """Number and reason of the lines that miss the plane that the others agree on, the worst first."""
+    """Return number and reason of the lines that miss the plane that the others agree on, the worst first."""
     numbers = sorted(lines)
     # Twice the places on either side of the middle where offset and slope are uncorrelated and weigh the same.
     aside = np.array([[-1.0, 1.0]]) / np.sqrt(3.0)
@@ -56,7 +56,7 @@ class _Plane:
         self._scale = 0.5 * detector.columns
 
     def fitted(self, seen: np.ndarray, sigma: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """(lines, 2) places across each line at its two places along, after a fit to those present."""
+        """Return places (lines, 2) across each line at its two places along, after a fit to those present."""
         homography = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         weight = np.where(present, 1.0 / sigma, 0.0)[:, None]
         for _ in range(8):
@@ -74,4 +74,5 @@ class _Plane:
         along = np.where(self._upright[:, None], points[..., 1], points[..., 0])
         across = np.where(self._upright[:, None], points[..., 0], points[..., 1])
         slope = (across[:, 1] - across[:, 0]) / (along[:, 1] - along[:, 0])
-        return across[:, :1] + slope[:, None] * (self._along - along[:, :1])
+        interpolated: np.ndarray = across[:, :1] + slope[:, None] * (self._along - along[:, :1])
+        return interpolated

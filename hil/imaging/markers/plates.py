@@ -42,19 +42,22 @@ class MarkerPlate:
 
     @property
     def points_m(self) -> np.ndarray:
-        """(P, 3) crossings; point i * len(y_m) + j is that of grooves x_m[i] and y_m[j]."""
+        """Crossings (P, 3); point i * len(y_m) + j is that of grooves x_m[i] and y_m[j]."""
         x, y = np.meshgrid(self.x_m, self.y_m, indexing="ij")
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
     def ends_m(self) -> np.ndarray:
-        """(lines, 2, 3) ends of every groove's middle line."""
+        """Return the ends of every groove's middle line, (lines, 2, 3)."""
         along_y = [[[x, end, 0.0] for end in self.y_reach_m] for x in self.x_m]
         along_x = [[[end, y, 0.0] for end in self.x_reach_m] for y in self.y_m]
         return np.array(along_y + along_x)
 
 
 def experimental_plate() -> MarkerPlate:
-    """A rectilinear grid over the whole image: 11 by 9 grooves of 0.8 mm every 6 mm, 1 mm deep, in 2 mm of stainless steel."""
+    """Return a rectilinear grid over the whole image.
+
+    11 by 9 grooves of 0.8 mm every 6 mm, 1 mm deep, in 2 mm of stainless steel.
+    """
     return MarkerPlate(
         "experimental",
         6e-3 * np.arange(-5, 6),
@@ -70,7 +73,7 @@ def experimental_plate() -> MarkerPlate:
 
 
 def clinical_plate() -> MarkerPlate:
-    """A frame around an open centre: two grooves along each of its four sides, 16 crossings near the image's corners."""
+    """Return a frame around an open centre: two grooves along each of its four sides, 16 crossings near the image's corners."""
     return MarkerPlate(
         "clinical",
         1e-3 * np.array([-31.0, -26.0, 26.0, 31.0]),

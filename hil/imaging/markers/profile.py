@@ -81,7 +81,7 @@ def fit_profile(
     try:
         covariance, misfit, count = _fit(*seen, places, middle, half, reach, values, width)
     except np.linalg.LinAlgError:
-        return None  # what stands there does not tell the profile's numbers apart: no groove's contrast is left in it
+        return None  # the pixels do not determine the profile: no groove's contrast is left in them
     if count < 20 * SIZE or not np.isfinite(values).all() or values[9] <= 0.0:
         return None
     scale = np.array([1.0, 1.0 / half])
@@ -99,12 +99,21 @@ def fit_profile(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fit(image, filtered, places, middle, half, reach, values, width):
+def _fit(
+    image: np.ndarray,
+    filtered: np.ndarray,
+    places: np.ndarray,
+    middle: float,
+    half: float,
+    reach: float,
+    values: np.ndarray,
+    width: float,
+) -> tuple[np.ndarray, float, int]:
     across_size = image.shape[1]
     covariance = np.zeros((SIZE, SIZE))
     misfit, count = 0.0, 0
     slope_row = np.empty(SIZE)
-    start, tilt = values[0], values[1]  # the window stays where it was: what is fitted must not choose its data
+    start, tilt = values[0], values[1]  # the window stays in place: the fit must not choose its own data
     for step in range(STEPS):
         normal, slope = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         total, count = 0.0, 0

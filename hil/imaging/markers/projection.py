@@ -29,25 +29,28 @@ class MarkerProjection:
 
     @classmethod
     def nominal(cls, focal_length_m: float, plate_distance_m: float) -> MarkerProjection:
-        """Focal spot above the panel's centre, the plate's centre below it, nothing turned."""
+        """Return a projection with the focal spot above the panel's centre, the plate's centre below it, nothing turned."""
         return cls(np.array([0.0, 0.0, focal_length_m, 0.0, 0.0, 0.0, 0.0, 0.0, plate_distance_m]))
 
     @property
     def source_m(self) -> np.ndarray:
-        """(3,) the focal spot in the detector's frame."""
+        """Focal spot (3,) in the detector's frame."""
         return np.array([self.values[0], self.values[1], -self.values[2]])
 
     @property
     def rotation(self) -> np.ndarray:
-        """(3, 3) R(theta_x, theta_y, theta_z) of (6.6), extrinsic: from the tube's axes to the detector's."""
-        return Rotation.from_euler("xyz", self.values[3:6]).as_matrix()
+        """Rotation R(theta_x, theta_y, theta_z) of (6.6), (3, 3), extrinsic: from the tube's axes to the detector's."""
+        matrix: np.ndarray = Rotation.from_euler("xyz", self.values[3:6]).as_matrix()
+        return matrix
 
     @property
     def plate_m(self) -> np.ndarray:
-        """(3,) the plate's origin in the detector's frame."""
-        return self.source_m + self.rotation @ self.values[6:]
+        """Origin (3,) of the plate in the detector's frame."""
+        shifted: np.ndarray = self.source_m + self.rotation @ self.values[6:]
+        return shifted
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
-        """(..., 2) panel coordinates [m] of points (..., 3) of the plate."""
+        """Return panel coordinates [m] (..., 2) of points (..., 3) of the plate."""
         seen = (np.asarray(points_m) + self.values[6:]) @ self.rotation.T
-        return self.values[:2] + self.values[2] * seen[..., :2] / seen[..., 2:]
+        pixels: np.ndarray = self.values[:2] + self.values[2] * seen[..., :2] / seen[..., 2:]
+        return pixels
