@@ -1,4 +1,4 @@
-"""The emulated machine on a real bus and the wall clock: a process of its own, one thread, until it is told to stop."""
+"""The emulated machine on a real bus and the wall clock: one process with one thread, until it is told to stop."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ from virtual_bus.serial.tcp_line import TcpLine
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
 AWAKE_SHARE = 0.65
-"""Of a period, for so long before a SYNC is expected the emulator stays awake. A process that sleeps waits for whatever system call has its
-processor, some milliseconds one time in a thousand where the kernel cannot be preempted; it has then time to be late."""
+"""Share of a period before an expected SYNC during which the emulator stays awake. Where the kernel cannot be preempted, a process that
+sleeps wakes up some milliseconds late one time in a thousand, while a system call has its processor; this leaves time for that."""
 PREPARE_S = 400e-6
-"""So long before a SYNC is expected the emulator measures what it will be asked for, which takes a fourth of that."""
+"""Time before an expected SYNC at which the emulator measures what it will be asked for, which takes a quarter of that."""
 LATE_SHARE = 0.5
-"""Of a period, for so long after a SYNC was expected it goes on waiting awake."""
+"""Share of a period for which the emulator goes on waiting awake after a SYNC was expected."""
 STAY_SHARE = 0.1
-"""Of a period, for so long after a SYNC it stays awake for the commands that answer it: waking it would cost their sender as much time."""
+"""Share of a period after a SYNC for which the emulator stays awake for the commands that answer it: to wake it would cost their sender
+time."""
 LATE_WEIGHT = 0.125
-"""How far a SYNC that comes late moves when the next one is expected: ticks are absolute, and one that is late says little of the next."""
-POLL_S = 0.001  # how long one look at the bus takes at most, and how often the other wires are looked at
-POLL_AT_LEAST_S = 0.02  # the other wires are looked at so often even when SYNCs leave no time between them
+"""Share of a SYNC's lateness by which the next one is expected later: ticks are absolute, so one that is late says little of the next."""
+POLL_S = 0.001  # longest wait for a frame on the bus, and how often the other wires are polled
+POLL_AT_LEAST_S = 0.02  # the other wires are polled this often even when SYNCs leave no time for it
 LOOK_S = 0.02
-"""A look at the bus that took longer was this process standing still, not the bus: what has come meanwhile lies in the queue. No more than
-that passes as silence, so that a loaded computer does not let the machine's time run on between two frames."""
+"""When a wait for a frame takes longer than this, this process was halted and the bus was not silent: the frames wait in the queue. So no
+more than this counts as silence, and a loaded computer does not let the machine's time run on between two frames."""
 SEND_ATTEMPTS = 20  # a full transmit queue empties within a few frame times; after that the frame is lost, as on a real controller
 SEND_PAUSE_S = 0.0005
 STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
@@ -47,15 +48,25 @@ STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SI
 class Emulated(Protocol):
     """Anything with a CAN connector: the whole machine, or one bare device."""
 
-    def connect(self, emit: Emit) -> None: ...
-    def power_on(self) -> None: ...
-    def receive(self, can_id: int, data: bytes) -> None: ...
-    def idle(self, seconds: float) -> None: ...
+    def connect(self, emit: Emit) -> None:
+        """Set where frames go."""
+
+    def power_on(self) -> None:
+        """Boot every device."""
+
+    def receive(self, can_id: int, data: bytes) -> None:
+        """Take one data frame from the bus."""
+
+    def idle(self, seconds: float) -> None:
+        """Let that much time pass."""
 
 
 @dataclass(frozen=True)
 class Ports:
-    """Where the machine's other wires end on this host; "" where it has none. The IMU's serial line is a pseudo terminal and a TCP port."""
+    """Where the machine's other wires end on this host; "" where it has none.
+
+    The IMU's serial line ends in a pseudo terminal and in a TCP port.
+    """
 
     imu_device: str = ""
     imu_url: str = ""
@@ -64,12 +75,17 @@ class Ports:
 
 
 class SerialLine(Protocol):
-    """The I/O device's end of a serial line; `path` is the port."""
+    """The I/O device's end of a serial line."""
 
     @property
-    def path(self) -> str: ...
-    def read(self) -> bytes: ...
-    def write(self, data: bytes) -> None: ...
+    def path(self) -> str:
+        """The port's path."""
+
+    def read(self) -> bytes:
+        """Return all bytes that have arrived, or none."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes without waiting."""
 
 
 def run_emulator(
@@ -89,11 +105,11 @@ def run_emulator(
     machine : EmulatedMachine
         Placed, not yet powered on.
     on_ready : callable
-        Told once where IMU and I/O are reachable, when everything listens.
+        Called once, when everything listens, with the ports of IMU and I/O.
     io_line : SerialLine, optional
         A serial line on which the I/O device answers Modbus RTU beside its TCP port; it stays open.
     punctual : bool
-        Await each SYNC awake; not where bench and emulator have to share one processor.
+        Wait for each SYNC awake; set it to False where bench and emulator have to share one processor.
 
     Raises
     ------
@@ -115,7 +131,7 @@ def run_emulator(
             if io_line is not None:
                 polls.append(ModbusRtuServer(machine.io, io_line).poll)
         ports = Ports(imu_device, imu_url, io_url, io_line.path if io_line is not None else "")
-        rehearse: Callable[[], None] = getattr(bus, "rehearse", lambda: None)  # some buses can
+        rehearse: Callable[[], None] = getattr(bus, "rehearse", lambda: None)  # some buses have it
 
         def prepare() -> None:
             machine.prepare()
@@ -131,7 +147,10 @@ def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) 
 
 
 def _connect_imu(machine: EmulatedMachine, imu: EmulatedImu, server: TcpLine, pty: Pty | None) -> Callable[[], None]:
-    """What the IMU says goes to whoever is connected to the TCP port, else to the pseudo terminal; both are listened to."""
+    """Connect the IMU to its lines and return the function that polls them.
+
+    What the IMU sends goes to whoever is connected to the TCP port, else to the pseudo terminal; both are listened to.
+    """
 
     def say(data: bytes) -> None:
         if server.connected:
@@ -151,7 +170,7 @@ def _connect_imu(machine: EmulatedMachine, imu: EmulatedImu, server: TcpLine, pt
 
 @dataclass
 class Tick:
-    """When the next SYNC is expected, and what is done shortly before."""
+    """The time at which the next SYNC is expected, and the work to do shortly before it."""
 
     sync_cob_id: int
     period_s: float
@@ -161,7 +180,7 @@ class Tick:
     _prepared: bool = True
 
     def heard(self, can_id: int, now_s: float) -> None:
-        """A frame has come and been answered."""
+        """Take note of a frame that has come and been answered."""
         if can_id == self.sync_cob_id:
             late_s = now_s - self._due_s
             awaited = 0.0 < late_s < LATE_SHARE * self.period_s
@@ -170,11 +189,14 @@ class Tick:
             self._prepared = False
 
     def is_near(self, now_s: float) -> bool:
-        """A SYNC is due, or just answered: nothing else may take time now."""
+        """Return whether a SYNC is due or was just answered: nothing else may take time then."""
         return now_s < self._stay_s or -AWAKE_SHARE * self.period_s <= now_s - self._due_s < LATE_SHARE * self.period_s
 
     def patience(self, now_s: float) -> float:
-        """How long to sleep for a frame at most; 0 around the time when a SYNC is due, which is awaited spinning, and shortly after."""
+        """Return how long to sleep for a frame at most.
+
+        0 around the time when a SYNC is due, for which the process waits awake, and shortly after.
+        """
         if not self._prepared and now_s >= self._due_s - PREPARE_S:
             self._prepared = True
             self.prepare()
@@ -211,7 +233,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
 
 
 def _sender(bus: can.BusABC) -> Emit:
-    """What puts a frame on this bus, bridging a transmit queue that is full for a moment."""
+    """Return the function that puts a frame on this bus and bridges a transmit queue that is full for a moment."""
 
     def send_message(can_id: int, data: bytes) -> None:
         bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
@@ -231,7 +253,10 @@ def _sender(bus: can.BusABC) -> Emit:
 
 @contextlib.contextmanager
 def _long_lived_objects_frozen() -> Iterator[None]:
-    """Everything there is when the emulator starts is exempt from garbage collection: a full collection would take longer than a period."""
+    """Exempt everything that exists when the emulator starts from garbage collection.
+
+    A full collection would take longer than a sample period.
+    """
     gc.collect()
     gc.freeze()
     try:
@@ -242,7 +267,7 @@ def _long_lived_objects_frozen() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """A flag that `STOP_SIGNALS` raise; the handlers found are put back."""
+    """Yield a function that says whether one of `STOP_SIGNALS` has come; the handlers found are put back."""
     stop = False
 
     def ask(signum: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""What can go wrong in the emulated machine: an unusable plant, effect or device description."""
+"""Errors of the emulated machine: an unusable plant, effect or device description, or a lost bus."""
 
 
 class EmulatorError(Exception):
@@ -16,6 +16,6 @@ class EffectError(EmulatorError, ValueError):
 
 
 class BusLostError(EmulatorError, ConnectionError):
-    """The bus an emulator was on is gone: its interface went down, its adapter was unplugged."""
+    """The bus of an emulator is gone: its interface went down, its adapter was unplugged."""
 
     exit_status = 1

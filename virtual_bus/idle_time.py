@@ -1,21 +1,21 @@
-"""How the emulated machine's time follows a clock while no SYNC comes.
+"""The emulated machine's time while no SYNC comes.
 
-A machine on a bus between processes must give the same frames in the same order as one in lockstep, run after run. So a pause counts as
-time only when somebody is really waiting: not while a master computes between two frames, not while a loaded computer hesitates in the
-middle of a configuration, and not right after a device has spoken and somebody may be about to answer. What is held back then is made up
-for.
+A machine on a bus between processes must send the same frames in the same order as one in lockstep, in every run. So a pause counts as time
+only when somebody is really waiting: not while a master computes between two frames, not while a loaded computer hesitates in the middle of
+a configuration, and not right after a device has sent something that somebody may be about to answer. Time that is held back then is made
+up for later.
 """
 
 from __future__ import annotations
 
 SILENCE_S = 0.1
-"""So much waiting since the last SYNC, and time begins to pass, unless somebody says otherwise: longer than a busy computer lets a process
-stand still, shorter than the usual heartbeat time-outs."""
+"""Time begins to pass after this much waiting since the last SYNC, unless the settings of the bus say otherwise: longer than a busy
+computer halts a process, shorter than the usual heartbeat time-outs."""
 QUIET_SHARE = 0.02
-"""A pause between frames that is shorter than this share of that silence is the master computing. A frame that follows so promptly takes as
-much of the waiting back: in a burst of frames single hesitations do not add up."""
+"""A pause between frames that is shorter than this share of the silence counts as the master computing. A frame that follows so promptly
+takes the same share of the waiting back, so that hesitations within a burst of frames do not add up."""
 ANSWER_SHARE = 0.2
-"""After a device has spoken of its own accord, so much more silence before time goes on."""
+"""After a device has sent something unasked, the silence must last longer by this share before time goes on."""
 
 
 class IdleTime:
@@ -26,7 +26,7 @@ class IdleTime:
     period_s : float
         Time passes in whole sample periods.
     silence_s : float
-        So much waiting since the last SYNC, and time begins to pass.
+        Time begins to pass after this much waiting since the last SYNC.
     """
 
     def __init__(self, period_s: float, silence_s: float = SILENCE_S) -> None:
@@ -37,7 +37,7 @@ class IdleTime:
         self._owed_s = 0.0  # silence that has not yet become machine time
 
     def frame(self) -> None:
-        """A frame has come from the master."""
+        """Take note of a frame from the master."""
         if self._pause_s < self._quiet_s:
             self._waited_s -= self._quiet_s
             if self._waited_s <= 0.0:
@@ -45,15 +45,15 @@ class IdleTime:
         self._pause_s = 0.0
 
     def sync(self) -> None:
-        """A SYNC has come: it alone moves time from here, and all waiting begins anew."""
+        """Take note of a SYNC: it alone moves time, and all waiting begins anew."""
         self._pause_s = self._waited_s = self._owed_s = 0.0
 
     def spoken(self) -> None:
-        """A device has sent something while nobody asked."""
+        """Take note that a device has sent something unasked."""
         self._waited_s -= self._answer_s
 
     def add(self, seconds: float) -> None:
-        """The bus has been silent for that long, in slices of any length."""
+        """Add silence of the bus, in slices of any length."""
         before = self._pause_s
         self._pause_s += seconds
         if self._pause_s < self._quiet_s:
@@ -63,7 +63,7 @@ class IdleTime:
         self._owed_s += silence_s
 
     def step(self) -> bool:
-        """Whether one sample period is to pass now; call until it says no."""
+        """Return whether one sample period is to pass; call until it returns False."""
         if self._waited_s < self._silence_s or self._owed_s < self._period_s:
             return False
         self._owed_s -= self._period_s

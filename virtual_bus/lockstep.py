@@ -1,4 +1,4 @@
-"""The bus without wires: a python-can bus whose other end is the emulated machine, in this thread, on virtual time.
+"""A python-can bus without wires: its other end is the emulated machine, in the same thread, on virtual time.
 
 Every frame is still encoded and decoded, serial bytes and Modbus messages go through in-process lines with the same codecs, and nothing
 ever waits.
@@ -18,7 +18,7 @@ CHANNEL = "lockstep"
 
 
 class ReceivedFrame(can.Message):
-    """A data frame with an 11-bit identifier, made without the checks of the general constructor: 0.4 instead of 1.5 us."""
+    """A data frame with an 11-bit identifier, made in 0.4 instead of 1.5 us, without the checks of the general constructor."""
 
     __slots__ = ()
 
@@ -34,13 +34,12 @@ class ReceivedFrame(can.Message):
 
 
 class LockstepBus(can.BusABC):
-    """A frame that is sent is answered before `send` returns; the answers wait for `recv`.
+    """A bus on which a frame that is sent is answered before `send` returns; the answers wait for `recv`.
 
     Parameters
     ----------
     machine : EmulatedMachine
-        Powered on and connected by this constructor, in this order: like a machine that was on before the bench came, it has said its
-        boot-ups already.
+        Powered on and then connected by this constructor: it has sent its boot-ups already, like a machine that was on before the bench.
     log : text file, optional
         Takes every frame of both directions in candump's form, with virtual time.
     """
@@ -58,13 +57,13 @@ class LockstepBus(can.BusABC):
         machine.connect(self._queue if log is None else self._queue_logged)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Hand a frame to the machine. Remote and 29-bit frames find no listener."""
+        """Hand a frame to the machine. Nobody listens to remote and 29-bit frames."""
         if msg.is_remote_frame or msg.is_extended_id:
             return
         self.send_frame(msg.arbitration_id, bytes(msg.data))
 
     def send_frame(self, can_id: int, data: bytes) -> None:
-        """The same without a message object around the frame."""
+        """Hand a frame to the machine without a message object around it."""
         if self._log is not None:
             self._write_log(can_id, data)
         self.machine.receive(can_id, data)
@@ -72,7 +71,10 @@ class LockstepBus(can.BusABC):
             self.time_s += self._period_s
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame. With none there, virtual time passes until one comes or the time-out is over; no time-out means no wait."""
+        """Return the next frame.
+
+        With none there, virtual time passes until one comes or the time-out is over; without a time-out there is no wait.
+        """
         while True:
             if not self._frames and not (timeout and self._wait_for_frame(timeout)):
                 return None
@@ -81,7 +83,7 @@ class LockstepBus(can.BusABC):
                 return message
 
     def receive_frame(self) -> tuple[int, bytes] | None:
-        """The next frame as (identifier, data), None when there is none."""
+        """Return the next frame as (identifier, data), None when there is none."""
         return self._frames.popleft() if self._frames else None
 
     def pass_time(self, seconds: float) -> None:
@@ -112,7 +114,7 @@ class LockstepBus(can.BusABC):
 
 
 def imu_line(machine: EmulatedMachine) -> PipeEnd:
-    """The bench's end of a serial line to the machine's IMU."""
+    """Return the bench's end of a serial line to the machine's IMU."""
     imu = machine.imu
     assert imu is not None, "this machine has no IMU"
     bench, device = pipe()
@@ -122,7 +124,7 @@ def imu_line(machine: EmulatedMachine) -> PipeEnd:
 
 
 def io_line(machine: EmulatedMachine) -> PipeEnd:
-    """The bench's end of a Modbus/TCP connection to the machine's I/O device."""
+    """Return the bench's end of a Modbus/TCP connection to the machine's I/O device."""
     io = machine.io
     assert io is not None, "this machine has no I/O device"
     bench, device = pipe()

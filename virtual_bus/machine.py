@@ -1,7 +1,7 @@
 """The emulated machine: physics, drives, link encoders, IMU and brakes on one time of its own.
 
-Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of whoever calls `idle` (see
-virtual_bus/idle_time.py), so heartbeats run, time-outs expire and the arm falls if nobody holds it.
+Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of the caller of `idle` (see idle_time.py), so
+heartbeats run, time-outs expire, and the arm falls if nobody holds it.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ class EmulatedMachine:
     period_s : float
         Sample period, one per SYNC.
     imu, io : optional
-        Devices on the serial line and behind Modbus. With `io`, build it with ``on_brakes=physics.set_brakes``; without, each drive works
+        Devices on the serial line and behind Modbus. Build `io` with ``on_brakes=physics.set_brakes``; without an `io`, each drive works
         its own axis's brake.
     witness : callable, optional
-        Called with the machine's time [s] when the sensors have been latched at a SYNC: for a truth recording.
+        Called with the machine's time [s] at every SYNC, after the answers: for a recording of the truth.
 
     Attributes
     ----------
     syncs : int
-        Heard since the last NMT start of any node.
+        SYNCs heard since the last NMT start of any node.
     """
 
     def __init__(
@@ -65,11 +65,11 @@ class EmulatedMachine:
     ) -> None:
         self.physics, self.bus, self.period_s, self.imu, self.io = physics, bus, period_s, imu, io
         self.time_s = 0.0
-        self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU says
+        self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU sends
         self._witness = witness
 
         def nowhere(can_id: int, data: bytes) -> None:
-            """Until `connect`."""
+            """Drop a frame sent before `connect`."""
 
         axis = physics.axes.index
         self.drives = {d.name: Cia402Drive(d, period_s, nowhere) for d in bus.drives}
@@ -89,19 +89,22 @@ class EmulatedMachine:
 
     # ---- life -----------------------------------------------------------------------------------------
     def connect(self, emit: Emit) -> None:
-        """Say where frames go."""
+        """Set where frames go."""
         for node in self._nodes:
             node.connect(emit)
 
     def place(self, axis_positions: np.ndarray) -> None:
-        """Standstill in elastic equilibrium at these joint positions (n_axes,) [rad or m], brakes closed, drives' counters at zero."""
+        """Place the machine at these joint positions (n_axes,) [rad or m].
+
+        It stands still in elastic equilibrium, with brakes closed and the drives' counters at zero.
+        """
         self.physics.place(axis_positions)
         for index, drive in self._drives:
             drive.place(float(axis_positions[index]))
         self._read(self.physics.latch_exactly())
 
     def power_on(self) -> None:
-        """Every device boots, in the order of node ids."""
+        """Boot every device, in the order of node ids."""
         for node in self._nodes:
             node.power_on(self.time_s)
         if self.imu is not None:
@@ -119,7 +122,7 @@ class EmulatedMachine:
 
     # ---- frames and time ------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes) -> None:
-        """One data frame of the bus."""
+        """Take one data frame from the bus."""
         if can_id == self.bus.sync_cob_id:
             self._sync(data)
             return
@@ -130,22 +133,22 @@ class EmulatedMachine:
             handler(data)
 
     def idle(self, seconds: float) -> None:
-        """The bus has been silent for that long (call it in any slices)."""
+        """Add silence of the bus, in slices of any length."""
         idle = self._idle
         idle.add(seconds)
         while idle.step():
             if self._tick_nodes():
                 idle.spoken()
             self._act()
-            self._read(self.physics.latch_exactly())  # the noise of a row must not depend on how long somebody waited before
+            self._read(self.physics.latch_exactly())  # the noise of a row must not depend on how long the wait before it was
             if self.imu is not None and (said := self.imu.advance(self.time_s)):
                 self.imu_out(said)
             self._advance()
 
     def prepare(self) -> None:
-        """A SYNC is near: measure what it will most likely ask for, and go through the motions of answering, which are then at hand.
+        """Prepare the answer to a SYNC that is near, so that its values, code and data are at hand.
 
-        What the devices will say does not depend on it.
+        What the devices will send does not depend on it.
         """
         self.physics.prepare(np.array([drive.foreseen() for _, drive in self._drives]))
         if self.imu is not None:
@@ -154,10 +157,10 @@ class EmulatedMachine:
             node.rehearse()
 
     def _sync(self, data: bytes) -> None:
-        """SYNC k: what is due first, then targets, sensors, TPDOs in node-id order, the IMU, then physics to k+1.
+        """Answer SYNC k and advance the physics to k+1.
 
-        Heartbeats go before the TPDOs: a master that waits for the last TPDO has then heard everything of this SYNC, and the order of
-        frames on the bus depends on no race.
+        First comes what is due, then targets, sensors, TPDOs in node-id order, and the IMU. Heartbeats go before the TPDOs: a master that
+        waits for the last TPDO has then heard everything of this SYNC, and the order of frames on the bus depends on no race.
         """
         self._idle.sync()
         self.syncs += 1
@@ -171,13 +174,13 @@ class EmulatedMachine:
         for node in self._sync_nodes:
             node.end_sync(counter)
         if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
-            self.imu_out(said)  # the master is busy with the TPDOs meanwhile
+            self.imu_out(said)  # the master is busy with the TPDOs by then
         if self._witness is not None:
-            self._witness(self.time_s)  # after the answers: whoever writes it down must not delay them
+            self._witness(self.time_s)  # after the answers, which the recording must not delay
         self._advance()
 
     def _tick_nodes(self) -> bool:
-        """What is due by now, node by node; whether there was anything."""
+        """Send what is due by the present time, node by node, and return whether there was anything."""
         now_s = self.time_s
         spoken = False
         for node in self._nodes:
@@ -187,7 +190,7 @@ class EmulatedMachine:
         return spoken
 
     def _act(self) -> None:
-        """The drives' efforts act from now on."""
+        """Apply the drives' efforts from the present time on."""
         effort = self._effort
         for index, drive in self._drives:
             effort[index] = drive.command()
@@ -218,7 +221,7 @@ class EmulatedMachine:
             self.io.advance(self.time_s)
 
     def _work_brakes(self) -> None:
-        """Without an I/O device each drive opens its own axis's brake while its power stage is on."""
+        """Without an I/O device, open each axis's brake while its drive's power stage is on."""
         closed = list(self._brakes_closed)
         for index, drive in self._drives:
             closed[index] = drive.power_state not in _BRAKE_OUTPUT_ON

@@ -19,7 +19,7 @@ from virtual_bus.settings import PlantSettings
 if TYPE_CHECKING:
     import control
 
-NOISE_BLOCK = 256  # samples of noise drawn at once: one call of a generator costs more than its numbers
+NOISE_BLOCK = 256  # samples of noise drawn at once, since a call of a generator costs more than its numbers
 
 
 @dataclass
@@ -43,9 +43,9 @@ class Physics:
     settings : PlantSettings
         The machine, effects included.
     seed : int
-        Of the sensors' noise. Every channel draws from its own stream, so a channel more changes no other.
+        Of the sensors' noise. Every channel draws from its own stream, so a further channel changes no other.
     noise : bool
-        False: no noise at all; everything else as it is.
+        False: no noise at all; everything else is unchanged.
     """
 
     def __init__(self, settings: PlantSettings, seed: int = 0, noise: bool = True) -> None:
@@ -78,9 +78,10 @@ class Physics:
         return self._samples * self.settings.sample_period_s
 
     def place(self, axis_positions: np.ndarray) -> None:
-        """Standstill in elastic equilibrium with the actuated joints at these positions (axes,) [rad or m], brakes closed, drives off.
+        """Place the actuated joints at these positions (axes,) [rad or m], still and in elastic equilibrium.
 
-        Time starts at zero and the motor side's counts too; windings are as cold as the room. An axis without a brake starts to fall.
+        Brakes are closed and drives off. Time and the motor side's counts start at zero; windings are as cold as the room. An axis without
+        a brake starts to fall.
 
         Raises
         ------
@@ -97,9 +98,9 @@ class Physics:
         self._zero_counts[:] = self.latch_exactly().position_counts
 
     def hold(self, effort: np.ndarray) -> None:
-        """Let the drives have carried the load with this effort (axes,) for ever: none of it is on its way, brakes bear nothing.
+        """Let the drives carry the load with this effort (axes,), as if they always had.
 
-        `place` leaves the drives off and the brakes closed.
+        Delays and low passes of the drives have settled, and the brakes are open. `place` leaves the drives off and the brakes closed.
         """
         self._effort[:] = effort
         self._brakes[:] = 0.0
@@ -114,20 +115,24 @@ class Physics:
         self._brakes[:] = np.asarray(closed, dtype=bool)
 
     def apply(self, effort: np.ndarray) -> None:
-        """What the motors feel from now on (axes,) in the drives' units, as the drives have quantised and limited it."""
+        """Set the effort on the motors from the present time on (axes,), in the drives' units.
+
+        It is the effort as the drives have quantised and limited it.
+        """
         self._effort[:] = effort
 
     def latch(self) -> Latched:
-        """Sensor readings of this instant. Every call draws new noise."""
+        """Return the sensors' readings at this instant. Every call draws new noise."""
         if self._prepared != (self._effort.tobytes(), self._brakes.tobytes()):
             self._measure(self._noise_of_sample())
         self._drawn = self._prepared = None
         return self._latched
 
     def prepare(self, effort: np.ndarray) -> None:
-        """Measure what `latch` will be asked for if this effort (axes,) will act by then; if another does, `latch` measures anew.
+        """Measure in advance what `latch` returns if this effort (axes,) acts by then.
 
-        The readings are the same either way, noise included; only the time when they are computed is not.
+        If another effort does, `latch` measures anew. The readings are the same either way, noise included; only the time when they are
+        computed is not.
         """
         acting = self._effort.copy()
         self._effort[:] = effort
@@ -136,7 +141,10 @@ class Physics:
         self._effort[:] = acting
 
     def latch_exactly(self) -> Latched:
-        """The same without noise; draws nothing. Bias, low passes and lattices are in it."""
+        """Return the sensors' readings without noise; no noise is drawn.
+
+        Bias, low passes and lattices are included.
+        """
         self._prepared = None
         return self._measure(self._no_noise)
 
@@ -174,9 +182,10 @@ class Physics:
         self._samples += 1
 
     def truth(self) -> dict[str, np.ndarray]:
-        """What only an emulator knows: joint positions, speeds and friction efforts of the last step (n,), poses of the watched bodies.
+        """Return what only an emulator knows of this instant.
 
-        `pose_<body>` is (12,): the position of the body's frame in the world, then its rotation by rows.
+        Joint positions, speeds and friction efforts of the last step are (n,). `pose_<body>` of each watched body is (12,): the position
+        of the body's frame in the world, then its rotation by rows.
         """
         n = self.plant.joints
         poses = self.plant.body_poses(self.model, self._state[:n])
@@ -188,11 +197,14 @@ class Physics:
         return truth | {f"pose_{body}": pose for body, pose in zip(self.settings.watched_bodies, poses, strict=True)}
 
     def holding_effort(self, axis_positions: np.ndarray) -> np.ndarray:
-        """Drive efforts (axes,) in the drives' units that hold the machine in static equilibrium at these positions (axes,)."""
+        """Return the drive efforts (axes,) in the drives' units that hold the machine at rest at these positions (axes,)."""
         return holding_effort(self.plant, self.model, np.asarray(axis_positions, dtype=float))
 
     def linearise(self, axis_positions: np.ndarray) -> control.StateSpace:
-        """The plant as a linear system about rest at these positions, actuated joints free; friction effects and brakes are left out."""
+        """Return the plant as a linear system about rest at these axis positions.
+
+        Actuated joints are free; friction effects and brakes are left out.
+        """
         return linearised(self.plant, self.model, np.asarray(axis_positions, dtype=float)).state_space()
 
 
@@ -207,13 +219,14 @@ class _Noise:
         self._used = NOISE_BLOCK
 
     def draw(self) -> np.ndarray:
-        """Noise (channels,) of one sample, in the channels' units."""
+        """Return the noise (channels,) of one sample, in the channels' units."""
         if self._used == NOISE_BLOCK:
             for column, stream in enumerate(self._streams):
                 self._block[:, column] = self._rms[column] * stream.standard_normal(NOISE_BLOCK)
             self._used = 0
         self._used += 1
-        return self._block[self._used - 1]
+        drawn: np.ndarray = self._block[self._used - 1]
+        return drawn
 
 
 def _new_latched(settings: PlantSettings) -> Latched:

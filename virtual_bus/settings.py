@@ -1,6 +1,6 @@
-"""What an emulated machine is made of, as frozen values in SI units. The bench builds these from a machine file.
+"""The parts of an emulated machine, as frozen values in SI units. The bench builds them from a machine file.
 
-Frames, symbols and signs: docs/notation.md.
+Frames, symbols and signs: docs/explanation/notation.md.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Body:
-    """One rigid body. At joint position zero its frame stands at position_m, orientation in the parent's frame."""
+    """One rigid body. At joint position zero its frame has position_m and orientation in the parent's frame."""
 
     name: str
     parent: str  # a body listed before, or "world"
@@ -51,9 +51,11 @@ class Tree:
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:
+        """The joints, in body order."""
         return tuple(body.joint for body in self.bodies if body.joint is not None)
 
     def joint_index(self, name: str) -> int:
+        """Return the number of a joint."""
         return [joint.name for joint in self.joints].index(name)
 
 
@@ -65,8 +67,8 @@ class Drive:
     joint: str
     unit: str  # "A", "V", "Nm" or "N"
     constant: float  # motor effort per unit, at the motor's shaft (Nm/A, N/V, ...)
-    ratio: float  # motor turns per joint turn (1 for direct drive); negative never
-    limit: float  # |command| the loop saturates at, in unit
+    ratio: float  # motor turns per joint turn (1 for direct drive); never negative
+    limit: float  # |command| at which the loop saturates, in unit
     resolution: float  # smallest step of the target in unit; 0 means none
     rated: float  # rated current (or effort) in unit: per mille values on the wire refer to it
 
@@ -150,7 +152,7 @@ class PlantSettings:
     imus: tuple[Imu, ...]
     thermometers: tuple[Thermometer, ...]
     sample_period_s: float
-    substeps: int  # plant steps per sample, a whole number
+    substeps: int  # plant steps per sample
     watched_bodies: tuple[str, ...] = ()  # whose pose the truth file holds
     speeds: tuple[SpeedSensor, ...] = ()
 
@@ -198,9 +200,9 @@ class EmulatedEncoder:
 
 @dataclass(frozen=True)
 class EmulatedBus:
-    """What hangs on the emulated machine's CAN bus."""
+    """The devices on the emulated machine's CAN bus."""
 
     sync_cob_id: int
     drives: tuple[EmulatedDrive, ...]
     encoders: tuple[EmulatedEncoder, ...]
-    silence_s: float = SILENCE_S  # so much waiting since the last SYNC, and the machine's time goes on without one
+    silence_s: float = SILENCE_S  # after this much waiting since the last SYNC the machine's time goes on without one

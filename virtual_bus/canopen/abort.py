@@ -29,7 +29,10 @@ NO_DATA = 0x08000024
 
 
 class SdoAbortError(Exception):
-    """A transfer the device refuses; `code` goes out on the wire. Never leaves this package."""
+    """A transfer that the device refuses; `code` goes out on the wire.
+
+    It never leaves this package.
+    """
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort {code:08X}h")

@@ -1,4 +1,4 @@
-"""A bare CiA 301 device from any EDS: parameters, PDO rules, SYNC, heartbeat, emergency; no profile behind it."""
+"""A bare CiA 301 device from any EDS: parameters, PDO rules, SYNC, heartbeat, emergency; no profile."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from virtual_bus.canopen.node import Emit, Node
 
 
 def bare_device(eds: str | Path, node_id: int, emit: Emit, memory: Path | None = None) -> Node:
-    """A device that answers as its data sheet says. Mapped values are what was last written to them.
+    """Return a device that answers as its data sheet says.
+
+    Its mapped values are what was last written to them.
 
     Raises
     ------
@@ -20,14 +22,14 @@ def bare_device(eds: str | Path, node_id: int, emit: Emit, memory: Path | None =
 
 
 class BareMachine:
-    """One bare device with a CAN connector and the wall clock, as `virtual_bus.emulator.run_device` wants it."""
+    """One bare device with a CAN connector and a time of its own, as `virtual_bus.emulator.run_device` takes it."""
 
     def __init__(self, eds: str | Path, node_id: int, memory: Path | None = None) -> None:
         self.node = bare_device(eds, node_id, lambda can_id, data: None, memory)
         self.time_s = 0.0
 
     def connect(self, emit: Emit) -> None:
-        """Say where frames go."""
+        """Set where frames go."""
         self.node.connect(emit)
 
     def power_on(self) -> None:
@@ -35,7 +37,7 @@ class BareMachine:
         self.node.power_on(self.time_s)
 
     def receive(self, can_id: int, data: bytes) -> None:
-        """One data frame of the bus."""
+        """Take one data frame from the bus."""
         self.node.receive(can_id, data, self.time_s)
 
     def idle(self, seconds: float) -> None:

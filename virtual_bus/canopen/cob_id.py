@@ -1,4 +1,4 @@
-"""Which CAN identifiers a COB-ID object may hold (CiA 301, table 41: restricted CAN-IDs)."""
+"""The CAN identifiers that a COB-ID object may hold (CiA 301, table 41: restricted CAN-IDs)."""
 
 from __future__ import annotations
 
@@ -22,14 +22,19 @@ _RESTRICTED = (
 
 
 def is_restricted(can_id: int) -> bool:
-    """Whether no configurable object may use this identifier."""
+    """Return whether no configurable object may use this identifier."""
     return any(low <= can_id <= high for low, high in _RESTRICTED)
 
 
 def check_change(old: int, new: int, *, exists: bool) -> None:
-    """SdoAbortError unless a COB-ID may become `new`.
+    """Refuse a COB-ID that may not become `new`.
 
     `exists` says whether the object of `old` is alive: then only its bits 30 and 31 may change.
+
+    Raises
+    ------
+    SdoAbortError
+        The identifier has 29 bits, is restricted, or may not change.
     """
     if new & EXTENDED or new & 0x1FFF_F800:
         raise SdoAbortError(abort.INVALID_VALUE)  # 29-bit identifiers are not supported

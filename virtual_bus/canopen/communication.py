@@ -1,4 +1,4 @@
-"""What a device refuses among its communication parameters (CiA 301, 7.5.2)."""
+"""Rules of a device's communication parameters (CiA 301, 7.5.2)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _MAX_COUNTER = 240
 
 
 def install(objects: Objects) -> None:
-    """Hang the rules of 1005h, 1012h, 1014h and 1019h into the dictionary."""
+    """Add the rules of 1005h, 1012h, 1014h and 1019h to the dictionary."""
     can_generate_sync = 0x1006 in objects
 
     def check_sync(value: Value) -> None:

@@ -1,12 +1,13 @@
 """CiA 402 servo drive: finite state automaton, cyclic synchronous torque, homing, stops and faults.
 
-The machine calls `command` and `latch` once per sample: first the drive says what effort the motor feels from now on, then it reads its
-sensors.
+The machine calls `command` and `latch` once per sample: `command` returns the effort the motor feels from that instant on, then `latch`
+takes the sensors' readings.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
@@ -27,8 +28,8 @@ TARGET_REACHED, INTERNAL_LIMIT, HOMING_ATTAINED, HOMING_ERROR = 1 << 10, 1 << 11
 FOLLOWS_COMMAND = 1 << 12  # in cyclic synchronous torque mode
 
 OVERCURRENT, OVERTEMPERATURE, HEARTBEAT_LOST, CONNECTION_LOST = 0x2310, 0x4310, 0x8130, 0x8100  # EMCY codes
-STOP_TIMEOUT_S = 5.0  # a motor that does not come to rest is switched off after that
-STANDSTILL_SHARE = 0.5  # of the slowest homing speed: below it the motor counts as standing
+STOP_TIMEOUT_S = 5.0  # a motor that has not come to rest by then is switched off
+STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
 _POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _MOVING = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 _INT16 = 32767
@@ -77,11 +78,11 @@ class Cia402Drive(Node):
         self._homing = Homing(self._reference)
         self._origin = self._absolute = self._offset = 0
         self.power_state = PowerState.NOT_READY_TO_SWITCH_ON
-        self._causes: set[int] = set()  # of faults that persist: no reset while one is there
+        self._causes: set[int] = set()  # of persistent faults: no reset while one is there
         self._clear()
 
     def _install_checks(self) -> None:
-        def one_of(allowed: frozenset[int]):  # type: ignore[no-untyped-def]
+        def one_of(allowed: frozenset[int]) -> Callable[[Value], None]:
             def check(value: Value) -> None:
                 if value not in allowed:
                     raise SdoAbortError(abort.INVALID_VALUE)
@@ -98,13 +99,16 @@ class Cia402Drive(Node):
 
     # ---- life -----------------------------------------------------------------------------------------
     def place(self, position: float) -> None:
-        """The axis stands at this joint position [rad or m], the drive's counter at zero: what index pulse and switches know of it."""
+        """Place the axis at this joint position [rad or m], with the drive's counter at zero.
+
+        Index pulse and switches stand where they are; the counter does not know the position.
+        """
         self._origin = self._absolute = self._counts(position) or 0
         self._offset = -self._absolute
         self._speed.restart()
 
     def application_reset(self) -> None:
-        """Power stage off, position counter at zero, no home."""
+        """Switch the power stage off, set the position counter to zero, and forget the home position."""
         self._offset = -self._absolute
         self._homing.reset()
         self._speed.restart()
@@ -112,7 +116,7 @@ class Cia402Drive(Node):
         self._set_state(PowerState.SWITCH_ON_DISABLED)  # transitions 0 and 1
 
     def _clear(self) -> None:
-        self._settled: tuple[int, PowerState] | None = None  # controlword and state that lead nowhere else
+        self._settled: tuple[int, PowerState] | None = None  # controlword and state from which no transition follows
         self._last_controlword = 0
         self._after_stop: PowerState | None = None
         self._stopping = self._halted = self._limited = self._warm = False
@@ -124,13 +128,19 @@ class Cia402Drive(Node):
 
     # ---- faults ---------------------------------------------------------------------------------------
     def inject_fault(self, code: int, *, persistent: bool = False) -> None:
-        """Something has gone wrong in the power stage; a persistent cause must be removed before a reset works."""
+        """Raise a fault of the power stage.
+
+        While a persistent cause remains, the fault cannot be reset.
+        """
         if persistent:
             self._causes.add(code)
         self._fault(code)
 
     def connection_lost(self, reason: str) -> None:
-        """Abort connection option code (6007h): 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        """React as the abort connection option code (6007h) says.
+
+        0 nothing, 1 fault, 2 disable voltage, 3 quick stop.
+        """
         option = self.objects.number(0x6007)
         if option == 0 or (reason in ("stopped", "reset") and self.power_state not in _POWERED):
             return
@@ -165,7 +175,7 @@ class Cia402Drive(Node):
                 state = PowerState.FAULT
             if self._stopping and self.power_state is PowerState.OPERATION_ENABLED:
                 if state is self._after_stop:
-                    break  # the way there is being travelled
+                    break  # the stop that leads there is under way
                 if state is PowerState.OPERATION_ENABLED:
                     self._stopping = False  # the master has changed its mind
             if state is self.power_state:
@@ -178,8 +188,9 @@ class Cia402Drive(Node):
         self._refresh()
 
     def _transition(self, state: PowerState) -> bool:
-        """Go there, or begin the stop that comes first (False)."""
-        if self.power_state is PowerState.OPERATION_ENABLED and state in (PowerState.SWITCHED_ON, PowerState.READY_TO_SWITCH_ON):
+        """Change to a state, or begin the stop that must come first (False)."""
+        enabled = self.power_state is PowerState.OPERATION_ENABLED
+        if enabled and state in (PowerState.SWITCHED_ON, PowerState.READY_TO_SWITCH_ON):
             option = self.objects.number(0x605C if state is PowerState.SWITCHED_ON else 0x605B)
             self._stop(option, state)
             return self.power_state is state
@@ -206,7 +217,10 @@ class Cia402Drive(Node):
         self._refresh()
 
     def _stop(self, option: int, after: PowerState | None) -> None:
-        """Options of 605Ah to 605Eh: 0 switch off, 1 slow-down ramp, 2 quick-stop ramp, 3 and 4 as hard as the limits allow."""
+        """Begin the stop of an option of 605Ah to 605Eh.
+
+        0 switch off, 1 slow-down ramp, 2 quick-stop ramp, 3 and 4 as hard as the limits allow.
+        """
         if option == 0:
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
@@ -252,7 +266,7 @@ class Cia402Drive(Node):
 
     # ---- one sample -----------------------------------------------------------------------------------
     def command(self) -> float:
-        """What the motor feels from this sample on, in the drive's unit, quantised to one per mille of the rated value."""
+        """Return the effort on the motor from this sample on, in the drive's unit, in steps of 1/1000 of the rated value."""
         self._obey()
         if self._mode.value != self._mode_display.value:
             self._choose_mode()
@@ -266,9 +280,9 @@ class Cia402Drive(Node):
         elif self._halted:
             self._permille = self._regulate(0.0, self._deceleration)
         elif self._mode_display.value == TORQUE_MODE:
-            limit = min(self._max_torque.value, self._max_current.value)
-            target = self._target.value
-            self._permille = min(max(target, -limit), limit)  # type: ignore[type-var, operator, assignment]
+            limit = min(int(self._max_torque.value), int(self._max_current.value))
+            target = int(self._target.value)
+            self._permille = min(max(target, -limit), limit)
             self._limited = self._permille != target
         elif self._mode_display.value == HOMING_MODE:
             self._permille = self._home()
@@ -278,7 +292,10 @@ class Cia402Drive(Node):
         return self._permille * self._effort_per_permille
 
     def foreseen(self) -> float:
-        """What `command` will return at the next SYNC unless something happens until then: a guess, it changes nothing."""
+        """Return what `command` will return at the next SYNC unless something happens until then.
+
+        It is a prediction and changes nothing.
+        """
         if self.power_state is not PowerState.OPERATION_ENABLED or self._mode_display.value != TORQUE_MODE:
             return self._permille * self._effort_per_permille
         limit = min(int(self._max_torque.value), int(self._max_current.value))
@@ -306,7 +323,10 @@ class Cia402Drive(Node):
             self._obey()
 
     def latch(self, counts: int, effort: float, temperature_degC: float) -> None:
-        """The sensors at this sample: motor-side counter, measured current in the drive's unit, winding temperature (NaN: none)."""
+        """Take the sensors' readings at this sample.
+
+        They are the motor-side counter, the measured current in the drive's unit and the winding temperature (NaN: none).
+        """
         self._absolute = absolute = self._origin + counts * self.settings.sign
         self._speed.update(absolute)
         self._position.value = wrap_32(absolute + self._offset)
@@ -331,7 +351,7 @@ class Cia402Drive(Node):
             self._causes.discard(OVERTEMPERATURE)
 
     def _refresh(self) -> None:
-        """The statusword."""
+        """Update the statusword."""
         word = int(self.power_state) | VOLTAGE_ENABLED | REMOTE
         if self._warm:
             word |= WARNING
@@ -347,7 +367,7 @@ class Cia402Drive(Node):
         self._statusword.value = word
 
     def _homing_bits(self) -> int:
-        """Bits 10, 12 and 13 of the homing mode (IEC 61800-7-201, table 105)."""
+        """Return bits 10, 12 and 13 of the homing mode (IEC 61800-7-201, table 105)."""
         state = self._homing.state
         if state is HomingState.ATTAINED:
             return HOMING_ATTAINED | TARGET_REACHED
@@ -357,5 +377,5 @@ class Cia402Drive(Node):
 
 
 def wrap_32(value: int) -> int:
-    """A counter of 32 bits, signed."""
+    """Return the value of a signed counter of 32 bits."""
     return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
+from functools import partial
 
 from virtual_bus.canopen import abort, cob_id
 from virtual_bus.canopen.abort import SdoAbortError
@@ -19,14 +20,14 @@ HEARTBEAT_ERROR = 0x8130
 
 
 def register_bit(code: int) -> int:
-    """The error register's bit that goes with an EMCY code."""
+    """Return the error register's bit that goes with an EMCY code."""
     if 0xFF00 <= code <= 0xFFFF:
         return PROFILE
     return _REGISTER_OF_CLASS.get(code >> 12, 0)
 
 
 class Emergency:
-    """Raises and clears errors, tells the bus once of each, and keeps 1001h and 1003h."""
+    """The errors of a device: raised and cleared, told to the bus once each, and kept in 1001h and 1003h."""
 
     def __init__(self, node: Port) -> None:
         self._node = node
@@ -38,10 +39,10 @@ class Emergency:
         node.objects.checks[key_of(0x1003)] = self._check_history_count
         node.objects.effects[key_of(0x1003)] = self._clear_history
         for subindex in range(1, self._history_room + 1):
-            node.objects.readings[key_of(0x1003, subindex)] = lambda subindex=subindex: self._history(subindex)  # type: ignore[misc]
+            node.objects.readings[key_of(0x1003, subindex)] = partial(self._history, subindex)
 
     def reset(self, *, application: bool) -> None:
-        """Start anew with an empty history. Errors of the application outlive a reset of communication alone."""
+        """Clear the history and the queue. Errors of the application outlive a reset of communication alone."""
         if application:
             self._active.clear()
         self._active.pop(HEARTBEAT_ERROR, None)
@@ -52,11 +53,11 @@ class Emergency:
 
     @property
     def active(self) -> tuple[int, ...]:
-        """Codes of the errors that are on, oldest first."""
+        """Codes of the errors that are active, oldest first."""
         return tuple(self._active)
 
     def raise_error(self, code: int, manufacturer: bytes = b"") -> None:
-        """An error has come up; one that is on already is not told again."""
+        """Raise an error and tell it; one that is already active is not told again."""
         if code in self._active:
             return
         self._active[code] = GENERIC | register_bit(code)
@@ -65,7 +66,7 @@ class Emergency:
         self._tell(code, manufacturer)
 
     def clear_error(self, code: int) -> None:
-        """An error is gone: EMCY 0000h with whatever the register still shows."""
+        """Clear an error and send EMCY 0000h with what the register still shows."""
         if self._active.pop(code, None) is None:
             return
         self._update_register()

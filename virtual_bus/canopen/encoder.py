@@ -12,12 +12,12 @@ from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.settings import EmulatedEncoder
 
 DESCENDING = 1 << 0  # 6000h: position falls when the shaft turns clockwise
-SCALING = 1 << 2  # 6000h: 6001h and 6002h hold
+SCALING = 1 << 2  # 6000h: 6001h and 6002h apply
 _SUPPORTED_PARAMETERS = DESCENDING | SCALING
 
 
 class Cia406Encoder(Node):
-    """One link encoder. Its raw count at joint position zero is where it was mounted: `settings.zero_counts`."""
+    """One link encoder. `settings.zero_counts` is its raw count at joint position zero, which depends on its mounting."""
 
     kept = frozenset({0x6509})  # the preset's offset
 
@@ -41,12 +41,12 @@ class Cia406Encoder(Node):
         self._direction = 1
 
     def latch(self, counts: int) -> None:
-        """The shaft at this sample: counts from joint position zero."""
+        """Take the shaft's position at this sample, in counts from joint position zero."""
         self._raw = self.settings.zero_counts + self.settings.sign * counts
-        self._position.value = (self._direction * self._raw + self._offset.value) % self._range  # type: ignore[operator]
+        self._position.value = (self._direction * self._raw + int(self._offset.value)) % self._range
 
     def application_reset(self) -> None:
-        """Direction and preset as stored. An absolute encoder forgets no position."""
+        """Apply direction and preset as stored. An absolute encoder keeps its position."""
         self._take_parameters()
 
     @staticmethod
@@ -73,7 +73,7 @@ class Cia406Encoder(Node):
         self._position.value = (self._direction * self._raw + int(self._offset.value)) % self._range
 
     def _set_cyclic_timer(self, value: Value) -> None:
-        """6200h is the event timer of the first TPDO under its older name."""
+        """Set the event timer of the first TPDO, for which 6200h is an older name."""
         if entry := self.objects.get(0x1800, 5):
             entry.value = value
             self.objects.effects[entry.key](value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
@@ -12,7 +13,10 @@ from virtual_bus.canopen.port import Port
 
 
 class HeartbeatProducer:
-    """Tells the NMT state every 1017h milliseconds: at once when the time is written, one period after a boot-up."""
+    """Sends the NMT state every 1017h milliseconds.
+
+    It begins at once when the time is written, and one period after a boot-up.
+    """
 
     def __init__(self, node: Port) -> None:
         self._node = node
@@ -30,7 +34,7 @@ class HeartbeatProducer:
         self._node.schedule(self.deadline_s)
 
     def expire(self, now_s: float) -> None:
-        """Send what is due. After a long standstill of time one is sent, not a burst."""
+        """Send what is due; after a long pause one heartbeat, not a burst."""
         if now_s >= self.deadline_s:
             self._node.send_heartbeat()
             self.deadline_s += self._period_s
@@ -50,7 +54,10 @@ class _Watch:
 
 
 class HeartbeatConsumer:
-    """Supervises the nodes in 1016h. A node that falls silent raises EMCY 8130h and the node's loss-of-connection reaction."""
+    """Supervises the nodes in 1016h.
+
+    A node that falls silent raises EMCY 8130h and the device's reaction to a lost connection.
+    """
 
     def __init__(self, node: Port) -> None:
         self._node = node
@@ -58,14 +65,14 @@ class HeartbeatConsumer:
         self.deadline_s = math.inf
         self._entries = [entry for entry in node.objects if entry.index == 0x1016 and entry.subindex]
         for entry in self._entries:
-            node.objects.checks[entry.key] = lambda value, key=entry.key: self._check(key, value)  # type: ignore[misc]
+            node.objects.checks[entry.key] = partial(self._check, entry.key)
             node.objects.effects[entry.key] = lambda value: self.configure()
 
     def _check(self, key: int, value: Value) -> None:
         node_id, time_ms = int(value) >> 16 & 0x7F, int(value) & 0xFFFF
         if int(value) >> 24 or not (node_id and time_ms):
-            return  # such an entry is not used
-        if any(entry.key != key and entry.value & 0xFFFF and int(entry.value) >> 16 == node_id for entry in self._entries):  # type: ignore[operator]
+            return  # such an entry is unused
+        if any(entry.key != key and int(entry.value) & 0xFFFF and int(entry.value) >> 16 == node_id for entry in self._entries):
             raise SdoAbortError(abort.INCOMPATIBLE)
 
     def configure(self) -> None:
@@ -83,17 +90,17 @@ class HeartbeatConsumer:
         self._node.routes_changed()
 
     def reset(self) -> None:
-        """Forget what was heard."""
+        """Forget all heartbeats heard, and supervise anew."""
         self._watches = {}
         self.configure()
 
     @property
     def supervised(self) -> tuple[int, ...]:
-        """Node ids listened to."""
+        """Node ids that are supervised."""
         return tuple(self._watches)
 
     def heard(self, node_id: int) -> None:
-        """A heartbeat or boot-up of that node."""
+        """Take a heartbeat or boot-up of a node."""
         watch = self._watches[node_id]
         watch.deadline_s = self._node.after(watch.timeout_s)
         if watch.lost:
@@ -105,7 +112,7 @@ class HeartbeatConsumer:
             self._node.schedule(self.deadline_s)
 
     def expire(self, now_s: float) -> None:
-        """Whoever is overdue is lost."""
+        """Report the nodes that are overdue as lost."""
         lost = []
         for node_id, watch in self._watches.items():
             if now_s >= watch.deadline_s:

@@ -1,4 +1,4 @@
-"""Homing methods of a CiA 402 drive (IEC 61800-7-201, clause 7): where the zero is, found by moving or by decree."""
+"""Homing methods of a CiA 402 drive (IEC 61800-7-201, clause 7): by a reference found in motion, or at the present position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SUPPORTED_METHODS = frozenset({*PRESENT_POSITION, *INDEX_PULSE, *LIMIT_SWITCH})
 
 
 class HomingState(Enum):
-    """How far a homing run has come."""
+    """Progress of a homing run."""
 
     IDLE = "idle"
     SEARCHING = "searching"
@@ -24,7 +24,7 @@ class HomingState(Enum):
 
 @dataclass(frozen=True)
 class Reference:
-    """What the drive sees of the axis: the encoder's index pulse and the two limit switches, in absolute motor counts.
+    """Index pulse of the encoder and the two limit switches, in absolute motor counts.
 
     A switch is active at and beyond its position. None: not wired.
     """
@@ -34,13 +34,15 @@ class Reference:
     positive_switch: int | None
 
     def at_negative_switch(self, counts: int) -> bool:
+        """Return whether the negative limit switch is active."""
         return self.negative_switch is not None and counts <= self.negative_switch
 
     def at_positive_switch(self, counts: int) -> bool:
+        """Return whether the positive limit switch is active."""
         return self.positive_switch is not None and counts >= self.positive_switch
 
     def index_between(self, before: int, after: int) -> int | None:
-        """The index pulse passed on the way, None when there was none."""
+        """Return the index pulse passed on the way, None when there was none."""
         turns_before, turns_after = before // self.counts_per_turn, after // self.counts_per_turn
         if turns_before == turns_after:
             return None
@@ -48,7 +50,7 @@ class Reference:
 
 
 class Homing:
-    """One homing run after the other. `update` is called once per sample and says how fast to move."""
+    """The homing runs of a drive. `update` is called once per sample and returns how fast to move."""
 
     def __init__(self, reference: Reference) -> None:
         self._reference = reference
@@ -59,10 +61,11 @@ class Homing:
 
     @property
     def running(self) -> bool:
+        """Whether a homing run is under way."""
         return self.state in (HomingState.SEARCHING, HomingState.LEAVING, HomingState.STOPPING)
 
     def reset(self) -> None:
-        """No homing asked for."""
+        """Forget the last homing run."""
         self.state = HomingState.IDLE
 
     def start(self, method: int, counts: int) -> None:
@@ -79,12 +82,12 @@ class Homing:
             self.state = HomingState.LEAVING if self._at_switch(counts) else HomingState.SEARCHING
 
     def interrupt(self) -> None:
-        """The master took the start bit back, or halted: no home."""
+        """End the run without a home: the master took the start bit back, or halted."""
         if self.running:
             self.state = HomingState.IDLE
 
     def update(self, counts: int, search_speed: float, zero_speed: float, standing: bool) -> float:
-        """Speed [counts/s] to move with, from the present absolute count."""
+        """Return the speed [counts/s] to move with, from the present absolute count."""
         speed = self._next_speed(counts, search_speed, zero_speed, standing)
         self._last = counts
         return speed

@@ -1,4 +1,4 @@
-"""The drive's own slow velocity loop: what it moves and stops the motor with when no master commands the torque."""
+"""The drive's own slow velocity loop, which moves and stops the motor when no master commands the torque."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class SpeedMeter:
         self.counts_s = 0.0
 
     def restart(self) -> None:
-        """The counter has jumped or begins."""
+        """Begin anew: the counter has jumped or starts."""
         self._last = None
         self.counts_s = 0.0
 
     def update(self, counts: int) -> None:
-        """One sample."""
+        """Take the count of one sample."""
         if self._last is not None:
             self.counts_s += _SPEED_FILTER * ((counts - self._last) / self._period_s - self.counts_s)
         self._last = counts
@@ -57,11 +57,14 @@ class VelocityLoop:
 
     @property
     def standing(self) -> bool:
-        """The set point is zero and the motor has stood for a while."""
+        """Whether the set point is zero and the motor has stood for a while."""
         return self._still >= self._still_samples
 
     def torque(self, target_counts_s: float, acceleration_counts_s2: float, speed_counts_s: float, limit_permille: float) -> float:
-        """Torque [per mille of rated] for this sample; the set point approaches the target by the acceleration."""
+        """Return the torque [per mille of rated] for this sample.
+
+        The set point approaches the target at the given acceleration.
+        """
         step = acceleration_counts_s2 * self._period_s
         self._set_counts_s += min(max(target_counts_s - self._set_counts_s, -step), step)
         lag = self._set_counts_s - speed_counts_s

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class NmtState(IntEnum):
-    """As told in heartbeats."""
+    """Network management states, as told in heartbeats."""
 
     INITIALISING = 0x00
     STOPPED = 0x04
@@ -15,7 +15,7 @@ class NmtState(IntEnum):
 
 
 class NmtCommand(IntEnum):
-    """First byte of an NMT frame."""
+    """Network management commands: the first byte of an NMT frame."""
 
     START = 0x01
     STOP = 0x02

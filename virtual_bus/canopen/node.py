@@ -28,7 +28,7 @@ Emit = Callable[[int, bytes], None]
 Handler = Callable[[bytes], None]
 
 ROUNDING_S = 1e-6
-"""Everything is due a microsecond early: times that fall on a sample must not be decided by how their sums were rounded."""
+"""Everything is due a microsecond early, so that rounding does not decide whether a time that falls on a sample is due there."""
 _ALL_OBJECTS = range(0x1000, 0x10000)
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1 keeps the state
@@ -39,7 +39,8 @@ class Timed(Protocol):
 
     deadline_s: float
 
-    def expire(self, now_s: float) -> None: ...
+    def expire(self, now_s: float) -> None:
+        """Do what is due at this time."""
 
 
 class Node:
@@ -58,7 +59,7 @@ class Node:
     """
 
     volatile: frozenset[int] = frozenset()  # indices of process data, never stored
-    kept: frozenset[int] = frozenset()  # indices that are stored although the bus cannot write them
+    kept: frozenset[int] = frozenset()  # indices that are stored though the bus cannot write them
 
     def __init__(self, dictionary: canopen.ObjectDictionary, node_id: int, emit: Emit, memory: Path | None = None) -> None:
         self.node_id = node_id
@@ -68,7 +69,7 @@ class Node:
         self.now_s = 0.0
         self.deadline_s = math.inf  # nothing is due before
         self.routes: dict[int, Handler] = {}
-        self.on_routes: Callable[[], None] = lambda: None  # told when `routes` has been rebuilt
+        self.on_routes: Callable[[], None] = lambda: None  # called when `routes` has been rebuilt
         self._memory = Storage(self.objects, self.volatile, self.kept, memory)
         self.emergency = Emergency(self)
         self._producer = HeartbeatProducer(self)
@@ -101,16 +102,16 @@ class Node:
 
     # ---- life -----------------------------------------------------------------------------------------
     def factory_setting(self, index: int, subindex: int, value: Value) -> None:
-        """What this very device left the factory with, in place of the data sheet's default."""
+        """Set what this very device left the factory with, in place of the data sheet's default."""
         entry = self.objects.find(index, subindex)
         entry.default = entry.value = value
 
     def connect(self, emit: Emit) -> None:
-        """Say where frames go."""
+        """Set where frames go."""
         self.emit = self._emit_on_bus = emit
 
     def power_on(self, now_s: float) -> None:
-        """Initialise, boot up, wait in pre-operational."""
+        """Initialise, boot up, and wait in pre-operational."""
         self.now_s = now_s
         self._reset(_ALL_OBJECTS)
 
@@ -129,14 +130,14 @@ class Node:
         self._sync_producer.start()
 
     def bus_off(self) -> None:
-        """The CAN controller has left the bus: nothing goes in or out until `bus_on`."""
+        """Take the CAN controller off the bus: nothing goes in or out until `bus_on`."""
         self.emit = lambda can_id, data: None
         self.routes = {}
         self.on_routes()
         self._communication_error("bus_off")
 
     def bus_on(self) -> None:
-        """The controller is back."""
+        """Put the CAN controller back on the bus."""
         self.emit = self._emit_on_bus
         self._configure()
         self.emergency.raise_error(_BUS_OFF_RECOVERED)
@@ -144,7 +145,7 @@ class Node:
 
     @property
     def event_driven(self) -> bool:
-        """Whether a TPDO waits for a value to change: such a device wants a `tick` every sample."""
+        """Whether a TPDO waits for a value to change: such a device needs a `tick` every sample."""
         return bool(self._event_tpdos)
 
     @property
@@ -154,16 +155,16 @@ class Node:
 
     # ---- time -----------------------------------------------------------------------------------------
     def after(self, seconds: float) -> float:
-        """The time [s] that much later."""
+        """Return the time [s] that much later."""
         return self.now_s + seconds - ROUNDING_S
 
     def schedule(self, deadline_s: float) -> None:
-        """Something is due then."""
+        """Ask for a tick by then."""
         if deadline_s < self.deadline_s:
             self.deadline_s = deadline_s
 
     def tick(self, now_s: float) -> None:
-        """Time has come to `now_s`: whatever is due by then goes out."""
+        """Move time on to `now_s` and send what is due by then."""
         self.now_s = now_s
         if now_s >= self.deadline_s:
             timed: tuple[Timed, ...] = (self._consumer, self._producer, self._sync_producer, self.emergency, *self._rpdos, *self._tpdos)
@@ -175,7 +176,7 @@ class Node:
             tpdo.check_event()
 
     def after_sync(self, entry: Entry) -> Value:
-        """What this entry will hold once the next SYNC has applied what came since the last."""
+        """Return what this entry will hold once the next SYNC has applied what came since the last."""
         for rpdo in self._sync_rpdos:
             if (value := rpdo.pending(entry)) is not None:
                 return value
@@ -183,19 +184,22 @@ class Node:
 
     # ---- frames ---------------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """One data frame of the bus (remote frames are not for us)."""
+        """Take one data frame from the bus; remote frames must not come here."""
         self.now_s = now_s
         handler = self.routes.get(can_id)
         if handler is not None:
             handler(data)
 
     def sync(self, data: bytes) -> None:
-        """A SYNC, for a device that stands alone: what has come is applied, then what is mapped goes out."""
+        """Answer a SYNC, for a device that stands alone: apply what has come, then send what is mapped."""
         counter = self.begin_sync(data)
         self.end_sync(counter)
 
     def begin_sync(self, data: bytes) -> int | None:
-        """First half of a SYNC: apply synchronous RPDOs. Returns the SYNC's counter, None without one."""
+        """Apply synchronous RPDOs: the first half of a SYNC.
+
+        Returns the SYNC's counter, None without one.
+        """
         if len(data) != self._sync_length:
             self.emergency.raise_error(_SYNC_LENGTH_ERROR)
             self.emergency.clear_error(_SYNC_LENGTH_ERROR)
@@ -204,14 +208,14 @@ class Node:
         return data[0] if data else None
 
     def end_sync(self, counter: int | None) -> None:
-        """Second half: the actual values are in the dictionary, send the synchronous TPDOs."""
+        """Send the synchronous TPDOs: the second half of a SYNC, when the actual values are in the dictionary."""
         for tpdo in self._sync_tpdos:
             tpdo.on_sync(counter)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
 
     def rehearse(self) -> None:
-        """Go through the motions of answering a SYNC; nothing changes."""
+        """Prepare the answer to a SYNC without sending it, so that its code and data are at hand; nothing changes."""
         for tpdo in self._sync_tpdos:
             tpdo.rehearse()
 
@@ -242,12 +246,12 @@ class Node:
         self.emit(0x580 + self.node_id, data)
 
     def send_heartbeat(self) -> None:
-        """The NMT state."""
+        """Send the NMT state."""
         self.emit(0x700 + self.node_id, bytes((self.state,)))
 
     # ---- errors ---------------------------------------------------------------------------------------
     def heartbeat_lost(self, node_id: int) -> None:
-        """A supervised node is silent."""
+        """Report that a supervised node is silent."""
         self.emergency.raise_error(HEARTBEAT_ERROR, bytes((node_id,)))
         self._communication_error("heartbeat")
 
@@ -288,19 +292,25 @@ class Node:
             if rpdo.alive:
                 self.routes[rpdo.cob_id] = both(self.routes[rpdo.cob_id], rpdo.receive) if rpdo.cob_id in self.routes else rpdo.receive
         for node_id in self._consumer.supervised:
-            self.routes[0x700 + node_id] = lambda data, node_id=node_id: self._consumer.heard(node_id)  # type: ignore[misc]
+            self.routes[0x700 + node_id] = self._heartbeat_handler(node_id)
         self.on_routes()
+
+    def _heartbeat_handler(self, node_id: int) -> Handler:
+        return lambda data: self._consumer.heard(node_id)
 
     # ---- for profile devices --------------------------------------------------------------------------
     def application_reset(self) -> None:
-        """All parameters have got their stored or default values."""
+        """Apply the parameters, which have their stored or default values at this point."""
 
     def connection_lost(self, reason: str) -> None:
-        """The master is gone ("heartbeat", "bus_off") or has put the node to rest ("stopped", "reset")."""
+        """React to a lost connection.
+
+        The master is gone ("heartbeat", "bus_off") or has put the node to rest ("stopped", "reset").
+        """
 
 
 def both(first: Handler, second: Handler) -> Handler:
-    """Two PDOs on one identifier get the frame one after the other."""
+    """Return a handler that hands a frame to two PDOs with the same identifier, one after the other."""
 
     def handle(data: bytes) -> None:
         first(data)

@@ -1,4 +1,4 @@
-"""The living object dictionary of a device: values, types, access rights, and what happens when one is written."""
+"""The object dictionary of a running device: values, types, access rights, and the effects of writing them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_STRING_BYTES = 65536  # of a string or domain written over SDO; a small dev
 
 
 def key_of(index: int, subindex: int = 0) -> int:
-    """One number for an object's address."""
+    """Return an object's address as one number."""
     return index << 8 | subindex
 
 
@@ -67,10 +67,12 @@ class Entry:
 
     @property
     def is_integer(self) -> bool:
+        """Whether the value is an integer or a boolean."""
         return self.data_type in _INTEGER_BITS or self.data_type == datatypes.BOOLEAN
 
     @property
     def key(self) -> int:
+        """The address of the entry as one number."""
         return key_of(self.index, self.subindex)
 
     def _initial(self, given: object) -> Value:
@@ -83,7 +85,7 @@ class Entry:
         return bytes(given) if isinstance(given, bytes | bytearray) else b""
 
     def encode(self, value: Value) -> bytes:
-        """The value as it goes over the wire."""
+        """Return the value as it goes over the wire."""
         if isinstance(value, bytes):
             return value
         if isinstance(value, float):
@@ -92,7 +94,13 @@ class Entry:
         return (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
     def decode(self, data: bytes) -> Value:
-        """The value in `data`; SdoAbortError where its length is wrong for the type."""
+        """Return the value in `data`.
+
+        Raises
+        ------
+        SdoAbortError
+            The length is wrong for the type.
+        """
         if not self.bits:
             if len(data) > _MAX_STRING_BYTES:
                 raise SdoAbortError(abort.OUT_OF_MEMORY)
@@ -105,10 +113,18 @@ class Entry:
         return int.from_bytes(data, "little", signed=self.signed)
 
     def check_limits(self, value: Value) -> None:
-        """SdoAbortError where the data sheet's limits are passed."""
-        if self.high is not None and value > self.high:  # type: ignore[operator]
+        """Refuse a value beyond the data sheet's limits.
+
+        Raises
+        ------
+        SdoAbortError
+            The value is too high or too low.
+        """
+        if isinstance(value, bytes):
+            return  # strings and domains have no limits
+        if self.high is not None and value > self.high:
             raise SdoAbortError(abort.VALUE_TOO_HIGH)
-        if self.low is not None and value < self.low:  # type: ignore[operator]
+        if self.low is not None and value < self.low:
             raise SdoAbortError(abort.VALUE_TOO_LOW)
 
 
@@ -139,29 +155,37 @@ class Objects:
         self.entries[entry.key] = entry
 
     def __contains__(self, index: int) -> bool:
+        """Return whether the device has an object of this index."""
         return index in self._indices
 
     def __iter__(self) -> Iterator[Entry]:
+        """Iterate over all entries."""
         return iter(self.entries.values())
 
     def find(self, index: int, subindex: int = 0) -> Entry:
-        """The entry, or SdoAbortError: no such object, no such subindex."""
+        """Return an entry.
+
+        Raises
+        ------
+        SdoAbortError
+            There is no such object or no such subindex.
+        """
         entry = self.entries.get(index << 8 | subindex)
         if entry is None:
             raise SdoAbortError(abort.NO_SUBINDEX if index in self._indices else abort.NO_OBJECT)
         return entry
 
     def get(self, index: int, subindex: int = 0) -> Entry | None:
-        """The entry, or None."""
+        """Return an entry, or None."""
         return self.entries.get(index << 8 | subindex)
 
     def number(self, index: int, subindex: int = 0, otherwise: int = 0) -> int:
-        """An integer's present value, or `otherwise` where the device has no such object."""
+        """Return an integer's present value, or `otherwise` where the device has no such object."""
         entry = self.entries.get(index << 8 | subindex)
         return entry.value if entry is not None and isinstance(entry.value, int) else otherwise
 
     def read(self, index: int, subindex: int) -> bytes:
-        """What an SDO upload transfers."""
+        """Return what an SDO upload transfers."""
         entry = self.find(index, subindex)
         if not entry.readable:
             raise SdoAbortError(abort.WRITE_ONLY)
@@ -169,14 +193,14 @@ class Objects:
         return entry.encode(reading() if reading else entry.value)
 
     def writable_entry(self, index: int, subindex: int) -> Entry:
-        """The entry an SDO download may write to."""
+        """Return the entry that an SDO download may write to."""
         entry = self.find(index, subindex)
         if not entry.writable:
             raise SdoAbortError(abort.READ_ONLY)
         return entry
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """What an SDO download does: rights, length, limits, the device's own checks, the value, its effects."""
+        """Write as an SDO download does: rights, length, limits, the device's own checks, the value, its effects."""
         entry = self.writable_entry(index, subindex)
         value = entry.decode(data)
         entry.check_limits(value)

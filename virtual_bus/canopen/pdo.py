@@ -1,4 +1,4 @@
-"""Process data objects: what is in them, when they come and go (CiA 301, 7.2.2)."""
+"""Process data objects: their content, and when they are sent and taken (CiA 301, 7.2.2)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SIZE_ERROR, _EXCESS_ERROR, _RPDO_TIMEOUT = 0x8210, 0x8220, 0x8250  # EMCY codes
 
 
 class Layout:
-    """Packs and unpacks the mapped entries: with one struct where all are whole bytes, bit by bit otherwise."""
+    """Packing of the mapped entries: with one struct where all are whole bytes, bit by bit otherwise."""
 
     def __init__(self, entries: list[Entry]) -> None:
         self.entries = entries
@@ -27,7 +27,7 @@ class Layout:
         self._struct = struct.Struct("<" + "".join(characters)) if all(characters) else None
 
     def pack(self) -> bytes:
-        """Present values, as they go into the frame."""
+        """Return the present values as they go into the frame."""
         if self._struct is not None:
             return self._struct.pack(*[entry.value for entry in self.entries])
         frame = shift = 0
@@ -37,7 +37,7 @@ class Layout:
         return frame.to_bytes(self.length, "little")
 
     def unpack(self, data: bytes) -> tuple[Value, ...]:
-        """One value per entry."""
+        """Return one value per entry."""
         if self._struct is not None:
             return self._struct.unpack_from(data)
         frame = int.from_bytes(data[: self.length], "little")
@@ -50,7 +50,7 @@ class Layout:
 
 
 def mapped_entries(objects: Objects, mapping_index: int) -> list[Entry]:
-    """The entries a mapping object names; dummy types become entries nobody reads."""
+    """Return the entries a mapping object names; dummy types become entries nobody reads."""
     entries = []
     for subindex in range(1, objects.number(mapping_index) + 1):
         index, mapped_subindex, _ = split_mapping(objects.number(mapping_index, subindex))
@@ -63,12 +63,12 @@ def mapped_entries(objects: Objects, mapping_index: int) -> list[Entry]:
 
 
 def split_mapping(value: int) -> tuple[int, int, int]:
-    """(index, subindex, bits) of a mapping entry."""
+    """Return (index, subindex, bits) of a mapping entry."""
     return value >> 16, value >> 8 & 0xFF, value & 0xFF
 
 
 def dummy_entry(data_type: int) -> Entry:
-    """A gap of one basic type in an RPDO."""
+    """Return an entry that fills a gap of one basic type in an RPDO."""
     variable = ODVariable(f"Dummy{data_type:04d}", data_type, 0)
     variable.data_type = data_type
     return Entry(variable)
@@ -90,7 +90,7 @@ class Rpdo:
         self._effects: list[Callable[[Value], None] | None] = []
 
     def configure(self, operational: bool) -> None:
-        """Take over what the dictionary says now."""
+        """Take over the dictionary's present settings."""
         objects = self._node.objects
         cob_id = objects.number(self.communication, 1)
         self.cob_id = cob_id & 0x7FF
@@ -103,7 +103,7 @@ class Rpdo:
         self.deadline_s = math.inf
 
     def receive(self, data: bytes) -> None:
-        """A frame with this PDO's identifier."""
+        """Take a frame with this PDO's identifier."""
         layout, node = self._layout, self._node
         if len(data) != layout.length or self._length_error:
             self._judge_length(len(data))
@@ -119,7 +119,7 @@ class Rpdo:
             self._apply(data)
 
     def _judge_length(self, length: int) -> None:
-        """Tell of a frame of the wrong length, and of the first good one after it."""
+        """Report a frame of the wrong length, and the first good one after it."""
         wanted = self._layout.length
         error = _SIZE_ERROR if length < wanted else _EXCESS_ERROR if length > wanted else 0
         if self._length_error and self._length_error != error:
@@ -135,7 +135,7 @@ class Rpdo:
             self._pending = None
 
     def pending(self, entry: Entry) -> Value | None:
-        """What the next SYNC will put into this entry; None: nothing."""
+        """Return what the next SYNC will put into this entry; None: nothing."""
         if self._pending is None or entry not in self._layout.entries:
             return None
         return self._layout.unpack(self._pending)[self._layout.entries.index(entry)]
@@ -148,14 +148,17 @@ class Rpdo:
                 effect(value)
 
     def expire(self, now_s: float) -> None:
-        """The event timer ran out: the PDO is missing."""
+        """Report the PDO as missing when its event timer has run out."""
         if now_s >= self.deadline_s:
             self.deadline_s = math.inf
             self._node.emergency.raise_error(_RPDO_TIMEOUT)
 
 
 class Tpdo:
-    """A transmit PDO: every n-th SYNC, at the next SYNC after an event (0), or on events (254, 255) within inhibit and event time."""
+    """A transmit PDO.
+
+    It is sent on every n-th SYNC, at the next SYNC after an event (type 0), or on events (254, 255) within inhibit and event time.
+    """
 
     def __init__(self, node: Port, number: int) -> None:
         self._node = node
@@ -173,7 +176,7 @@ class Tpdo:
         self._layout = Layout([])
 
     def configure(self, operational: bool) -> None:
-        """Take over what the dictionary says now."""
+        """Take over the dictionary's present settings."""
         objects = self._node.objects
         cob_id = objects.number(self.communication, 1)
         was_alive = self.alive
@@ -192,7 +195,7 @@ class Tpdo:
         self._set_deadline()
 
     def on_sync(self, counter: int | None) -> None:
-        """The latched values are in the dictionary: send if it is this PDO's turn."""
+        """Send if it is this PDO's turn; the latched values are in the dictionary."""
         if self._type == 1 and not self._start:
             self._node.emit(self.cob_id, self._layout.pack())
             return
@@ -208,7 +211,7 @@ class Tpdo:
         self._counted += 1
 
     def rehearse(self) -> None:
-        """Pack what is in the dictionary, and send nothing."""
+        """Pack what is in the dictionary without sending it."""
         self._layout.pack()
 
     def check_event(self) -> None:
@@ -224,7 +227,7 @@ class Tpdo:
             self._node.schedule(self.deadline_s)
 
     def expire(self, now_s: float) -> None:
-        """Inhibit time over with an event pending, or event timer over."""
+        """Send when the inhibit time is over with an event pending, or the event timer has run out."""
         if not self.alive or self.synchronous:
             self.deadline_s = math.inf
         elif now_s >= self._next_event_s:

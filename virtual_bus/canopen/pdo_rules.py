@@ -1,4 +1,4 @@
-"""The CiA 301 procedure for changing a PDO: off, count to zero, entries, count, on. Anything else is refused."""
+"""The CiA 301 procedure for changing a PDO: off, count to zero, entries, count, on. Other orders are refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _BASIC_DUMMY_TYPES = range(0x01, 0x08)
 
 
 def install(objects: Objects, communication: int, mapping: int, *, receive: bool, changed: Callable[[], None]) -> None:
-    """Hang the rules of one PDO into the dictionary; `changed` runs after every accepted write."""
+    """Add the rules of one PDO to the dictionary; `changed` runs after every accepted write."""
 
     def exists() -> bool:
         return not objects.number(communication, 1) & cob_id.INVALID
@@ -54,7 +54,13 @@ def install(objects: Objects, communication: int, mapping: int, *, receive: bool
 
 
 def check_mapping(objects: Objects, mapping: int, count: int, *, receive: bool) -> None:
-    """SdoAbortError unless the first `count` entries make a PDO."""
+    """Refuse a count of entries that makes no PDO.
+
+    Raises
+    ------
+    SdoAbortError
+        The first `count` entries make no PDO.
+    """
     if count and objects.get(mapping, count) is None:
         raise SdoAbortError(abort.PDO_LENGTH)
     bits = 0
@@ -65,7 +71,13 @@ def check_mapping(objects: Objects, mapping: int, count: int, *, receive: bool) 
 
 
 def mappable_entry(objects: Objects, value: int, *, receive: bool) -> Entry:
-    """The entry a mapping value names, or SdoAbortError: no such object, too long, not mappable in this direction."""
+    """Return the entry that a mapping value names.
+
+    Raises
+    ------
+    SdoAbortError
+        There is no such object, it is too long, or it cannot be mapped in this direction.
+    """
     index, subindex, bits = split_mapping(value)
     if bits > MAX_PDO_BITS:
         raise SdoAbortError(abort.PDO_LENGTH)

@@ -1,4 +1,4 @@
-"""What the parts of a CANopen node ask of the node they are in: objects, time, and a way onto the bus."""
+"""What the parts of a CANopen node need of the node: objects, time, and a way onto the bus."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from virtual_bus.canopen.objects import Objects
 
 
 class Errors(Protocol):
-    """Where a part tells what went wrong (`virtual_bus.canopen.emergency.Emergency`)."""
+    """The errors of a node, as its parts report them (`virtual_bus.canopen.emergency.Emergency`)."""
 
     def raise_error(self, code: int, manufacturer: bytes = b"") -> None:
-        """Tell of an error that has come up."""
+        """Report an error that has come up."""
 
     def clear_error(self, code: int) -> None:
-        """Tell that an error is gone."""
+        """Report that an error is gone."""
 
 
 class Port(Protocol):
@@ -28,7 +28,7 @@ class Port(Protocol):
 
     @property
     def emergency(self) -> Errors:
-        """Its errors."""
+        """The node's errors."""
 
     @property
     def may_tell(self) -> bool:
@@ -44,13 +44,13 @@ class Port(Protocol):
         """Ask for a tick by then."""
 
     def routes_changed(self) -> None:
-        """Say that the identifiers listened to are others."""
+        """Report that the identifiers listened to have changed."""
 
     def send_heartbeat(self) -> None:
         """Send the NMT state."""
 
     def heartbeat_lost(self, node_id: int) -> None:
-        """Say that a supervised node is silent."""
+        """Report that a supervised node is silent."""
 
     def sync(self, data: bytes) -> None:
-        """Follow a SYNC of our own."""
+        """Answer a SYNC that the node sent itself."""

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class PowerState(IntEnum):
-    """Each state's value is its own pattern in the statusword (bits 0 to 3, 5 and 6)."""
+    """States of the drive. Each value is the state's own pattern in the statusword (bits 0 to 3, 5 and 6)."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -19,7 +19,7 @@ class PowerState(IntEnum):
 
 
 class Command(IntEnum):
-    """What a controlword asks for."""
+    """Commands of a controlword."""
 
     NONE = 0
     SHUTDOWN = 1
@@ -52,7 +52,7 @@ _NEXT: dict[tuple[PowerState, Command], PowerState] = {
 
 
 def command_of(controlword: int) -> Command:
-    """The command in bits 0 to 3; none while the fault reset bit is set."""
+    """Return the command in bits 0 to 3; none while the fault reset bit is set."""
     if controlword & FAULT_RESET:
         return Command.NONE
     if not controlword & 0x02:
@@ -65,11 +65,12 @@ def command_of(controlword: int) -> Command:
 
 
 def next_state(state: PowerState, controlword: int, previous_controlword: int, *, resume_from_quick_stop: bool) -> PowerState:
-    """The state one transition on, or the same state.
+    """Return the state one transition on, or the same state.
 
     Parameters
     ----------
     state : PowerState
+        The present state.
     controlword, previous_controlword : int
         A fault is reset by the rising edge of bit 7, so both are needed.
     resume_from_quick_stop : bool

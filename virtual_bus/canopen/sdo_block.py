@@ -14,14 +14,15 @@ _HEAD = struct.Struct("<BHBI")
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16-CCITT, start value 0, as block transfers use it (check value of "123456789": 31C3h)."""
+    """Return the CRC-16-CCITT with start value 0, as block transfers use it (check value of "123456789": 31C3h)."""
     return binascii.crc_hqx(data, 0)
 
 
 class BlockUpload:
-    """The device's value leaves in blocks of up to 127 segments; the client acknowledges each block and may ask for a part again.
+    """A block upload: the device's value leaves in blocks of up to 127 segments.
 
-    The checksum is always told; a client that did not offer to check it has no use for it.
+    The client acknowledges each block and may ask for a part again. The checksum is always sent; a client that did not offer to check it
+    may ignore it.
     """
 
     def __init__(self, index: int, subindex: int, frame: bytes, data: bytes) -> None:
@@ -39,6 +40,7 @@ class BlockUpload:
         return size
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        """Return the frames that answer a frame of the client, and whether the transfer is over."""
         step = frame[0] & 3
         if self._ending:
             if step != 1:
@@ -79,7 +81,10 @@ class BlockUpload:
 
 
 class BlockDownload:
-    """The client's value arrives in blocks of 127 segments; it is written when length and CRC have been found right."""
+    """A block download: the client's value arrives in blocks of 127 segments.
+
+    It is written once length and CRC have been checked.
+    """
 
     def __init__(self, objects: Objects, index: int, subindex: int, frame: bytes) -> None:
         self.index, self.subindex = index, subindex
@@ -97,6 +102,7 @@ class BlockDownload:
         self.opening = _HEAD.pack(0xA4, index, subindex, _MAX_BLOCK)
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        """Return the frames that answer a frame of the client, and whether the transfer is over."""
         if frame[0] == 0x80:  # sequence number 0 is no segment: the client aborts
             return [], True
         if self._ending:

@@ -1,4 +1,4 @@
-"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, one at a time, as the default channel has it."""
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, one at a time, on the default channel."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class _Upload:
         self._data, self._sent, self._toggle = data, 0, 0
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        """Return the frames that answer a frame of the client, and whether the transfer is over."""
         if frame[0] >> 5 != 3:
             raise SdoAbortError(abort.UNKNOWN_COMMAND)
         if frame[0] & 0x10 != self._toggle:
@@ -35,7 +36,7 @@ class _Upload:
 
 
 class _Download:
-    """A segmented download under way: the value is written when the last segment is in."""
+    """A segmented download under way: the value is written when the last segment has come."""
 
     def __init__(self, objects: Objects, index: int, subindex: int, announced: int | None) -> None:
         self.index, self.subindex = index, subindex
@@ -43,6 +44,7 @@ class _Download:
         self._data, self._toggle = bytearray(), 0
 
     def answer(self, frame: bytes) -> tuple[list[bytes], bool]:
+        """Return the frames that answer a frame of the client, and whether the transfer is over."""
         if frame[0] >> 5 != 0:
             raise SdoAbortError(abort.UNKNOWN_COMMAND)
         if frame[0] & 0x10 != self._toggle:
@@ -61,7 +63,7 @@ class _Download:
 
 
 class SdoServer:
-    """Answers requests with frames handed to `send`; keeps the one transfer that may be under way."""
+    """The server of a device: answers requests with frames handed to `send`, and keeps the one transfer under way."""
 
     def __init__(self, objects: Objects, send: Callable[[bytes], None]) -> None:
         self._objects = objects
@@ -73,7 +75,7 @@ class SdoServer:
         self._transfer = None
 
     def receive(self, frame: bytes) -> None:
-        """One request frame. Frames that are not eight bytes long are no SDO and are ignored."""
+        """Answer one request frame. Frames that are not eight bytes long are no SDO and are ignored."""
         if len(frame) != 8:
             return
         if frame[0] >> 5 == 4 and not isinstance(self._transfer, BlockDownload):
@@ -136,7 +138,10 @@ class SdoServer:
 
 
 def transfer_takes(transfer: _Upload | _Download | BlockUpload | BlockDownload, frame: bytes) -> bool:
-    """Whether the frame belongs to the transfer under way: a new initiate request ends the old one instead."""
+    """Return whether the frame belongs to the transfer under way.
+
+    A new initiate request ends the old transfer instead.
+    """
     if isinstance(transfer, BlockDownload):
         return True  # inside a block every byte pattern is a segment
     command = frame[0] >> 5

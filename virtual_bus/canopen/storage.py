@@ -1,4 +1,4 @@
-"""Store (1010h) and restore (1011h): what a device keeps when it is reset (CiA 301, 7.5.2.13 and 7.5.2.14)."""
+"""Store (1010h) and restore (1011h): the parameters a device keeps through a reset (CiA 301, 7.5.2.13 and 7.5.2.14)."""
 
 from __future__ import annotations
 
@@ -29,9 +29,17 @@ class Storage:
     Parameters
     ----------
     objects : Objects
-    volatile : set of indices whose values are process data and are never kept
-    kept : set of indices that are kept although the bus cannot write them
-    path : file of the memory; None keeps it as long as the device lives
+    volatile : frozenset of int
+        Indices whose values are process data and are never kept.
+    kept : frozenset of int
+        Indices that are kept though the bus cannot write them.
+    path : Path, optional
+        File of the memory; None keeps it as long as the device lives.
+
+    Raises
+    ------
+    EmulatorError
+        The file does not hold a device's stored parameters.
     """
 
     def __init__(self, objects: Objects, volatile: frozenset[int], kept: frozenset[int], path: Path | None) -> None:
@@ -57,7 +65,7 @@ class Storage:
         self._objects.readings[entry.key] = lambda: _STORES_ON_COMMAND
 
     def reset(self, indices: range) -> None:
-        """Give every entry of `indices` its kept value, or its default where none is kept or a restore was asked for."""
+        """Give every entry of `indices` its kept value, or its default where none is kept or a restore was requested."""
         for group in [group for group in self._restore_requested if group.start in indices or group == _ALL]:
             self._kept = {key: data for key, data in self._kept.items() if key >> 8 not in group}
             self._restore_requested.remove(group)

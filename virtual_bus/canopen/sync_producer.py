@@ -11,7 +11,10 @@ from virtual_bus.canopen.port import Port
 
 
 class SyncProducer:
-    """Sends SYNC every 1006h microseconds, with a counter from 1 to 1019h where that is set, and follows it itself."""
+    """Sends SYNC every 1006h microseconds and answers it itself.
+
+    Where 1019h is set, each SYNC carries a counter from 1 to that value.
+    """
 
     def __init__(self, node: Port) -> None:
         self._node = node
@@ -20,7 +23,7 @@ class SyncProducer:
         node.objects.effects[key_of(0x1006)] = lambda value: self.start()
 
     def start(self) -> None:
-        """Begin with what the dictionary says."""
+        """Begin with the dictionary's present settings."""
         self._counter = 0
         period_s = self._period_s()
         self.deadline_s = self._node.after(period_s) if period_s else math.inf
@@ -31,7 +34,7 @@ class SyncProducer:
         return objects.number(0x1006) * 1e-6 if objects.number(0x1005) & GENERATES_SYNC and self._node.may_tell else 0.0
 
     def expire(self, now_s: float) -> None:
-        """Send the SYNC that is due; after a long standstill one, not a burst."""
+        """Send the SYNC that is due; after a long pause one, not a burst."""
         if now_s < self.deadline_s:
             return
         period_s = self._period_s()

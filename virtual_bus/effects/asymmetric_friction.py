@@ -28,12 +28,12 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Fc_plus: float, Fc_minus: float, Fv_plus: float, Fv_minus: float) -> float:
-    """Friction level [Nm or N] of this direction."""
+    """Return the friction level [Nm or N] of this direction."""
     return Fc_plus + Fv_plus * state.speed if state.direction > 0.0 else Fc_minus + Fv_minus * state.speed
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """A line through the missing effort over speed, each way by itself."""
+    """Fit a line through the missing effort over speed, for each direction by itself."""
     numbers = []
     for direction in (1.0, -1.0):
         chosen = residual.moves & (residual.speed * direction > 0.0)

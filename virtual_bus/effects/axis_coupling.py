@@ -28,14 +28,17 @@ EFFECT = Effect(
 
 
 def terms(pair: PairMotion, J12: float, phi: float) -> tuple[float, float, float, float]:
-    """Coupling inertia and efforts [Nm or N] on both: only the first axis feels the second's squared speed."""
+    """Return the coupling inertia and the efforts [Nm or N] on both axes.
+
+    Only the first axis feels the second one's squared speed.
+    """
     coupling = J12 * math.cos(pair.other_position + phi)
     slope = -J12 * math.sin(pair.other_position + phi)
     return 0.0, coupling, -slope * pair.other_speed * pair.other_speed, 0.0
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The missing effort per acceleration of the next axis, over its position."""
+    """Fit the missing effort per acceleration of the next axis, over that axis's position."""
     a, q = residual.other_acceleration, residual.other_position
     cosine, sine = fitted([-a * np.cos(q), a * np.sin(q), -residual.acceleration], residual.effort)[:2]
     return math.hypot(cosine, sine), math.atan2(sine, cosine)

@@ -1,4 +1,4 @@
-"""Backlash: a gap in the gear through which no effort passes, or little where its flanks come into touch by and by."""
+"""Backlash: a gap in the gear through which no effort passes, or little where its flanks come into contact gradually."""
 
 from __future__ import annotations
 
@@ -34,13 +34,16 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, b: float, flank: float) -> float:
-    """What the gap takes off the spring's pull [Nm or N]."""
+    """Return the effort [Nm or N] that the gap takes off the spring's pull."""
     if b <= 0.0:
         return 0.0
     return motion.stiffness * min(max(motion.deflection * (b / (b + flank)), -b), b)
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """A gap as wide as the missing effort over the spring's stiffness, half as stiff while the flanks come into touch."""
+    """Guess the gap from the range of the missing effort over the spring's stiffness.
+
+    The flanks come into contact over as much again, so that the spring is half as stiff until then.
+    """
     half = 0.5 * float(np.ptp(residual.effort)) / max(residual.stiffness, 1e-9)
     return half, half

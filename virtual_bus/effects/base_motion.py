@@ -1,4 +1,4 @@
-"""Base motion: a disturbance of fixed frequency from outside, there with the drives off too."""
+"""Base motion: an external disturbance of fixed frequency that is there with the drives off too."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, A: float, f: float, phi: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     return A * math.sin(2.0 * math.pi * f * motion.time_s + phi) if motion.time_s >= 0.0 else 0.0
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """The strongest line of the missing effort's spectrum."""
+    """Take the strongest line of the missing effort's spectrum."""
     f = strongest_frequency_Hz(residual.time_s, residual.effort)
     ((amplitude, phase),) = harmonics(2.0 * math.pi * f * residual.time_s, residual.effort, (1,))
     return amplitude, f, phase + 0.5 * math.pi

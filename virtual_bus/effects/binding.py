@@ -17,22 +17,7 @@ NEEDS = {"": "", "spring": " with a sprung joint", "neighbour": " beside another
 
 
 def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSettings, where: str = "effects") -> tuple[EffectSetting, ...]:
-    """Effects of an effects file on one machine.
-
-    Parameters
-    ----------
-    entries : sequence of mappings
-        `{"name": "coulomb_friction", "at": "roll", "Fc_Nm": 12.0}`, as TOML reads them.
-    settings : PlantSettings
-        The machine.
-    where : str
-        What the entries come from, for the error.
-
-    Raises
-    ------
-    EffectError
-        An effect that does not exist, acts where it may not, is given twice at one place, or whose parameters are not the catalogue's.
-    """
+    """Bind the effects of an effects file to one machine."""
     bound: list[EffectSetting] = []
     for number, entry in enumerate(entries, start=1):
         setting = _bind(entry, settings, f"{where}: effect {number}")
@@ -43,13 +28,16 @@ def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSetting
 
 
 def _is_the_same(one: EffectSetting, other: EffectSetting) -> bool:
-    """Whether an effect acts at a place already: of those that may act there several times, with this order."""
+    """Return whether two settings are one effect at one place.
+
+    Of effects that may act there several times, only those with the same value of the parameter `several` names are one.
+    """
     apart = effects()[one.name].several
     return (one.name, one.at) == (other.name, other.at) and (not apart or one.parameters[apart] == other.parameters[apart])
 
 
 def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[dict[str, object]]:
-    """Bound effects as an effects file writes them: the inverse of `bind_effects`."""
+    """Return bound effects as an effects file writes them: the inverse of `bind_effects`."""
     entries: list[dict[str, object]] = []
     for setting in bound:
         keys = {parameter.name: key for key, (parameter, _) in _keys(effects()[setting.name], setting.at, settings).items()}
@@ -77,7 +65,7 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
 
 
 def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[Parameter, str]]:
-    """Parameter and unit by the key an effects file writes at this place."""
+    """Return parameter and unit by the key that an effects file writes at this place."""
     prismatic, unit = is_prismatic(at, settings), drive_unit(at, settings)
     return {parameter.key(prismatic, unit): (parameter, parameter.unit_at(prismatic, unit)) for parameter in effect.parameters}
 
@@ -92,10 +80,10 @@ def _parameters(effect: Effect, entry: Mapping[str, object], keys: Mapping[str, 
             raise EffectError(f"{where}: {key} is missing: {parameter.description}")
         value = entry.get(key, parameter.default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not is_number or not parameter.low <= float(value) <= parameter.high:  # type: ignore[arg-type]
+        if not isinstance(value, int | float) or not is_number or not parameter.low <= float(value) <= parameter.high:
             bounds = f"{parameter.low:g} to {parameter.high:g} {unit}".rstrip()
             raise EffectError(f"{where}: {key} = {value!r}: must be a number from {bounds}")
-        values[parameter.name] = float(value)  # type: ignore[arg-type]
+        values[parameter.name] = float(value)
     return values
 
 

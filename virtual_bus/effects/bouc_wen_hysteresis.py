@@ -44,13 +44,13 @@ EFFECT = Effect(
 )
 
 
-MOST_PARTS = 8  # of a step, for the path within it
-PART = 0.05  # of z_max / (A n), the path along which the law bends: at a steady speed one part errs by z_max / n times this cubed, over 12
+MOST_PARTS = 8  # into which the path within a step is cut
+PART = 0.05  # of z_max / (A n), the path along which the law bends; at a steady speed the error of one part is z_max / n PART^3 / 12
 
 
 def react(state: ReactionState, k: float, A: float, z_max: float, beta_share: float, n: float) -> tuple[float, float, float]:
-    """Mean effort [Nm or N] over a step and the displacement z [rad or m] at its end, by Heun's rule along the path."""
-    bends = abs(state.start_speed) * state.step_s * A * n / (PART * z_max)  # by the start alone, which no iteration changes
+    """Return the mean effort [Nm or N] over a step and the displacement z [rad or m] at its end, by Heun's rule along the path."""
+    bends = abs(state.start_speed) * state.step_s * A * n / (PART * z_max)  # of the start's speed alone, which no iteration changes
     parts = 1 + int(bends) if bends < MOST_PARTS else MOST_PARTS
     path = 0.5 * (state.start_speed + state.end_speed) * state.step_s / parts
     onward = 1.0 if path > 0.0 else -1.0
@@ -67,6 +67,6 @@ def react(state: ReactionState, k: float, A: float, z_max: float, beta_share: fl
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Flat at a quarter of the travel, with the effort's half range there."""
+    """Guess a loop that is flat at a quarter of the travel, with half the effort's range there."""
     z_max = max(0.25 * float(np.ptp(residual.position)), 1e-9)
     return 0.5 * float(np.ptp(residual.effort)) / z_max, 1.0, z_max, 0.5, 1.0

@@ -1,4 +1,4 @@
-"""Cable spring: hoses and cables that pull harder the further the joint is from their rest."""
+"""Cable spring: hoses and cables that pull harder the further the joint is from their rest position."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, kc: float, kc3: float, theta0: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     x = motion.position - theta0
     return -kc * x - kc3 * x * x * x
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """A line through the missing effort over position, beside friction; slack where it crosses zero."""
+    """Fit a line through the missing effort over position, beside friction.
+
+    The cable is slack where the line crosses zero.
+    """
     q = residual.position
     slope, offset = fitted([-q, np.ones_like(q), -np.sign(residual.speed)], residual.effort)[:2]
     return float(slope), 0.0, float(offset / slope) if slope > 0.0 else 0.0

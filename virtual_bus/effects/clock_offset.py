@@ -1,4 +1,4 @@
-"""Clock offset: a channel stamped late, and later as time goes on."""
+"""Clock offset: a channel that is stamped late, and later as time goes on."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ EFFECT = Effect(
 
 
 def lag_s(time_s: float, t0: float, delta: float) -> float:
-    """How old the channel's value is [s]."""
+    """Return how old the channel's value is [s]."""
     return t0 + delta * time_s
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The lag of the first and of the last third, as a line over time."""
+    """Fit a line over time through the lags of the first and of the last third of the recording."""
     sample_s = residual.time_s[1] - residual.time_s[0]
     third = max(len(residual.time_s) // 3, 2)
     lags = [lag_of(residual.measured[rows], residual.simulated[rows], sample_s) for rows in (slice(0, third), slice(-third, None))]

@@ -37,13 +37,13 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, Np: float, A1: float, phi1: float, A2: float, phi2: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     phase = Np * motion.ratio * motion.position
     return A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """The strongest order of the missing effort over the motor's turns."""
+    """Take the strongest order of the missing effort over the motor's turns."""
     angle = residual.ratio * residual.position
     order = strongest_order(angle, residual.effort)
     (a1, phi1), (a2, phi2) = harmonics(order * angle, residual.effort)

@@ -20,10 +20,10 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, tau0: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     return tau0
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The mean of the missing effort, beside friction."""
+    """Take the mean of the missing effort, beside friction."""
     return (float(fitted([np.ones_like(residual.speed), -np.sign(residual.speed), -residual.speed], residual.effort)[0]),)

@@ -20,12 +20,12 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Fc: float) -> float:
-    """Friction level [Nm or N]."""
+    """Return the friction level [Nm or N]."""
     return Fc
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """Half the jump of the missing effort across reversals."""
+    """Take half the jump of the missing effort across reversals."""
     moving = residual.moves
     weights = fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])
     return (float(weights[0]),)

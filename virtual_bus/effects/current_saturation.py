@@ -1,4 +1,4 @@
-"""Current saturation: an amplifier that cannot give what it is asked for."""
+"""Current saturation: an amplifier that cannot supply the current it is asked for."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ EFFECT = Effect(
 
 
 def limited(state: DriveState, imax: float, droop: float) -> float:
-    """What of the current [drive's unit] flows."""
+    """Return the part of the current [drive's unit] that flows."""
     limit = max(imax - droop * abs(state.speed), 0.0)
     return min(max(state.current, -limit), limit)
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The largest current measured, the same at every speed."""
+    """Take the largest current measured, the same at every speed."""
     return float(np.abs(residual.measured).max()), 0.0

@@ -28,10 +28,10 @@ EFFECT = Effect(
 
 
 def delay_s(Td: float) -> float:
-    """How much later the drive acts [s]."""
+    """Return how much later the drive acts [s]."""
     return Td
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """How far the measured current lags."""
+    """Take the lag of the measured current."""
     return (lag_of(residual.measured, residual.simulated, residual.time_s[1] - residual.time_s[0]),)

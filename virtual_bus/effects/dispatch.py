@@ -29,11 +29,11 @@ FUNCTIONS = {  # name in the generated module: hook of the effect files, what an
 
 
 def compiled_effects() -> ModuleType:
-    """Module with the functions of FUNCTIONS, each `(number, state, row)`, compiled once and cached."""
+    """Return the module with the functions of FUNCTIONS, each `(number, state, row)`, compiled once and cached."""
     texts = [dispatcher_text(hook, function, nothing) for function, (hook, nothing) in FUNCTIONS.items()]
     return load_generated("effects", "\n\n".join([HEADER, *texts]), dispatch_sources())
 
 
 def dispatch_sources() -> str:
-    """Source of everything the dispatchers are compiled from."""
+    """Return the source of everything the dispatchers are compiled from."""
     return inspect.getsource(jit) + inspect.getsource(motion) + effect_sources()

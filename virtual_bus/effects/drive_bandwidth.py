@@ -26,7 +26,10 @@ EFFECT = Effect(
 
 
 def transition(step_s: float, fc: float, zeta: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the error (i - u, i'): its transition over a step (2, 2), and the weights (2,) of its mean over the step. fc > 0."""
+    """Return the transition of the error (i - u, i') over a step, and the weights of its mean over the step.
+
+    The transition is (2, 2), the weights are (2,). fc must be positive.
+    """
     w = 2.0 * np.pi * fc
     system = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     after = scipy.linalg.expm(system * step_s)
@@ -34,7 +37,7 @@ def transition(step_s: float, fc: float, zeta: float) -> tuple[np.ndarray, np.nd
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The corner that lags like the measured current does: a lag of 2 zeta / wc at low frequency."""
+    """Take the corner at which 2 zeta / wc, the lag at low frequency, equals the lag of the measured current."""
     sample_s = residual.time_s[1] - residual.time_s[0]
     lag = max(lag_of(residual.measured, residual.simulated, sample_s), 1e-5)
     return 1.4 / (2.0 * np.pi * lag), 0.7

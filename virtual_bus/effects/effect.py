@@ -1,4 +1,4 @@
-"""What an effect is: a piece of physics with a name, parameters and a place, added to a machine by an effects file."""
+"""The definition of an effect: a piece of physics with a name, parameters and a place, added to a machine by an effects file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PHASE = "phase"  # an angle in rad at every joint
 
 @dataclass(frozen=True)
 class EffectKind:
-    """How effects of one kind enter the equations: the hook an effect's file defines, and where such effects act."""
+    """How effects of one kind enter the equations: the hook that an effect's file defines, and where such effects act."""
 
     name: str
     function: str  # the hook's name
@@ -87,7 +87,7 @@ class Parameter:
     default: float | None = None  # of a file that leaves it out; None where it must not
 
     def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
-        """The unit at a joint that turns or one that slides, behind a drive that counts in this unit."""
+        """Return the unit at a joint that turns or one that slides, behind a drive that counts in `drive_unit`."""
         if self.unit == PHASE:
             return "rad"
         unit = PRISMATIC_UNITS.get(self.unit, self.unit) if prismatic else self.unit
@@ -98,7 +98,7 @@ class Parameter:
         return unit
 
     def key(self, prismatic: bool = False, drive_unit: str = DRIVE_UNIT) -> str:
-        """As it is written in an effects file: `Fc_Nm`, `vs_rad_s`, `delta`."""
+        """Return the name as it is written in an effects file: `Fc_Nm`, `vs_rad_s`, `delta`."""
         suffix = self.unit_at(prismatic, drive_unit).replace("/", "_").replace(" ", "_").replace("^", "")
         return f"{self.name}_{suffix}" if suffix else self.name
 

@@ -1,4 +1,4 @@
-"""Encoder eccentricity: a scale off its axis, and an error in every line of it."""
+"""Encoder eccentricity: a scale that is off its axis, and an error within every line of it."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ EFFECT = Effect(
 
 
 def error(position: float, a: float, phi: float, b: float, Nl: float) -> float:
-    """What the encoder sees beyond the joint's position [rad or m]."""
+    """Return what the encoder sees beyond the joint's position [rad or m]."""
     return a * math.cos(position + phi) + b * math.cos(Nl * position)
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """The difference's order one over position, and its strongest order beyond."""
+    """Take the first order of the difference over position, and its strongest order in what remains."""
     ((a, phi),) = harmonics(residual.position, residual.difference, (1,))
     rest = residual.difference - a * np.cos(residual.position + phi)
     order = strongest_order(residual.position, rest)

@@ -19,12 +19,12 @@ EFFECT = Effect(
 
 
 def resolution(q: float) -> float:
-    """Step of the lattice [rad or m]."""
+    """Return the step of the lattice [rad or m]."""
     return q
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The smallest step between different readings."""
+    """Take the smallest step between different readings."""
     steps = np.diff(np.unique(residual.measured))
     steps = steps[steps > 1e-12]
     return (float(steps.min()) if steps.size else 0.0,)

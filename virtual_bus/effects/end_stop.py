@@ -35,14 +35,14 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, K: float, D: float, at_position: float, side: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     towards = 1.0 if side > 0.0 else -1.0
     depth = towards * (motion.position - at_position)
     return -towards * max(K * depth + D * towards * motion.speed, 0.0) if depth > 0.0 else 0.0
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """At the end of the travel where the missing effort is largest, over its last twentieth."""
+    """Place the stop near the end of the travel where the missing effort is largest, over the last twentieth."""
     q = residual.position
     travel = float(np.ptp(q))
     worst = int(np.argmax(np.abs(residual.effort)))

@@ -17,7 +17,7 @@ EFFECT = Effect(
         "travel, effort on the joint grows by 1 + beta and the rotor's inertia by its square; link encoders do not see it"
     ),
     neighbours=("encoder_eccentricity", "torque_constant"),
-    source="docs/notation.md, Signs",
+    source="docs/explanation/notation.md, Signs",
 )
 
 
@@ -33,11 +33,11 @@ CHANGES = (("axis", "ratio", _ratio), ("joint", "armature", _armature))
 
 
 def error(position: float, beta: float) -> float:
-    """What the motor's encoder sees beyond the joint's position [rad or m]."""
+    """Return what the motor's encoder sees beyond the joint's position [rad or m]."""
     return beta * position
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The motor side's surplus per travel of the link."""
+    """Take the motor side's surplus per travel of the link."""
     travel = residual.position - residual.position.mean()
     return (float(fitted([travel, np.ones_like(travel)], residual.difference)[0]),)

@@ -35,12 +35,12 @@ EFFECT = Effect(
 
 
 def effort(motion: JointMotion, mgr: float, phi: float) -> float:
-    """Effort [Nm or N] on the joint."""
+    """Return the effort [Nm or N] on the joint."""
     return -mgr * math.sin(motion.position + phi)
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """Sine and cosine of the missing effort over position, beside friction and a load."""
+    """Fit sine and cosine of the position to the missing effort, beside friction."""
     q = residual.position
     sine, cosine = fitted([-np.sin(q), -np.cos(q), -np.sign(residual.speed)], residual.effort)[:2]
     return math.hypot(sine, cosine), math.atan2(cosine, sine)

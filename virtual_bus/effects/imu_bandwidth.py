@@ -43,7 +43,7 @@ CHANGES = (("imu", "accelerometer_bandwidth", _bandwidth), ("imu", "gyro_bandwid
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The corner that lags like the accelerometer's liveliest channel does, of first order."""
+    """Take the first-order corner whose lag is that of the accelerometer channel that varies most."""
     channel = int(np.argmax(residual.simulated[:, :3].std(axis=0)))
     sample_s = residual.time_s[1] - residual.time_s[0]
     lag = max(lag_of(residual.measured[:, channel], residual.simulated[:, channel], sample_s), 1e-4)

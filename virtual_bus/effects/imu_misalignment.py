@@ -27,13 +27,13 @@ EFFECT = Effect(
 
 
 def calibration(rx: float, ry: float, rz: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gain (2, 3, 3) of accelerometer and gyro, and no offset (6,)."""
+    """Return the gain (2, 3, 3) of accelerometer and gyro, and a zero offset (6,)."""
     turned = Rotation.from_rotvec([rx, ry, rz]).as_matrix() if (rx, ry, rz) != (0.0, 0.0, 0.0) else np.eye(3)
     return np.stack([turned, turned]), np.zeros(6)
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """The small rotation that takes the simulated onto the measured specific force."""
+    """Take the small rotation that turns the simulated specific force into the measured one."""
     force, difference = residual.simulated[:, :3], residual.difference[:, :3]
     zero = np.zeros(len(force))
     x, y, z = force.T

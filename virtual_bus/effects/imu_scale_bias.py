@@ -1,4 +1,4 @@
-"""IMU scale and bias: an accelerometer that reads too much, and off zero."""
+"""IMU scale and bias: an inertial sensor with errors of scale and of zero."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ EFFECT = Effect(
 
 
 def calibration(sx: float, sy: float, sz: float, bx: float, by: float, bz: float, sg: float, bg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gain (2, 3, 3) of accelerometer and gyro, and offset (6,) after it."""
+    """Return the gain (2, 3, 3) of accelerometer and gyro, and the offset (6,) after it."""
     return np.stack([np.diag([1.0 + sx, 1.0 + sy, 1.0 + sz]), (1.0 + sg) * np.eye(3)]), np.array([bx, by, bz, bg, bg, bg])
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float, float, float, float]:
-    """A line through each channel's difference over its simulation."""
+    """Fit a line through each channel's difference over its simulation."""
     lines = []
     for k in range(6):
         true, difference = residual.simulated[:, k], residual.difference[:, k]

@@ -36,6 +36,6 @@ CHANGES = (("joint", "stiffness", _stiffness), ("joint", "damping", _damping))
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The part of the link's lag that follows the drive's effort."""
+    """Take the part of the link's lag that follows the drive's effort."""
     columns = [-residual.drive_effort, np.ones_like(residual.drive_effort)]
     return float(fitted(columns, residual.difference)[0]), 0.0

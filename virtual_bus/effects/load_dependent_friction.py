@@ -23,11 +23,11 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Kl: float) -> float:
-    """Friction level [Nm or N]."""
+    """Return the friction level [Nm or N]."""
     return Kl * state.load
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The missing effort against motion per effort of the drive, beside a Coulomb level."""
+    """Take the missing effort against motion per effort of the drive, beside a Coulomb level."""
     against = -np.sign(residual.speed)
     return (float(fitted([against * np.abs(residual.drive_effort), against, np.ones_like(against)], residual.effort)[0]),)

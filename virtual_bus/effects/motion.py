@@ -1,8 +1,15 @@
-"""What the hooks of effects are told: the state of the place they act at."""
+"""What the hooks of effects are told, and the functions that call a hook by its effect's number.
+
+A hook gets the state of the place it acts at. The functions are compiled by `dispatch.py`: `function(number, state, row)`, where `row` is
+the effect's number and then its parameters.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
+
+import numpy as np
 
 
 class JointState(NamedTuple):
@@ -54,3 +61,15 @@ class DriveState(NamedTuple):
     speed: float  # of the joint
     position: float  # of the joint
     ratio: float
+
+
+FrictionOf = Callable[[int, JointState, np.ndarray], float]
+EffortOf = Callable[[int, JointMotion, np.ndarray], float]
+TermsOf = Callable[[int, PairMotion, np.ndarray], tuple[float, float, float, float]]
+ReactionOf = Callable[[int, ReactionState, np.ndarray], tuple[float, float, float]]
+LimitedBy = Callable[[int, DriveState, np.ndarray], float]
+RippleOf = Callable[[int, DriveState, np.ndarray], float]
+EncoderErrorOf = Callable[[int, float, np.ndarray], float]  # of a position
+SignedBy = Callable[[int, float, np.ndarray], float]  # of a channel's value
+LagOf = Callable[[int, float, np.ndarray], float]  # of the time [s]
+LostBy = Callable[[int, int, np.ndarray], bool]  # of the sample's number

@@ -48,16 +48,14 @@ EFFECT = Effect(
 )
 
 NEARLY_CUBIC = 0.01
-"""Share of 1 / sqrt(bend) below which the law is taken from its series: a difference of nearly equal numbers has no digits left."""
-
+"""Share of 1 / sqrt(bend) below which the law is taken from its series, where a difference of nearly equal numbers loses its digits."""
 
 FIRST_BEND = 9.0
-"""Of a first guess, in units of one over the square of the largest deflection: from there a fit finds its way to a cubic and to a corner.
-"""
+"""First guess of `bend`, times the square of the largest deflection: from there a fit reaches both a cubic and a corner."""
 
 
 def effort(motion: JointMotion, k3: float, bend: float, corner: float) -> float:
-    """Effort [Nm or N] on the sprung joint."""
+    """Return the effort [Nm or N] on the sprung joint."""
     x, r = motion.deflection - min(max(motion.deflection, -corner), corner), math.sqrt(bend)
     if k3 < 0.0:
         straight = math.sqrt(motion.stiffness / (-3.0 * k3))  # tanh(r knee) / r
@@ -71,6 +69,6 @@ def effort(motion: JointMotion, k3: float, bend: float, corner: float) -> float:
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """The cubic part of the missing effort over the spring's deflection."""
+    """Take the cubic part of the missing effort over the spring's deflection."""
     x = residual.other_position
     return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11), 0.0

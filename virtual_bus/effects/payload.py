@@ -1,4 +1,4 @@
-"""Payload: a mass more at a body's centre of mass, with its inertia and its weight."""
+"""Payload: an additional mass at a body's centre of mass, with its inertia and its weight."""
 
 from __future__ import annotations
 
@@ -26,6 +26,6 @@ CHANGES = (("body", "mass", _mass),)
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The inertia missing at the joint, on a lever of one metre."""
+    """Take the inertia missing at the joint, at a lever of one metre."""
     columns = [-residual.acceleration, -residual.speed, -np.sign(residual.speed), np.ones_like(residual.speed)]
     return (float(fitted(columns, residual.effort)[0]),)

@@ -1,4 +1,4 @@
-"""Where on a machine effects may act: axes, bodies, the springs behind them, sensors and their channels."""
+"""Places on a machine where effects may act: axes, bodies, the springs behind them, sensors and their channels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ IMU_LETTERS = "xyz"
 
 
 def imu_channel_names(settings: PlantSettings) -> list[str]:
-    """Channel names of all IMUs in the order of their readings: imu_x, imu_y, imu_z, gyro_x, ... for the one called `imu`."""
+    """Return the channel names of all IMUs in the order of their readings.
+
+    They are imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z for the one called `imu`.
+    """
     names = []
     for imu in settings.imus:
         gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
@@ -18,7 +21,7 @@ def imu_channel_names(settings: PlantSettings) -> list[str]:
 
 
 def joint_at(at: str, settings: PlantSettings) -> str:
-    """Name of the joint an axis drives, or that carries a body."""
+    """Return the name of the joint that an axis drives, or that carries a body."""
     for drive in settings.drives:
         if drive.axis == at:
             return drive.joint
@@ -28,7 +31,10 @@ def joint_at(at: str, settings: PlantSettings) -> str:
 
 
 def spring_at(at: str, settings: PlantSettings) -> str | None:
-    """Name of the sprung joint directly behind an axis's joint, or that carries a body; None where there is none."""
+    """Return the name of the sprung joint directly behind an axis's joint, or that carries a body.
+
+    None where there is no such joint.
+    """
     driven = {drive.joint for drive in settings.drives}
     if not any(drive.axis == at for drive in settings.drives):
         joint = _body(at, settings).joint
@@ -46,7 +52,10 @@ def spring_at(at: str, settings: PlantSettings) -> str | None:
 
 
 def undriven_joint_at(at: str, settings: PlantSettings) -> str | None:
-    """Name of the joint that carries a body and has no drive: it moves as far as its spring gives way. None at any other place."""
+    """Return the name of the joint that carries a body and has no drive.
+
+    Such a joint moves as far as its spring gives way. None at any other place.
+    """
     if not any(body.name == at and body.joint is not None for body in settings.tree.bodies):
         return None
     name = joint_at(at, settings)
@@ -54,8 +63,10 @@ def undriven_joint_at(at: str, settings: PlantSettings) -> str | None:
 
 
 def part_at(at: str, settings: PlantSettings) -> str:
-    """The part of the machine that a place belongs to: an axis with its drive, its sensors and what it carries up to the next drive, IMUs
-    among it, by the axis's name; what no drive carries, by its first body's.
+    """Return the name of the part of the machine that a place belongs to.
+
+    A part is an axis with its drive, its sensors and everything it carries up to the next drive, IMUs included, and has the axis's name.
+    What no drive carries is a part with the name of its first body.
     """
     axes = {drive.joint: drive.axis for drive in settings.drives}
     axis = {current.channel: current.axis for current in settings.currents}.get(at, at)
@@ -69,13 +80,13 @@ def part_at(at: str, settings: PlantSettings) -> str:
 
 
 def next_axis(at: str, settings: PlantSettings) -> str:
-    """The axis after this one in the machine's order; the first one after the last."""
+    """Return the axis after this one in the machine's order; the first one after the last."""
     axes = [drive.axis for drive in settings.drives]
     return axes[(axes.index(at) + 1) % len(axes)]
 
 
 def places(kind: EffectKind, settings: PlantSettings) -> list[str]:
-    """Names of the machine's places where effects of a kind may act."""
+    """Return the names of the machine's places where effects of a kind may act."""
     found: list[str] = []
     if "axis" in kind.allowed_at:
         found += [drive.axis for drive in settings.drives]
@@ -98,7 +109,10 @@ def places(kind: EffectKind, settings: PlantSettings) -> list[str]:
 
 
 def is_prismatic(at: str, settings: PlantSettings) -> bool:
-    """Does a place count in metres and newtons: an axis, body or encoder of a joint that slides?"""
+    """Return whether a place counts in metres and newtons.
+
+    It does at an axis, body or encoder of a joint that slides.
+    """
     kinds = {joint.name: joint.kind for joint in settings.tree.joints}
     names = {drive.axis: drive.joint for drive in settings.drives}
     for body in settings.tree.bodies:
@@ -110,12 +124,15 @@ def is_prismatic(at: str, settings: PlantSettings) -> bool:
 
 
 def drive_unit(at: str, settings: PlantSettings) -> str:
-    """Unit of the drive's effort at an axis; A elsewhere."""
+    """Return the unit of the drive's effort at an axis; A elsewhere."""
     return next((drive.unit for drive in settings.drives if drive.axis == at), "A")
 
 
 def _body_of_a_sensor(at: str, settings: PlantSettings) -> str | None:
-    """Name of the body that carries an IMU, by its name or one of its channels', or whose joint a sensor reads; None at any other place."""
+    """Return the name of the body that carries an IMU or whose joint a sensor reads.
+
+    An IMU is named by its own name or by one of its channels. None at any other place.
+    """
     channels = imu_channel_names(settings)
     for n, imu in enumerate(settings.imus):
         each = len(channels) // len(settings.imus)

@@ -35,14 +35,14 @@ EFFECT = Effect(
 
 
 def terms(pair: PairMotion, dJ: float, phi: float) -> tuple[float, float, float, float]:
-    """Inertia of the axis and efforts [Nm or N] on both."""
+    """Return the axis's added inertia and the efforts [Nm or N] on both axes."""
     inertia = 0.5 * dJ * (1.0 + math.cos(pair.other_position + phi))
     slope = -0.5 * dJ * math.sin(pair.other_position + phi)
     return inertia, 0.0, -slope * pair.speed * pair.other_speed, 0.5 * slope * pair.speed * pair.speed
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """The missing inertia's cosine over the next axis's position."""
+    """Fit a cosine of the next axis's position to the missing inertia."""
     a, q = residual.acceleration, residual.other_position
     cosine, sine = fitted([-0.5 * a * np.cos(q), 0.5 * a * np.sin(q), -0.5 * a], residual.effort)[:2]
     return math.hypot(cosine, sine), math.atan2(sine, cosine)

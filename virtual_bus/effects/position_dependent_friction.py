@@ -43,12 +43,12 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Fc: float, k: float, phi: float) -> float:
-    """Friction level [Nm or N] at this position."""
+    """Return the friction level [Nm or N] at this position."""
     return 0.5 * Fc * (1.0 + math.cos(k * state.position + phi))
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """One period per turn: the cosine of the level against motion over position."""
+    """Fit one period per turn to the level against motion over position."""
     moving = residual.moves
     against = -np.sign(residual.speed[moving]) * residual.effort[moving]
     ((amplitude, phase),) = harmonics(residual.position[moving], against, (1,))

@@ -31,7 +31,10 @@ EFFECT = Effect(
 
 
 def react(state: ReactionState, Fc: float, Fs_minus_Fc: float, vs: float, sigma0: float, sigma1: float) -> tuple[float, float, float]:
-    """Mean effort [Nm or N] over a step of constant speed, whose bristle moves exactly, and the bend [rad or m] at its end."""
+    """Return the mean effort [Nm or N] over a step and the bend of the bristles [rad or m] at its end.
+
+    The speed is taken as constant over the step; for it the bristles' motion is exact.
+    """
     speed = 0.5 * (state.start_speed + state.end_speed)
     g = Fc + Fs_minus_Fc * math.exp(-((speed / vs) ** 2))
     if g <= 0.0:
@@ -49,7 +52,10 @@ def react(state: ReactionState, Fc: float, Fs_minus_Fc: float, vs: float, sigma0
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """The sliding level from the moving rows, the stiffness from the slope of effort over position while the joint creeps."""
+    """Take the sliding level from the moving rows, and the stiffness from the rows in which the joint creeps.
+
+    The stiffness is the slope of effort over position there.
+    """
     moving = residual.moves
     level = abs(float(fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])[0]))
     creeping = ~moving

@@ -20,11 +20,11 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Fv2: float) -> float:
-    """Friction level [Nm or N]."""
+    """Return the friction level [Nm or N]."""
     return Fv2 * state.speed * state.speed
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The part of the missing effort along speed abs(speed), beside viscous, Coulomb and load."""
+    """Take the part of the missing effort along speed abs(speed), beside viscous and Coulomb friction and a load."""
     speed = residual.speed
     return (float(fitted([-speed * np.abs(speed), -speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)

@@ -24,12 +24,12 @@ EFFECT = Effect(
 
 
 def signed(value: float, share: float, sign: float) -> float:
-    """The channel before noise and lattice."""
+    """Return the channel before noise and lattice."""
     return sign * (value + share * (abs(value) - value))
 
 
 def guess(residual: Residual) -> tuple[float, float]:
-    """Does the channel follow the simulation, its magnitude, or its negative?"""
+    """Choose what the channel follows best: the simulation, its magnitude, or the negative of either."""
     simulated, measured = residual.simulated, residual.measured
     errors = [float(np.sum((measured - candidate) ** 2)) for candidate in (simulated, np.abs(simulated), -simulated, -np.abs(simulated))]
     return ((0.0, 1.0), (1.0, 1.0), (0.0, -1.0), (1.0, -1.0))[int(np.argmin(errors))]

@@ -1,4 +1,4 @@
-"""Which effects there are: every module of this package that holds an EFFECT. Adding one is adding a file."""
+"""The list of known effects: every module of this package that holds an EFFECT. To add an effect is to add a file."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ def _modules() -> dict[str, ModuleType]:
 
 @cache
 def effects() -> dict[str, Effect]:
-    """Every known effect by name, in alphabetical order."""
+    """Return every known effect by name, in alphabetical order."""
     return {name: module.EFFECT for name, module in _modules().items()}
 
 
 def effect_number(name: str) -> int:
-    """The number by which a compiled table refers to an effect."""
+    """Return the number by which a compiled table refers to an effect."""
     return list(effects()).index(name)
 
 
 def effect_sources() -> str:
-    """The text of all effect files: what a compiled plant depends on."""
+    """Return the text of all effect files, on which a compiled plant depends."""
     return "\n".join(inspect.getsource(module) for module in _modules().values())
 
 
 def module_of(name: str) -> ModuleType:
-    """The module of an effect: where its hooks are."""
+    """Return the module of an effect, which holds its hooks."""
     return _modules()[name]
 
 
 def dispatcher_text(hook: str, function: str, nothing: str = "0.0") -> str:
-    """Source of a compiled function `function(number, state, row)` that calls the hook of an effect by its number.
+    """Return the source of a compiled function `function(number, state, row)` that calls the hook of an effect by its number.
 
     `row` is the number, then the effect's parameters. `nothing` is what it returns for an effect without that hook.
     """
@@ -71,7 +71,7 @@ def dispatcher_text(hook: str, function: str, nothing: str = "0.0") -> str:
 
 
 def initial_guess(name: str, residual: Residual) -> dict[str, float]:
-    """Where a fit of an effect may start: its file's guess, kept within the parameters' bounds."""
+    """Return where a fit of an effect may start: its file's guess, kept within the parameters' bounds."""
     parameters = effects()[name].parameters
     guessed = module_of(name).guess(residual)
     return {
@@ -80,8 +80,8 @@ def initial_guess(name: str, residual: Residual) -> dict[str, float]:
     }
 
 
-def catalogue() -> list[dict]:
-    """Names, parameters with units and bounds, sign conventions and allowed places of every effect, as plain data."""
+def catalogue() -> list[dict[str, object]]:
+    """Return names, parameters with units and bounds, sign conventions and allowed places of every effect, as plain data."""
     return [
         {
             "name": effect.name,

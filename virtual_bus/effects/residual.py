@@ -1,4 +1,4 @@
-"""What an initial guess may look at: the mismatch of one place over one recording, and least squares on it."""
+"""The data of an initial guess: the mismatch at one place over one recording, and least squares on it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 HIGHEST_ORDER = 200
-"""Cycles per turn that are looked for: a motor of 36 slots and 48 poles has 144."""
+"""Cycles per turn up to which an order is searched: a motor of 36 slots and 48 poles has 144."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +38,21 @@ class Residual:
     @property
     def difference(self) -> np.ndarray:
         """Measured less simulated."""
-        return self.measured - self.simulated
+        difference: np.ndarray = self.measured - self.simulated
+        return difference
 
     @property
     def moves(self) -> np.ndarray:
-        """Rows in which the joint moves for certain: faster than a twentieth of its top speed."""
-        return np.abs(self.speed) > 0.05 * np.abs(self.speed).max(initial=0.0)
+        """Rows in which the joint certainly moves: faster than a twentieth of its top speed."""
+        moves: np.ndarray = np.abs(self.speed) > 0.05 * np.abs(self.speed).max(initial=0.0)
+        return moves
 
 
 def joined(parts: Sequence[Residual]) -> Residual:
-    """One after the other; ratio and stiffness are those of the first."""
+    """Return several residuals one after the other as one.
+
+    Ratio and stiffness are those of the first.
+    """
     if len(parts) == 1:
         return parts[0]
     names = [field.name for field in fields(Residual) if isinstance(getattr(parts[0], field.name), np.ndarray)]
@@ -56,12 +61,13 @@ def joined(parts: Sequence[Residual]) -> Residual:
 
 
 def fitted(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray:
-    """Least-squares weights of the columns; 0 for what the data do not excite."""
-    return np.linalg.lstsq(np.column_stack(columns), values, rcond=1e-10)[0]
+    """Return the least-squares weights of the columns; 0 for columns that the data do not excite."""
+    weights: np.ndarray = np.linalg.lstsq(np.column_stack(columns), values, rcond=1e-10)[0]
+    return weights
 
 
 def harmonics(phase: np.ndarray, values: np.ndarray, orders: tuple[int, ...] = (1, 2)) -> list[tuple[float, float]]:
-    """Amplitude and phase of A cos(k phase + p) for each order k, beside a constant."""
+    """Return amplitude and phase of A cos(k phase + p) for each order k, fitted beside a constant."""
     columns = [np.ones_like(phase)]
     for order in orders:
         columns += [np.cos(order * phase), np.sin(order * phase)]
@@ -70,20 +76,23 @@ def harmonics(phase: np.ndarray, values: np.ndarray, orders: tuple[int, ...] = (
 
 
 def strongest_order(angle: np.ndarray, values: np.ndarray, highest: int = HIGHEST_ORDER) -> int:
-    """The whole number of cycles per turn that explains most of the values."""
+    """Return the whole number of cycles per turn that explains most of the values."""
     centred = values - values.mean()
     power = [abs(np.sum(centred * np.exp(-1j * order * angle))) for order in range(1, highest + 1)]
     return 1 + int(np.argmax(power))
 
 
 def strongest_frequency_Hz(time_s: np.ndarray, values: np.ndarray) -> float:
-    """Where the values' spectrum peaks, above one cycle in the record."""
+    """Return the frequency at which the values' spectrum peaks, at least one cycle in the record."""
     spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))
     frequencies = np.fft.rfftfreq(len(values), time_s[1] - time_s[0])
     return float(frequencies[1 + int(np.argmax(spectrum[1:]))])
 
 
 def lag_of(measured: np.ndarray, simulated: np.ndarray, sample_s: float) -> float:
-    """Delay [s] of a channel behind its simulation, by the slope of their difference on the simulation's rate of change."""
+    """Return the delay [s] of a channel behind its simulation.
+
+    It is the slope of their difference on the simulation's rate of change.
+    """
     rate = np.gradient(simulated, sample_s)
     return float(-fitted([rate], measured - simulated)[0])

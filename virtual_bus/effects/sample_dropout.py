@@ -1,4 +1,4 @@
-"""Sample dropout: readings that are lost, the last one held."""
+"""Sample dropout: readings that are lost, while the last one is held."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ EFFECT = Effect(
 
 
 def is_lost(sample: int, p: float, length: float, seed: float) -> bool:
-    """Is the last reading repeated at this sample? A hash of burst and seed decides (splitmix64)."""
+    """Return whether the last reading is repeated at this sample.
+
+    A hash of burst and seed decides (splitmix64).
+    """
     if p <= 0.0 or sample <= 0:
         return False
     burst = np.uint64(sample // int(length + 0.5))
@@ -45,7 +48,7 @@ def is_lost(sample: int, p: float, length: float, seed: float) -> bool:
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """Repeated readings while the simulation moves, and how many come in a row."""
+    """Count the repeated readings while the simulation moves, and how many come in a row."""
     repeated = (np.diff(residual.measured) == 0.0) & (np.abs(np.diff(residual.simulated)) > 0.0)
     bursts = int(np.sum(np.diff(np.concatenate(([0], repeated.astype(int)))) == 1))
     return float(repeated.mean()), float(max(repeated.sum() / max(bursts, 1), 1.0)), 0.0

@@ -1,4 +1,4 @@
-"""Stribeck friction: what a joint at rest or creeping holds beyond its Coulomb friction, gone at higher speed."""
+"""Stribeck friction: what a joint holds beyond its Coulomb friction at rest or creeping, gone at higher speed."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ EFFECT = Effect(
 
 
 def level(state: JointState, Fs_minus_Fc: float, vs: float, delta: float) -> float:
-    """Friction level above Coulomb [Nm or N]."""
+    """Return the friction level above Coulomb friction [Nm or N]."""
     return Fs_minus_Fc * math.exp(-((state.speed / vs) ** delta))
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """The excess at low speed, for a Stribeck speed of a tenth of the top speed."""
+    """Take the excess at low speed, for a Stribeck speed of a tenth of the top speed."""
     vs = max(0.1 * float(np.abs(residual.speed).max(initial=0.0)), 1e-4)
     excess = -np.exp(-((residual.speed / vs) ** 2)) * np.sign(residual.speed)
     weights = fitted([excess, -np.sign(residual.speed), np.ones_like(excess)], residual.effort)

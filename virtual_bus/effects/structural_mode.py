@@ -1,4 +1,4 @@
-"""Structural mode: an added inertia on a spring and damper, a pole-zero pair for everything that drives the joint."""
+"""Structural mode: an added inertia on a spring and damper, which is a pole-zero pair for everything that drives the joint."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ EFFECT = Effect(
 
 
 def react(state: ReactionState, J: float, f: float, zeta: float) -> tuple[float, float, float]:
-    """Mean effort [Nm or N] over a step of constant acceleration, and the relative motion z, z' at its end: closed form."""
+    """Return the mean effort [Nm or N] over a step and the relative motion z, z' at its end.
+
+    The closed form for a constant acceleration over the step.
+    """
     w = 2.0 * math.pi * f
     pull = -(state.end_speed - state.start_speed) / state.step_s
     rest = pull / (w * w)
@@ -55,7 +58,7 @@ def react(state: ReactionState, J: float, f: float, zeta: float) -> tuple[float,
 
 
 def guess(residual: Residual) -> tuple[float, float, float]:
-    """At the peak of the missing effort's spectrum, with the inertia missing there."""
+    """Take the peak of the missing effort's spectrum, and the inertia that is missing."""
     f = strongest_frequency_Hz(residual.time_s, residual.effort)
     inertia = float(fitted([-residual.acceleration, -residual.speed, np.ones_like(residual.speed)], residual.effort)[0])
     return abs(inertia), f, 0.02

@@ -1,9 +1,8 @@
-"""Effects of a machine as the arrays its compiled plant reads."""
+"""Effects of a machine as the arrays that its compiled plant reads."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,12 @@ MAX_FRICTIONS = 32  # effects of one kind of one machine: a compiled plant's tab
 MAX_EFFORTS = 32
 MAX_PAIRS = 8
 MAX_REACTIONS = 8
-HELD_SAMPLES = 16  # targets a delayed drive remembers
+HELD_SAMPLES = 16  # targets that a delayed drive remembers
 ROW = 1 + MAX_PARAMETERS  # effect number, then its parameters
 
 
 def effect_row(setting: EffectSetting) -> np.ndarray:
-    """Effect number, then the effect's parameters in its own order, then zeros: (ROW,)."""
+    """Return effect number, then the effect's parameters in its own order, then zeros: (ROW,)."""
     row = np.zeros(ROW)
     values = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
     row[0] = effect_number(setting.name)
@@ -31,7 +30,13 @@ def effect_row(setting: EffectSetting) -> np.ndarray:
 
 
 def with_hook(settings: Sequence[EffectSetting], hook: str, most: int | None = None) -> list[EffectSetting]:
-    """The effects whose file has this hook; EffectError where a table does not hold them."""
+    """Return the effects whose file has this hook.
+
+    Raises
+    ------
+    EffectError
+        There are more of them than `most`, which a table has room for.
+    """
     chosen = [setting for setting in settings if hasattr(module_of(setting.name), hook)]
     if most is not None and len(chosen) > most:
         raise EffectError(f"{len(chosen)} effects of the kind of {chosen[0].name}: a machine takes at most {most}")
@@ -39,7 +44,10 @@ def with_hook(settings: Sequence[EffectSetting], hook: str, most: int | None = N
 
 
 def changed_values(by_quantity: dict[tuple[str, str], float], chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
-    """Put what the effects make of the machine's own numbers in their place; keys are (owner, quantity)."""
+    """Change the machine's own numbers as the effects say.
+
+    Keys of `by_quantity` are (owner, quantity).
+    """
     for setting in with_hook(chosen, "CHANGES"):
         effect = effects()[setting.name]
         values = [setting.parameters[parameter.name] for parameter in effect.parameters]
@@ -51,8 +59,11 @@ def changed_values(by_quantity: dict[tuple[str, str], float], chosen: Sequence[E
             by_quantity[owner, quantity] = change(by_quantity[owner, quantity], *values)
 
 
-def fill_friction(record: Any, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
-    """Friction rows sorted by joint: those of joint j are friction_first[j] to friction_first[j + 1]."""
+def fill_friction(record: np.record, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Put friction rows into a plant's record, sorted by joint.
+
+    Those of joint j are friction_first[j] to friction_first[j + 1].
+    """
     number = settings.tree.joint_index
     frictions = with_hook(chosen, "level", MAX_FRICTIONS)
     frictions.sort(key=lambda setting: number(joint_at(setting.at, settings)))
@@ -63,8 +74,8 @@ def fill_friction(record: Any, chosen: Sequence[EffectSetting], settings: PlantS
     record["friction_first"] = np.concatenate(([0], np.cumsum(counts)))
 
 
-def fill_terms(record: Any, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
-    """Efforts on one joint, and terms between two."""
+def fill_terms(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
+    """Put efforts on one joint, and terms between two, into a plant's record."""
     number = settings.tree.joint_index
     efforts = with_hook(chosen, "effort", MAX_EFFORTS)
     record["effort_count"] = len(efforts)
@@ -88,8 +99,8 @@ def fill_terms(record: Any, chosen: Sequence[EffectSetting], ratio_of_axis: dict
         record["pair_is_spring"][k] = kind is TRANSMISSION
 
 
-def fill_reactions(record: Any, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
-    """Effects with a memory of their own."""
+def fill_reactions(record: np.record, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Put effects with a memory of their own into a plant's record."""
     reactions = with_hook(chosen, "react", MAX_REACTIONS)
     record["reaction_count"] = len(reactions)
     for k, setting in enumerate(reactions):
@@ -99,8 +110,8 @@ def fill_reactions(record: Any, chosen: Sequence[EffectSetting], settings: Plant
         record["reacts"][joint] = 1
 
 
-def fill_drives(record: Any, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
-    """Delay, low pass, limit and ripple of every drive.
+def fill_drives(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:
+    """Put delay, low pass, limit and ripple of every drive into a plant's record.
 
     Raises
     ------

@@ -43,7 +43,7 @@ EFFECT = Effect(
 
 
 def react(state: ReactionState, Fv0: float, a: float, R: float, tau: float) -> tuple[float, float, float]:
-    """Mean effort [Nm or N] over a step and the warming [K] at its end; the second state is unused."""
+    """Return the mean effort [Nm or N] over a step and the warming [K] at its end; the second state is unused."""
     speed = 0.5 * (state.start_speed + state.end_speed)
     coefficient = Fv0 * math.exp(-a * state.first)
     final = R * coefficient * speed * speed
@@ -52,7 +52,10 @@ def react(state: ReactionState, Fv0: float, a: float, R: float, tau: float) -> t
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """The viscous part of the first and of the last third of the recording; warm after a third of it."""
+    """Compare the viscous part of the first and of the last third of the recording.
+
+    The guessed time constant is a third of the recording.
+    """
     third = max(len(residual.speed) // 3, 1)
     ends = []
     for rows in (slice(0, third), slice(-third, None)):

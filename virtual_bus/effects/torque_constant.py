@@ -14,7 +14,7 @@ EFFECT = Effect(
     equation="Kt (1 + eps)",
     convention="effort per unit of the drive is (1 + eps) times the machine file's",
     neighbours=("coulomb_friction", "payload", "gear_ratio"),
-    source="thesis ch. 2; docs/notation.md, Signs",
+    source="thesis ch. 2; docs/explanation/notation.md, Signs",
 )
 
 
@@ -26,5 +26,5 @@ CHANGES = (("axis", "constant", _constant),)
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The missing effort per effort of the drive."""
+    """Take the missing effort per effort of the drive."""
     return (float(fitted([residual.drive_effort, np.ones_like(residual.drive_effort)], residual.effort)[0]),)

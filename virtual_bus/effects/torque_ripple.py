@@ -38,13 +38,13 @@ EFFECT = Effect(
 
 
 def factor(state: DriveState, Np: float, A1: float, phi1: float, A2: float, phi2: float) -> float:
-    """Motor effort over its nominal value."""
+    """Return the motor effort over its nominal value."""
     phase = Np * state.ratio * state.position
     return 1.0 + A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """The strongest order of the missing effort per effort of the drive."""
+    """Take the strongest order of the missing effort per effort of the drive."""
     pushing = np.abs(residual.drive_effort) > 0.1 * np.abs(residual.drive_effort).max(initial=0.0)
     angle = residual.ratio * residual.position[pushing]
     share = residual.effort[pushing] / residual.drive_effort[pushing]

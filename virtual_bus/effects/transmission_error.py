@@ -37,7 +37,7 @@ EFFECT = Effect(
 
 
 def terms(pair: PairMotion, k: float, e1: float, phi1: float, e2: float, phi2: float) -> tuple[float, float, float, float]:
-    """No inertia; efforts [Nm or N] on the axis's joint and on its spring."""
+    """Return no inertia, and the efforts [Nm or N] on the axis's joint and on its spring."""
     phase = k * pair.ratio * pair.position
     error = e1 * math.cos(phase + phi1) + e2 * math.cos(2.0 * phase + phi2)
     slope = -k * pair.ratio * (e1 * math.sin(phase + phi1) + 2.0 * e2 * math.sin(2.0 * phase + phi2))
@@ -45,7 +45,7 @@ def terms(pair: PairMotion, k: float, e1: float, phi1: float, e2: float, phi2: f
 
 
 def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """The strongest order of the link's error over the motor's turns."""
+    """Take the strongest order of the link's error over the motor's turns."""
     angle = residual.ratio * residual.position
     order = strongest_order(angle, residual.difference)
     (e1, phi1), (e2, phi2) = harmonics(order * angle, residual.difference)

@@ -28,6 +28,6 @@ CHANGES = (("joint", "damping", _damping),)
 
 
 def guess(residual: Residual) -> tuple[float]:
-    """The slope of the missing effort over speed, beside a Coulomb level and a load."""
+    """Take the slope of the missing effort over speed, beside a Coulomb level and a load."""
     speed = residual.speed
     return (float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)

@@ -1,7 +1,7 @@
-"""How a Modbus request lies on TCP and on a serial line. Written from the specifications, apart from the library the drivers use, so that
-the two ends check each other.
+"""Modbus requests on TCP and on a serial line.
 
-Sources: Modbus Messaging on TCP/IP Implementation Guide V1.0b, sec. 3.1.3; Modbus over Serial Line V1.02, secs. 2.5.1 and 6.2.2.
+Written from the specifications, apart from the library the drivers use, so that the two ends check each other. Sources: Modbus Messaging on
+TCP/IP Implementation Guide V1.0b, sec. 3.1.3; Modbus over Serial Line V1.02, secs. 2.5.1 and 6.2.2.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class TcpFraming:
         self.broken = False
 
     def feed(self, data: bytes) -> list[TcpRequest]:
-        """Add received bytes; return the requests that are complete now."""
+        """Add received bytes and return the requests that are complete."""
         buffer = self._buffer
         buffer += data
         requests = []
@@ -53,12 +53,12 @@ class TcpFraming:
 
 
 def tcp_frame(transaction: int, unit_id: int, pdu: bytes) -> bytes:
-    """A PDU behind its TCP header."""
+    """Return a PDU behind its TCP header."""
     return MBAP.pack(transaction, MODBUS_PROTOCOL, len(pdu) + 1, unit_id) + pdu
 
 
 def crc16(data: bytes) -> int:
-    """The serial line's check: polynomial 0xA001 reflected, start 0xFFFF."""
+    """Return the check of the serial line: polynomial 0xA001 reflected, start 0xFFFF."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -68,13 +68,16 @@ def crc16(data: bytes) -> int:
 
 
 def rtu_frame(unit_id: int, pdu: bytes) -> bytes:
-    """A PDU between address and check, low byte first."""
+    """Return a PDU between address and check, low byte first."""
     frame = bytes((unit_id,)) + pdu
     return frame + struct.pack("<H", crc16(frame))
 
 
 def rtu_request(frame: bytes) -> tuple[int, bytes] | None:
-    """(unit id, PDU) of what arrived between two silences; None when it is too short, too long or damaged."""
+    """Return (unit id, PDU) of what arrived between two silences.
+
+    None when it is too short, too long or damaged.
+    """
     if not RTU_MIN_BYTES <= len(frame) <= RTU_MAX_BYTES or crc16(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
         return None
     return frame[0], frame[1:-2]

@@ -23,13 +23,13 @@ from virtual_bus.modbus.framing import TcpFraming, rtu_frame, rtu_request, tcp_f
 
 BRAKE_DELAY_S = 0.04  # spring-applied brakes open in 30 to 60 ms
 COIL_ON, COIL_OFF = 0xFF00, 0x0000
-BROADCAST = 0  # on a serial line: everybody obeys, nobody answers
+BROADCAST = 0  # on a serial line: every device obeys, none answers
 TCP_ANY_UNIT = (0x00, 0xFF)  # a device directly on TCP is addressed by its IP address alone
 
 
 @dataclass(frozen=True)
 class IoLayout:
-    """What is wired where. Addresses are zero-based; axes are named."""
+    """The wiring of the device. Addresses are zero-based; axes are named."""
 
     unit_id: int
     brake_coils: Mapping[str, int]  # 1 releases the brake
@@ -47,7 +47,7 @@ class _RefusalError(Exception):
 
 
 class EmulatedIo:
-    """The device's memory, wiring and manners.
+    """The device: its memory, its wiring, and how it answers.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ class EmulatedIo:
     axes : tuple of str
         Order of the axes in arrays.
     on_brakes : callable, optional
-        Called with a (n,) bool array, True where the brake is closed, whenever a brake has opened or closed; only ever from `advance`.
+        Called by `advance` with an (n,) bool array, True where the brake is closed, whenever a brake has opened or closed.
     brake_delay_s : float
-        From a coil's change to the brake's.
+        Time from a coil's change to the brake's.
     """
 
     def __init__(
@@ -84,26 +84,29 @@ class EmulatedIo:
     # ---- the machine's side -----------------------------------------------------------------------------
 
     def set_hold_to_run(self, pressed: bool) -> None:
-        """The operator presses or releases the switch."""
+        """Press or release the operator's switch."""
         self.discrete_inputs[self.layout.hold_to_run_input] = pressed
 
     def set_door(self, closed: bool) -> None:
-        """The door contact closes or opens."""
+        """Close or open the door contact."""
         self.discrete_inputs[self.layout.door_input] = closed
 
     def set_temperature(self, axis: str, temperature_degC: float) -> None:
-        """What the winding's sensor of that axis shows; NaN: it is broken. Axes without a sensor are ignored."""
+        """Set the temperature that the sensor of an axis's winding shows; NaN: it is broken.
+
+        Axes without a sensor are ignored.
+        """
         register = self.layout.temperature_registers.get(axis)
         if register is not None:
             self.input_registers[register] = temperature_to_register(temperature_degC)
 
     @property
     def brakes_closed(self) -> np.ndarray:
-        """(n,) bool, what the brakes really do."""
+        """Whether each brake really is closed (n,)."""
         return ~self._open
 
     def advance(self, time_s: float) -> None:
-        """Let machine time pass up to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows brakes."""
+        """Move machine time to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows the brakes."""
         changed = False
         for index, axis in enumerate(self.axes):
             coil = self.layout.brake_coils.get(axis)
@@ -127,11 +130,11 @@ class EmulatedIo:
     # ---- the line's side --------------------------------------------------------------------------------
 
     def serve(self, data: bytes) -> bytes:
-        """Bytes of one Modbus/TCP connection in, the answers out."""
+        """Take bytes of one Modbus/TCP connection and return the answers."""
         return self.serve_tcp(self._tcp, data)
 
     def serve_tcp(self, framing: TcpFraming, data: bytes) -> bytes:
-        """The same for one of several connections, each with its own framing."""
+        """Take bytes of one of several connections, each with its own framing, and return the answers."""
         answers = b""
         for transaction, unit_id, pdu in framing.feed(data):
             if unit_id == self.layout.unit_id or unit_id in TCP_ANY_UNIT:
@@ -142,7 +145,10 @@ class EmulatedIo:
         return answers
 
     def serve_rtu(self, frame: bytes) -> bytes:
-        """What arrived on a serial line between two silences in, the answer out: none to damaged, foreign and broadcast frames."""
+        """Take what arrived on a serial line between two silences and return the answer.
+
+        There is none to damaged, foreign and broadcast frames.
+        """
         request = rtu_request(frame)
         if request is None or request[0] not in (self.layout.unit_id, BROADCAST):
             return b""
@@ -150,7 +156,7 @@ class EmulatedIo:
         return rtu_frame(self.layout.unit_id, answer) if request[0] != BROADCAST else b""
 
     def serve_pdu(self, pdu: bytes) -> bytes:
-        """Carry out one request; the answer, or an exception answer."""
+        """Carry out one request and return the answer or an exception answer."""
         function = pdu[0]
         try:
             return bytes((function,)) + self._carry_out(function, pdu[1:])
@@ -172,7 +178,10 @@ class EmulatedIo:
 
 
 def _range(data: bytes, size: int, available: int, most: int) -> tuple[int, int]:
-    """(address, count) of a request's first four bytes, checked in the order of the specification: value, then address."""
+    """Return (address, count) of a request's first four bytes.
+
+    They are checked in the order of the specification: value, then address.
+    """
     if len(data) != size:
         raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
     address, count = struct.unpack_from(">HH", data)

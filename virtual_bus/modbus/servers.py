@@ -1,5 +1,6 @@
-"""The emulated I/O device on a TCP port or a serial line. A server has no thread: it serves when it is polled, so that the emulator says
-when, and no request delays an answer to a SYNC.
+"""The emulated I/O device on a TCP port or a serial line.
+
+A server has no thread: it serves when it is polled, so that the emulator decides when, and no request delays an answer to a SYNC.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ RTU_SILENCE_S = 0.00175  # ends a frame; the fixed value above 19200 baud (Modbu
 class Line(Protocol):
     """The device's end of a serial line. Neither method waits."""
 
-    def read(self) -> bytes: ...
-    def write(self, data: bytes) -> None: ...
+    def read(self) -> bytes:
+        """Return all bytes that have arrived, or none."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
 
 
 @dataclass
@@ -60,11 +64,11 @@ class ModbusTcpServer:
 
     @property
     def url(self) -> str:
-        """As the bench names it."""
+        """The address in the form the bench takes."""
         return f"tcp:{self.host}:{self.port}"
 
     def poll(self, timeout_s: float = 0.0) -> None:
-        """Answer what has come; wait so long for something to come."""
+        """Answer what has come, and wait at most `timeout_s` for it."""
         for key, _ in self._ready.select(timeout_s):
             if key.data is None:
                 self._accept()
@@ -72,14 +76,17 @@ class ModbusTcpServer:
                 self._answer(key.data)
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # the client has gone again
+        with contextlib.suppress(OSError):  # the client has already gone
             line, _ = self._listener.accept()
             line.setblocking(False)
             line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._ready.register(line, selectors.EVENT_READ, _Client(line))
 
     def _answer(self, client: _Client) -> None:
-        """Requests in, answers out; a client that hangs up, speaks something else or does not take its answers is hung up on."""
+        """Take requests and send answers.
+
+        A client that hangs up, speaks something else or does not take its answers is disconnected.
+        """
         try:
             data = client.line.recv(READ_BYTES)
             if data:
@@ -91,9 +98,10 @@ class ModbusTcpServer:
             client.line.close()
 
     def close(self) -> None:
-        """Hang up on everybody and give the port back."""
+        """Disconnect all clients and release the port."""
         for key in list(self._ready.get_map().values()):
-            key.fileobj.close()  # type: ignore[union-attr]  # only sockets were registered
+            assert isinstance(key.fileobj, socket.socket)  # nothing else was registered
+            key.fileobj.close()
         self._ready.close()
 
 
@@ -106,7 +114,7 @@ class ModbusRtuServer:
         self._heard_s = 0.0
 
     def poll(self) -> None:
-        """Take what has come; answer when it has been silent for long enough since."""
+        """Take what has come; answer when the line has been silent for long enough since."""
         now_s = time.perf_counter()
         if data := self._line.read():
             self._frame += data

@@ -1,11 +1,13 @@
-"""Is this tree a plant? Refused at the door, in one line."""
+"""Check that settings describe a plant that can be simulated, with errors that name the entry at fault."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from virtual_bus.errors import PlantError
-from virtual_bus.settings import Body, PlantSettings, Tree
+from virtual_bus.settings import Body, Joint, PlantSettings, Tree
 
 TRIANGLE_SLACK = 1e-9  # principal inertias of a real body obey A + B >= C; a thin rod meets it with equality
 
@@ -83,8 +85,8 @@ def _check_body(body: Body) -> None:
         )
 
 
-def _carried(tree: Tree):  # type: ignore[no-untyped-def]
-    """Each joint with the mass and a measure of the rotational inertia it carries, itself included."""
+def _carried(tree: Tree) -> Iterator[tuple[Joint, float, float]]:
+    """Yield each joint with the mass and a measure of the rotational inertia that it carries, its own body included."""
     carried = {body.name: [body.mass_kg, _spin_inertia(body)] for body in tree.bodies}
     for body in reversed(tree.bodies):
         if body.parent != "world":
@@ -92,11 +94,12 @@ def _carried(tree: Tree):  # type: ignore[no-untyped-def]
             carried[body.parent][1] += carried[body.name][1] + (body.mass_kg > 0.0)
     for body in tree.bodies:
         if body.joint is not None:
-            yield body.joint, *carried[body.name]
+            mass, inertia = carried[body.name]
+            yield body.joint, mass, inertia
 
 
 def _spin_inertia(body: Body) -> float:
-    """Inertia of the body alone about its own joint's axis (about its largest axis when welded)."""
+    """Return the inertia of the body alone about its own joint's axis, or about its largest axis when it is welded."""
     about_origin = body.inertia_kg_m2 + body.mass_kg * (
         float(body.center_of_mass_m @ body.center_of_mass_m) * np.eye(3) - np.outer(body.center_of_mass_m, body.center_of_mass_m)
     )

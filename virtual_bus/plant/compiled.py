@@ -13,12 +13,12 @@ and take arrays only: float64 and C-contiguous, n joints in body order, axes in 
     plant.joint_acceleration(state, effort, brakes, model, work)     # (n,) of this instant, into work["acceleration"]
     plant.drive_currents(state, effort, model, currents)             # (axes,) what flows at this instant under these targets
 
-`effort` (axes,) is in the drives' units and held over the sample; `brakes` (axes,) is 1.0 for closed, 0.0 for open.
+`effort` (axes,) is in the drives' units and held over the sample; `brakes` (axes,) is 1.0 for closed and 0.0 for open.
 `state` is [positions n, speeds n, accelerations at the end of the last step n, friction effort n, filtered imu channels 6 per imu, time,
 drives (see drives.py), effects with a memory: two states and the last effort each, rates of change of the filtered channels
 6 per imu in units of their corner].
 
-A kernel that fuses the plant with something else is a generated module too, so that numba can cache it: see `CompiledPlant.fuse`.
+A kernel that fuses the plant with other compiled code is a generated module too, so that numba can cache it: see `CompiledPlant.fuse`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ from __future__ import annotations
 import difflib
 import inspect
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -48,11 +47,11 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 
 # compiled into every generated plant
 DEPENDENCIES = (motion, table, jit, linear, drives, terms, reactions, friction, integrator, readings, records)
-FINEST_PHASE = 1.0  # largest product of inner step and spectral radius: the Taylor flow errs by 1/9! = 3e-6 rad of phase per step there
-PROBED_POSES = 40  # at which the spectral radius is looked for
+FINEST_PHASE = 1.0  # largest product of inner step and spectral radius; the Taylor flow's error there is 1/9! = 3e-6 rad of phase per step
+PROBED_POSES = 40  # at which the spectral radius is computed
 SPECTRUM_MARGIN = 1.15  # for the poses between
 SEEN = 256  # models whose inner steps are remembered
-STANDSTILL_TIME_s = -1.0  # before the start: no disturbance has begun
+STANDSTILL_TIME_s = -1.0  # before the start, when no disturbance has begun
 
 AT_POSES = '''"""Generated: equations of one plant at many poses; do not edit."""
 
@@ -91,7 +90,7 @@ def imu_motions(model, work, positions, speeds, accelerations, readings):
 
 @dataclass(frozen=True)
 class CompiledPlant:
-    """A plant's compiled functions, its parameters, and the makers of the arrays they take. See the module's text."""
+    """The compiled functions of a plant, its parameters, and the makers of the arrays they take (see the module's text)."""
 
     settings: PlantSettings
     parameters: tuple[PlantParameter, ...]
@@ -116,24 +115,28 @@ class CompiledPlant:
         return 4 * self.joints + 6 * len(self.settings.imus) + 1
 
     @property
-    def advance(self) -> Any:
+    def advance(self) -> Callable[..., None]:
         """Compiled: one sample period."""
-        return self.module.advance
+        function: Callable[..., None] = self.module.advance
+        return function
 
     @property
-    def joint_acceleration(self) -> Any:
-        """Compiled: joint accelerations of this instant."""
-        return self.module.joint_acceleration
+    def joint_acceleration(self) -> Callable[..., None]:
+        """Compiled: joint accelerations at this instant."""
+        function: Callable[..., None] = self.module.joint_acceleration
+        return function
 
     @property
-    def imu_reading(self) -> Any:
-        """Compiled: noise-free IMU channels of this instant."""
-        return self.module.imu_reading
+    def imu_reading(self) -> Callable[..., None]:
+        """Compiled: noise-free IMU channels at this instant."""
+        function: Callable[..., None] = self.module.imu_reading
+        return function
 
     @property
-    def drive_currents(self) -> Any:
-        """Compiled: what flows in the drives at this instant."""
-        return self.module.drive_currents
+    def drive_currents(self) -> Callable[..., None]:
+        """Compiled: currents that flow in the drives at this instant."""
+        function: Callable[..., None] = self.module.drive_currents
+        return function
 
     @property
     def nominal(self) -> np.ndarray:
@@ -141,7 +144,13 @@ class CompiledPlant:
         return np.array([parameter.value for parameter in self.parameters])
 
     def with_values(self, changes: Mapping[str, float]) -> np.ndarray:
-        """Nominal parameter values with some replaced by name."""
+        """Return the nominal parameter values with some of them replaced by name.
+
+        Raises
+        ------
+        PlantError
+            A name that is no parameter of this plant.
+        """
         values = self.nominal
         names = [parameter.name for parameter in self.parameters]
         for name, value in changes.items():
@@ -152,7 +161,7 @@ class CompiledPlant:
         return values
 
     def new_work(self) -> np.ndarray:
-        """Scratch memory for one thread."""
+        """Return scratch memory for one thread."""
         return np.zeros(1, self._work_dtype)
 
     @cached_property
@@ -161,16 +170,20 @@ class CompiledPlant:
 
     @property
     def _query(self) -> np.ndarray:
-        """This thread's own."""
+        """Scratch memory of the calling thread."""
         own = self._of_thread
         if not hasattr(own, "query"):
             own.query = self.new_work()
-        return own.query
+        query: np.ndarray = own.query
+        return query
 
     def inertia_and_bias(self, model: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint-space inertia (..., n, n), armature included, and effort (..., n) asked for at zero acceleration by gravity, velocities,
-        effects, at these positions and speeds (..., n)."""
-        if np.shape(q) != np.shape(v):  # broadcasting takes as long as ten poses
+        """Return the joint-space inertia and the bias effort at these positions and speeds (..., n).
+
+        The inertia (..., n, n) includes the armatures. The bias (..., n) is the effort that gravity, velocities and effects ask for at zero
+        acceleration.
+        """
+        if np.shape(q) != np.shape(v):  # broadcasting takes as long as evaluating ten poses
             q, v = np.broadcast_arrays(q, v)
         positions, speeds = (np.ascontiguousarray(each, dtype=float).reshape(-1, self.joints) for each in (q, v))
         inertias, biases = np.empty((*positions.shape, self.joints)), np.empty_like(positions)
@@ -184,50 +197,53 @@ class CompiledPlant:
         return self.fuse("poses", AT_POSES)
 
     def drive_gains(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Joint effort per unit of every drive (axes,) at these joint positions."""
+        """Return the joint effort per unit of every drive (axes,) at these joint positions."""
         work = self._query
         work["query_position"] = q
         self.module.evaluate_gains(model, work)
         return work["gains"][0, : len(self.settings.drives)].copy()
 
     def imu_motion(self, model: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Specific forces and angular rates (6 imus,) of this motion, in the IMUs' frames and before their low passes."""
+        """Return specific forces and angular rates (6 imus,) of one motion, in the IMUs' frames and before their low passes."""
         work = self._query
         work["query_position"], work["query_speed"], work["query_acceleration"] = q, v, a
         self.module.evaluate_imu(model, work)
         return work["reading"][0, : 6 * len(self.settings.imus)].copy()
 
     def imu_motions(self, model: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The same (N, 6 imus) of many motions (N, n)."""
+        """Return specific forces and angular rates (N, 6 imus) of many motions (N, n), as `imu_motion` does of one."""
         readings = np.empty((len(q), 6 * len(self.settings.imus)))
         self._at_poses.imu_motions(model, self._query, *(np.ascontiguousarray(each, dtype=float) for each in (q, v, a)), readings)
         return readings
 
     def body_poses(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Position and rotation by rows (bodies, 12) of the watched bodies' frames in the world."""
+        """Return position and rotation by rows (bodies, 12) of the watched bodies' frames in the world."""
         work = self._query
         work["query_position"] = q
         self.module.evaluate_poses(model, work)
         return work["poses"][0, : len(self.settings.watched_bodies)].copy()
 
     def new_state(self, joint_positions: np.ndarray) -> np.ndarray:
-        """State at standstill at these positions (n,), with nothing in the IMUs' low passes: see `statics.settle` for equilibrium."""
+        """Return the state at standstill at these joint positions (n,), with nothing in the IMUs' low passes.
+
+        It need not be an equilibrium: see `statics.resting_state`.
+        """
         state = np.zeros(self.state_size)
         state[: self.joints] = joint_positions
         return state
 
     def joint_of_axis(self) -> dict[str, int]:
-        """Number of the joint each axis drives, in axis order."""
+        """Return the number of the joint that each axis drives, in axis order."""
         return {drive.axis: self.settings.tree.joint_index(drive.joint) for drive in self.settings.drives}
 
     @cached_property
     def driven_joints(self) -> np.ndarray:
-        """(axes,) numbers of the joints that axes drive, in axis order."""
+        """Numbers (axes,) of the joints that axes drive, in axis order."""
         return np.array(list(self.joint_of_axis().values()), dtype=np.int64)
 
     @cached_property
     def free_joints(self) -> np.ndarray:
-        """Numbers of the others."""
+        """Numbers of the joints that no axis drives."""
         return np.setdiff1d(np.arange(self.joints), self.driven_joints)
 
     @cached_property
@@ -240,7 +256,7 @@ class CompiledPlant:
         return records.model_dtype(self.joints, len(self.settings.drives), len(self.settings.imus), self.constant_count)
 
     def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] | None = None) -> np.ndarray:
-        """The arrays of this plant with these numbers.
+        """Return the record of this plant with these parameter values and effects.
 
         Parameters
         ----------
@@ -282,7 +298,10 @@ class CompiledPlant:
         return model
 
     def _known_inner_steps(self, model: np.ndarray) -> int:
-        """`_inner_steps`, looked up where a model of the same inertia and springs was asked for before: probing takes milliseconds."""
+        """Return `_inner_steps`, remembered for models of the same inertia and springs.
+
+        Probing takes milliseconds.
+        """
         names = ("step_s", "constants", "stiffness", "damping", "rest_position", "pair_count", "pair_rows", "pair_joints", "pair_is_spring")
         key = b"".join(np.ascontiguousarray(model[name][0]).tobytes() for name in names)
         if key not in self._inner_steps_seen:
@@ -296,7 +315,7 @@ class CompiledPlant:
         return {}
 
     def _inner_steps(self, model: np.ndarray) -> int:
-        """As many steps of the linear part within a plant step as its fastest mode over all poses needs.
+        """Return how many steps of the linear part within a plant step its fastest mode needs over all poses.
 
         An eigenvector x, x' M x = 1, of a mode s has s^2 + (x' D x) s + (x' K x) = 0: |s| is the root of x' K x where it oscillates and
         at most x' D x where it does not, so it is within the largest eigenvalues of M^-1 K and M^-1 D (Tisseur and Meerbergen 2001).
@@ -316,13 +335,13 @@ class CompiledPlant:
 
     @cached_property
     def _probed_poses(self) -> np.ndarray:
-        """(PROBED_POSES, n) any angles; zeros of the joints that slide."""
+        """Joint positions (PROBED_POSES, n): random angles, and zeros for joints that slide."""
         is_revolute = [joint.kind == "revolute" for joint in self.settings.tree.joints]
         generator = np.random.default_rng(0)
         return np.where(is_revolute, generator.uniform(-np.pi, np.pi, (PROBED_POSES, self.joints)), 0.0)
 
     def fuse(self, name: str, text: str, depends_on: str = "") -> ModuleType:
-        """A further generated module, compiled and cached like the plant's own.
+        """Load a further generated module, compiled and cached like the plant's own.
 
         Parameters
         ----------
@@ -331,13 +350,17 @@ class CompiledPlant:
         text : str
             Python source. `PLANT` in it stands for the name of the plant's generated module: `from PLANT import advance`.
         depends_on : str
-            Source of whatever else is compiled into it (`inspect.getsource` of the modules it imports).
+            Source of everything else that is compiled into it (`inspect.getsource` of the modules it imports).
+
+        Returns
+        -------
+        ModuleType
         """
         return load_generated(name, text.replace("PLANT", self.module.__name__), depends_on)
 
 
 def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
-    """Largest eigenvalue of the products of these matrices (P, n, n) and a diagonal one (n,)."""
+    """Return the largest eigenvalue of the products of these matrices (P, n, n) and a diagonal one (n,)."""
     acting = np.flatnonzero(diagonal)
     roots = np.sqrt(np.abs(diagonal[acting]))
     products = roots[:, None] * inverses[:, acting[:, None], acting] * roots
@@ -346,7 +369,10 @@ def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
 
 @lru_cache(maxsize=16)
 def _text_of(settings: Same[PlantSettings]) -> PlantText:
-    """Writing the equations takes 20 ms, and the steps of a diagnosis ask for the plant of one machine sixty times."""
+    """Return the generated source of a plant, remembered by its settings object.
+
+    Writing the equations takes 20 ms, and a diagnosis asks for the plant of one machine many times.
+    """
     return plant_text(settings.it)
 
 

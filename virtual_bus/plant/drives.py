@@ -1,11 +1,13 @@
-"""From the drives' targets to efforts on the joints: delay, low pass, limit, constant, ripple, and the brakes.
+"""Drives from their targets to efforts on the joints: delay, low pass, limit, constant, ripple, and the brakes.
 
 A drive's part of the state vector is [current i, its rate i', the last targets, newest first].
 """
 
 from __future__ import annotations
 
-from virtual_bus.effects.motion import DriveState
+import numpy as np
+
+from virtual_bus.effects.motion import DriveState, LimitedBy, RippleOf
 from virtual_bus.effects.table import HELD_SAMPLES
 from virtual_bus.plant.jit import compiled
 
@@ -13,7 +15,7 @@ DRIVE_STATES = 2 + HELD_SAMPLES
 
 
 @compiled
-def load_joints(axis_joints, effort, brakes, model, work):
+def load_joints(axis_joints: tuple[int, ...], effort: np.ndarray, brakes: np.ndarray, model: np.record, work: np.record) -> None:
     """Spread the drives' efforts and the brakes over the joints."""
     for i in range(len(work.effort)):
         work.effort[i] = 0.0
@@ -25,36 +27,43 @@ def load_joints(axis_joints, effort, brakes, model, work):
 
 
 @compiled
-def held_target(axis, first, begin, end, state, effort, model):
-    """Mean target of a delayed drive between two shares of the sample period; an instant where they are equal."""
+def held_target(axis: int, first: int, begin: float, end: float, state: np.ndarray, effort: np.ndarray, model: np.record) -> float:
+    """Return the mean target of a delayed drive between two shares of the sample period.
+
+    Where both shares are equal it is the target of that instant.
+    """
     samples = model.delay_samples[axis]
     whole = int(samples)
-    switch = samples - whole  # share of the period at which the newer target takes over
+    switch: float = samples - whole  # share of the period at which the newer target takes over
     held = first + axis * DRIVE_STATES + 2
-    newer = effort[axis] if whole == 0 else state[held + whole - 1]
+    newer: float = effort[axis] if whole == 0 else state[held + whole - 1]
     if switch <= begin:
         return newer
-    older = state[held + whole]
+    older: float = state[held + whole]
     if switch >= end:
         return older
     return older + (newer - older) * (end - switch) / (end - begin)
 
 
 @compiled
-def target_at_sync(axis, first, state, effort, model):
-    """Mean target of a delayed drive over the period that begins at a SYNC: a short delay reads little of the older target."""
+def target_at_sync(axis: int, first: int, state: np.ndarray, effort: np.ndarray, model: np.record) -> float:
+    """Return the mean target of a delayed drive over the sample period that begins at a SYNC.
+
+    A delay shorter than a period takes its share from the older target.
+    """
     samples = model.delay_samples[axis]
     whole = int(samples)
     held = first + axis * DRIVE_STATES + 2
-    newer = effort[axis] if whole == 0 else state[held + whole - 1]
+    newer: float = effort[axis] if whole == 0 else state[held + whole - 1]
     if samples == whole:
         return newer
-    return newer + (samples - whole) * (state[held + whole] - newer)
+    mean: float = newer + (samples - whole) * (state[held + whole] - newer)
+    return mean
 
 
 @compiled
-def flowing(axis, current, speed, position, limited_by, model):
-    """What of a current passes the drive's limit."""
+def flowing(axis: int, current: float, speed: float, position: float, limited_by: LimitedBy, model: np.record) -> float:
+    """Return the part of a current that passes the drive's limit."""
     if model.limit_rows[axis, 0] < 0.0:
         return current
     drive = DriveState(current, speed, position, model.drive_ratio[axis])
@@ -62,17 +71,22 @@ def flowing(axis, current, speed, position, limited_by, model):
 
 
 @compiled
-def gain_at(axis, position, ripple_of, model):
-    """Effort on the joint per unit of the drive at this position."""
+def gain_at(axis: int, position: float, ripple_of: RippleOf, model: np.record) -> float:
+    """Return the effort on the joint per unit of the drive at this position."""
     if model.ripple_rows[axis, 0] < 0.0:
-        return model.effort_gain[axis]
+        gain: float = model.effort_gain[axis]
+        return gain
     drive = DriveState(0.0, 0.0, position, model.drive_ratio[axis])
-    return model.effort_gain[axis] * ripple_of(int(model.ripple_rows[axis, 0]), drive, model.ripple_rows[axis])
+    gain = model.effort_gain[axis] * ripple_of(int(model.ripple_rows[axis, 0]), drive, model.ripple_rows[axis])
+    return gain
 
 
 @compiled
-def drive_joints(axis_joints, first, step, limited_by, ripple_of, state, effort, model, work):
-    """Efforts of the drives on the joints, mean over a plant step, and the drives' states at its end."""
+def drive_joints(
+    axis_joints: tuple[int, ...], first: int, step: int, limited_by: LimitedBy, ripple_of: RippleOf, state: np.ndarray, effort: np.ndarray,
+    model: np.record, work: np.record,
+) -> None:  # fmt: skip
+    """Find the drives' efforts on the joints, mean over a plant step, and the drives' states at its end."""
     for i in range(len(work.effort)):
         work.effort[i] = 0.0
     for axis in range(len(axis_joints)):
@@ -91,8 +105,8 @@ def drive_joints(axis_joints, first, step, limited_by, ripple_of, state, effort,
 
 
 @compiled
-def remember_targets(axes, first, state, effort, model):
-    """One sample later: what was applied is what was held."""
+def remember_targets(axes: int, first: int, state: np.ndarray, effort: np.ndarray, model: np.record) -> None:
+    """Shift the targets that delayed drives hold by one sample."""
     for axis in range(axes):
         if model.delay_samples[axis] > 0.0:
             held = first + axis * DRIVE_STATES + 2
@@ -102,8 +116,11 @@ def remember_targets(axes, first, state, effort, model):
 
 
 @compiled
-def drive_currents(axis_joints, first, limited_by, state, effort, model, currents):
-    """Currents (axes,) that flow at the start of a sample under these targets."""
+def drive_currents(
+    axis_joints: tuple[int, ...], first: int, limited_by: LimitedBy, state: np.ndarray, effort: np.ndarray, model: np.record,
+    currents: np.ndarray,
+) -> None:  # fmt: skip
+    """Find the currents (axes,) that flow at the start of a sample under these targets."""
     n = len(model.stiffness)
     for axis in range(len(axis_joints)):
         current = effort[axis]
@@ -117,8 +134,11 @@ def drive_currents(axis_joints, first, limited_by, state, effort, model, current
 
 
 @compiled
-def load_instant(axis_joints, first, limited_by, ripple_of, state, effort, brakes, model, work):
-    """Efforts and brakes on the joints at the start of a sample under these targets."""
+def load_instant(
+    axis_joints: tuple[int, ...], first: int, limited_by: LimitedBy, ripple_of: RippleOf, state: np.ndarray, effort: np.ndarray,
+    brakes: np.ndarray, model: np.record, work: np.record,
+) -> None:  # fmt: skip
+    """Find the efforts and brakes on the joints at the start of a sample under these targets."""
     load_joints(axis_joints, effort, brakes, model, work)
     if model.has_drive_effects:
         for i in range(len(work.effort)):
@@ -130,7 +150,7 @@ def load_instant(axis_joints, first, limited_by, ripple_of, state, effort, brake
 
 
 @compiled
-def drive_gains(axis_joints, ripple_of, model, work):
-    """Effort on the joints per unit of every drive at work.query_position, into work.gains."""
+def drive_gains(axis_joints: tuple[int, ...], ripple_of: RippleOf, model: np.record, work: np.record) -> None:
+    """Find the effort on the joints per unit of every drive at work.query_position, into work.gains."""
     for axis in range(len(axis_joints)):
         work.gains[axis] = gain_at(axis, work.query_position[axis_joints[axis]], ripple_of, model)

@@ -1,4 +1,4 @@
-"""Expressions written out as Python that numba compiles: one assignment per value used more than once."""
+"""Expressions written out as Python source for numba: one assignment per value that is used more than once."""
 
 from __future__ import annotations
 
@@ -31,11 +31,17 @@ class Emitter:
         return f"c[{self._constants[node.number]}]"
 
     def function_text(self, name: str, targets: list[tuple[str, Node]], preamble: str) -> str:
-        """A compiled function of `model` and `work` that stores each node in its target, e.g. `("work.bias[1]", node)`."""
+        """Return the source of a compiled function of `model` and `work` that stores each node in its target.
+
+        A target is a pair such as `("work.bias[1]", node)`.
+        """
         return self._function(f"@compiled_and_cached\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
 
     def derive_text(self) -> str:
-        """The function that fills `c` from the parameters `p`. Call it last: the other functions decide what is in it."""
+        """Return the source of the function that fills `c` from the parameters `p`.
+
+        Call it last: the other functions decide what is in `c`.
+        """
         targets = [(f"c[{k}]", node) for k, node in enumerate(self._constant_nodes)]
         return self._function("def derive(p, c):", targets, hoist=False)
 

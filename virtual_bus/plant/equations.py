@@ -1,7 +1,7 @@
-"""The rigid-body equations of a tree, as expressions: joint-space inertia and bias, motion of points, poses of bodies.
+"""The rigid-body equations of a tree as expressions: joint-space inertia and bias, motion of points, poses of bodies.
 
 Recursive Newton-Euler and composite-rigid-body algorithms (Featherstone 2008, Secs. 5.3 and 6.2), written with three-dimensional vectors in
-the bodies' own frames. Notation: R rotation body to parent, r origin of the body in its parent's frame, s joint axis, ω and α angular
+the bodies' own frames. Notation: R rotation from body to parent, r origin of the body in its parent's frame, s joint axis, ω and α angular
 velocity and acceleration, a linear acceleration of the body's origin less gravity, m mass, h first moment of mass and J inertia about the
 body's origin.
 """
@@ -55,7 +55,7 @@ class Motion:
 
 
 def clean_rotation(rotation: np.ndarray) -> np.ndarray:
-    """The rotation with entries that are 0 or ±1 up to rounding made exactly that."""
+    """Return the rotation with entries that are 0 or ±1 up to rounding made exactly so."""
     nearest = np.round(rotation)
     return np.where(np.abs(rotation - nearest) < ROUNDING, nearest, rotation)
 
@@ -79,7 +79,7 @@ class PlantEquations:
     # ---- parameters ------------------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Node:
-        """The run-time parameter of that name, or a structural zero when the plant has none."""
+        """Return the run-time parameter of that name, or a structural zero when the plant has none."""
         return self.graph.input(f"p[{self._index[name]}]", is_parametric=True) if name in self._index else self.graph.zero
 
     def _parameter_vector(self, owner: str, quantity: str, unit: str, values: np.ndarray) -> Vector:
@@ -117,7 +117,10 @@ class PlantEquations:
             self.placements[body.name] = Placement(number, *self._at_rest())
 
     def _turn(self, s: Vector, angle: Node) -> Matrix:
-        """Rodrigues: cos I + (1 − cos) s sᵀ + sin [s], arranged so that a coordinate axis leaves exact ones and zeros."""
+        """Return the rotation about axis s by Rodrigues' formula, cos I + (1 − cos) s sᵀ + sin [s].
+
+        It is arranged so that a coordinate axis leaves exact ones and zeros.
+        """
         cos, sin = self.graph.cos(angle), self.graph.sin(angle)
         versine = 1.0 - cos
 
@@ -134,7 +137,7 @@ class PlantEquations:
         )
 
     def _body_inertia(self, body: Body) -> tuple[Node, Vector, Matrix]:
-        """Mass, first moment and inertia of one body about its own origin."""
+        """Return mass, first moment and inertia of one body about its own origin."""
         zero = self.graph.zero
         mass = self.parameter(f"{body.name}.mass_kg")
         center = (
@@ -160,7 +163,7 @@ class PlantEquations:
     # ---- motion -------------------------------------------------------------------------------------------------------------------
 
     def motions(self, with_accelerations: bool) -> list[Motion]:
-        """Motion of every link; without joint accelerations, its part from speeds and gravity."""
+        """Return the motion of every link; without joint accelerations, its part from speeds and gravity."""
         rest = vectors.constant_vector(self.graph, np.zeros(3))
         base = Motion(rest, rest, vectors.scale(-self.graph.one, self._gravity))
         motions: list[Motion] = []
@@ -185,7 +188,7 @@ class PlantEquations:
         return motions
 
     def bias(self) -> list[Node]:
-        """Joint effort that gravity and velocities ask for at zero joint accelerations (recursive Newton-Euler)."""
+        """Return the joint effort that gravity and velocities ask for at zero joint accelerations (recursive Newton-Euler)."""
         motions = self.motions(with_accelerations=False)
         forces: list[Vector] = []
         moments: list[Vector] = []
@@ -214,7 +217,10 @@ class PlantEquations:
         return efforts
 
     def inertia(self) -> dict[tuple[int, int], Node]:
-        """Joint-space inertia M(q), armature included: entries (i, j) with j <= i (composite rigid bodies); absent ones are zero."""
+        """Return the joint-space inertia M(q), armature included (composite rigid bodies).
+
+        Its entries are (i, j) with j <= i; those that are absent are zero.
+        """
         mass = [link.mass for link in self.links]
         moment = [link.moment for link in self.links]
         inertia = [link.inertia for link in self.links]
@@ -246,7 +252,10 @@ class PlantEquations:
     # ---- points and poses -----------------------------------------------------------------------------------------------------------
 
     def imu(self, imu: Imu) -> list[Node]:
-        """Specific force and angular rate (6 expressions) in the sensor's frame, from joint positions, speeds and accelerations."""
+        """Return specific force and angular rate (6 expressions) in the sensor's frame.
+
+        They depend on joint positions, speeds and accelerations.
+        """
         placement = self.placements[imu.body]
         rotation = vectors.product(placement.rotation, vectors.constant_matrix(self.graph, clean_rotation(imu.orientation)))
         if placement.link == WORLD:
@@ -262,7 +271,7 @@ class PlantEquations:
         return [*vectors.apply_transposed(rotation, force), *vectors.apply_transposed(rotation, motion.omega)]
 
     def pose(self, body: str) -> list[Node]:
-        """Position (3) and rotation by rows (9) of a body's frame in the world."""
+        """Return position (3) and rotation by rows (9) of a body's frame in the world."""
         placement = self.placements[body]
         rotation, origin = placement.rotation, placement.origin
         number = placement.link
@@ -275,13 +284,13 @@ class PlantEquations:
 
 
 def _wrench_in_parent(link: Link, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
-    """A force and moment about the link's origin, in the parent's frame and about the parent's origin."""
+    """Return a force and moment about the link's origin, in the parent's frame and about the parent's origin."""
     force = vectors.apply(link.rotation, force)
     return force, vectors.add(vectors.apply(link.rotation, moment), vectors.cross(link.origin, force))
 
 
 def _seen_from_parent(rotation: Matrix, origin: Vector, mass: Node, moment: Vector, inertia: Matrix) -> tuple[Node, Vector, Matrix]:
-    """Mass, first moment and inertia of a body, in the frame and about the origin of what it is attached to."""
+    """Return mass, first moment and inertia of a body, in the frame and about the origin of what it is attached to."""
     turned = vectors.apply(rotation, moment)
     shifted = vectors.shifted_inertia(vectors.congruence(rotation, inertia), mass, turned, origin)
     return mass, vectors.add(turned, vectors.scale(mass, origin)), shifted

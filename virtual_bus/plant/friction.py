@@ -1,39 +1,56 @@
-"""Friction over a time step: one constant effort per joint that does what the friction law does, found implicitly."""
+"""Friction over a time step, solved implicitly: one constant effort per joint that has the effect of the friction law."""
 
 from __future__ import annotations
 
-from virtual_bus.effects.motion import JointState
+import numpy as np
+
+from virtual_bus.effects.motion import FrictionOf, JointState, ReactionOf
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.reactions import solve_reaction
 
-SWEEPS = 4  # Gauss-Seidel over the joints that rub; their mutual coupling through the inertia is weak, so two mostly do
-SETTLED_SPEED = 1e-11  # rad/s or m/s: what a further sweep may still change
-STUCK_SPEED = 1e-9  # rad/s or m/s: slower is what is left of the sweeps, the joint is at rest
+SWEEPS = 4  # Gauss-Seidel over the joints with friction; the inertia couples them weakly, so two sweeps are mostly enough
+SETTLED_SPEED = 1e-11  # rad/s or m/s: the largest change of a sweep that ends the search
+STUCK_SPEED = 1e-9  # rad/s or m/s: a slower joint is at rest, its speed is what the sweeps have left over
 
 
 @compiled
-def rubs(j, model, work):
-    """Does anything rub at joint j: a closed brake or a friction effect?"""
-    return work.brake[j] > 0.0 or model.friction_first[j + 1] > model.friction_first[j]
+def rubs(j: int, model: np.record, work: np.record) -> bool:
+    """Return whether a closed brake or a friction effect acts at joint j."""
+    acts: bool = work.brake[j] > 0.0 or model.friction_first[j + 1] > model.friction_first[j]
+    return acts
 
 
 @compiled
-def friction_level(j, speed, direction, friction_of, model, work):
-    """Effort [Nm or N] that opposes motion of joint j: `speed` is a magnitude; at 0, the most the joint holds against that direction."""
+def friction_level(j: int, speed: float, direction: float, friction_of: FrictionOf, model: np.record, work: np.record) -> float:
+    """Return the effort [Nm or N] that opposes motion of joint j.
+
+    `speed` is a magnitude. At 0 the level is the most that the joint holds against that direction.
+    """
     state = JointState(speed, direction, work.position[j], abs(work.bias[j]))
-    total = work.brake[j]
+    total: float = work.brake[j]
     for row in range(model.friction_first[j], model.friction_first[j + 1]):
         total += friction_of(int(model.friction_rows[row, 0]), state, model.friction_rows[row])
     return total
 
 
 @compiled
-def mean_friction(j, start, drive, response, kinetic, friction_of, model, work):
-    """Constant friction effort that does over a step what the friction law does, of a joint alone.
+def mean_friction(
+    j: int, start: float, drive: float, response: float, kinetic: float, friction_of: FrictionOf, model: np.record, work: np.record
+) -> float:
+    """Return the constant friction effort of one joint that does over a step what the friction law does.
 
-    Parameters: `start` speed at the step's begin, `drive` the mean of all other effort on the joint, `response` change of its speed per
-    unit of effort, `kinetic` the friction's level at the step's middle. The joint slides throughout, or comes to rest and stays, or turns
-    within the step; which one follows from the law.
+    The joint slides throughout, or comes to rest and stays, or turns within the step; the law decides which.
+
+    Parameters
+    ----------
+    start
+        Speed at the beginning of the step.
+    drive
+        Mean of all other effort on the joint.
+    response
+        Change of the joint's speed per unit of effort.
+    kinetic
+        Friction level at the middle of the step.
     """
     onward = 1.0 if drive > 0.0 else -1.0
     if start != 0.0:
@@ -49,8 +66,8 @@ def mean_friction(j, start, drive, response, kinetic, friction_of, model, work):
 
 
 @compiled
-def kinetic_level(j, friction_of, model, work):
-    """Friction level of joint j at its mean speed over the step, as the step is before its friction is corrected."""
+def kinetic_level(j: int, friction_of: FrictionOf, model: np.record, work: np.record) -> float:
+    """Return the friction level of joint j at its mean speed over the step, before the step's friction is corrected."""
     start = work.start_speed[j]
     middle = 0.5 * (start + work.speed[j])
     if start * middle < 0.0:
@@ -60,10 +77,11 @@ def kinetic_level(j, friction_of, model, work):
 
 
 @compiled
-def settle(friction_of, reaction_of, h, model, work):
-    """Find what friction and effects with a memory were over a step, and correct the speeds at its end.
+def settle(friction_of: FrictionOf, reaction_of: ReactionOf, h: float, model: np.record, work: np.record) -> None:
+    """Find the efforts of friction and of effects with a memory over a step, and correct the speeds at its end.
 
-    work.friction and work.reaction hold what the step assumed and then what it was, work.friction_change the difference of both together.
+    work.friction and work.reaction hold the efforts that the step assumed and then the ones found; work.friction_change holds the change of
+    both together.
     """
     n = len(work.position)
     for j in range(n):
@@ -91,7 +109,7 @@ def settle(friction_of, reaction_of, h, model, work):
 
 
 @compiled
-def rub(friction_of, reaction_of, h, model, work):
+def rub(friction_of: FrictionOf, reaction_of: ReactionOf, h: float, model: np.record, work: np.record) -> None:
     """Correct a step's end for friction and effects with a memory, in place."""
     settle(friction_of, reaction_of, h, model, work)
     n = len(work.position)

@@ -95,9 +95,8 @@ def plant_text(settings: PlantSettings) -> PlantText:
     """Write out the equations of a plant.
 
     The module's `mass_and_bias(model, work)` (`equations` with the effects' terms), `imu(model, work)` and `poses(model, work)` evaluate
-    them at work.query_position, query_speed and query_acceleration into
-    work.mass (lower half) and bias, reading, and poses; `derive(p, c)` computes model.constants
-    from the parameters; the rest is the calling convention of `compiled.py`.
+    them at work.query_position, query_speed and query_acceleration: into work.mass (lower half) and bias, into reading, and into poses.
+    `derive(p, c)` computes model.constants from the parameters. The rest is the calling convention of `compiled.py`.
     """
     equations = PlantEquations(settings, tuple(parameter.name for parameter in plant_parameters(settings)))
     emitter = Emitter()

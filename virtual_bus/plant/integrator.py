@@ -1,27 +1,31 @@
-"""One plant step: slow equations at the midpoint, stiff linear part by a Taylor flow, friction implicitly. See docs/plant.md.
+"""One plant step: slow equations at the midpoint, stiff linear part by a Taylor flow, friction implicitly.
 
-The functions are compiled for one plant: `model` and `work` are its records (records.py), the plant's own equations are handed in as
-compiled functions. Positions q and speeds v obey
+The method is explained in docs/explanation/plant.md. The functions are compiled for one plant: `model` and `work` are its records
+(records.py), and its own equations are handed in as compiled functions. Positions q and speeds v obey
 
     M(q) v' = effort - bias(q, v) - K (q - rest) - D v + friction,
 
-with the effects' inertia in M, their efforts in the bias, and the ones with a memory beside the friction.
+with the effects' inertia in M, their efforts in the bias, and the efforts of effects with a memory beside the friction.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
+from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.effects.table import MAX_REACTIONS
 from virtual_bus.plant.drives import DRIVE_STATES, drive_joints, load_joints, remember_targets
 from virtual_bus.plant.friction import rub, rubs
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
 from virtual_bus.plant.reactions import begin_reactions, end_reactions
+from virtual_bus.plant.records import Equations
 
 TAYLOR_ORDER = 8  # stable up to 3.4 times the step at the highest natural frequency, its error (wh)^9/9! per step
 
 
 @compiled
-def flow(h, model, work):
+def flow(h: float, model: np.record, work: np.record) -> None:
     """Move on by h [s] at frozen inertia and bias: Taylor series of the linear equations, in place."""
     n = len(work.position)
     for i in range(n):
@@ -48,8 +52,8 @@ def flow(h, model, work):
 
 
 @compiled
-def respond(j, h, model, work):
-    """Change of all positions and speeds within h [s] per unit of constant effort on joint j, to third order in h."""
+def respond(j: int, h: float, model: np.record, work: np.record) -> None:
+    """Find the change of all positions and speeds within h [s] per unit of constant effort on joint j, to third order in h."""
     n = len(work.position)
     for i in range(n):
         first = work.inverse[i, j]
@@ -67,8 +71,11 @@ def respond(j, h, model, work):
 
 
 @compiled
-def advance_one(equations, friction_of, reaction_of, model, work):
-    """One plant step of `model.step_s`, from and to work.position, speed, acceleration (at the step's end) and friction."""
+def advance_one(equations: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, model: np.record, work: np.record) -> None:
+    """Take one plant step of `model.step_s`.
+
+    It goes from and to work.position, speed, acceleration (at the step's end) and friction.
+    """
     n = len(work.position)
     h = model.step_s
     for i in range(n):
@@ -108,8 +115,8 @@ def advance_one(equations, friction_of, reaction_of, model, work):
 
 
 @compiled
-def read_state(imus, axes, state, model, work):
-    """State vector into the work record; the drives' part stays where it is."""
+def read_state(imus: int, axes: int, state: np.ndarray, model: np.record, work: np.record) -> None:
+    """Copy the state vector into the work record; the drives' part stays where it is."""
     n = len(work.position)
     for i in range(n):
         work.position[i] = state[i]
@@ -130,8 +137,8 @@ def read_state(imus, axes, state, model, work):
 
 
 @compiled
-def write_state(imus, axes, state, model, work):
-    """Work record into the state vector."""
+def write_state(imus: int, axes: int, state: np.ndarray, model: np.record, work: np.record) -> None:
+    """Copy the work record into the state vector."""
     n = len(work.position)
     for i in range(n):
         state[i] = work.position[i]
@@ -152,8 +159,8 @@ def write_state(imus, axes, state, model, work):
 
 
 @compiled
-def read_imus(imu, position, speed, acceleration, model, work):
-    """Unfiltered IMU channels of this motion, into work.reading."""
+def read_imus(imu: Equations, position: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, model: np.record, work: np.record) -> None:
+    """Evaluate the unfiltered IMU channels of this motion, into work.reading."""
     for i in range(len(position)):
         work.query_position[i] = position[i]
         work.query_speed[i] = speed[i]
@@ -162,8 +169,8 @@ def read_imus(imu, position, speed, acceleration, model, work):
 
 
 @compiled
-def second_order(k, model, work):
-    """One plant step of a channel's low pass of second order."""
+def second_order(k: int, model: np.record, work: np.record) -> None:
+    """Take one plant step of a channel's second-order low pass."""
     y, slope, start, end = work.filtered[k], work.filtered_slope[k], work.start_reading[k], work.reading[k]
     by = model.second_weights
     work.filtered[k] = by[k, 0, 0] * y + by[k, 0, 1] * slope + by[k, 0, 2] * start + by[k, 0, 3] * end
@@ -171,8 +178,14 @@ def second_order(k, model, work):
 
 
 @compiled
-def advance(axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model, work):
-    """One sample: `model.steps` plant steps at constant targets of the drives, and the IMUs' low passes along with them."""
+def advance(
+    axis_joints: tuple[int, ...], imus: int, equations: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, limited_by: LimitedBy,
+    ripple_of: RippleOf, imu: Equations, state: np.ndarray, effort: np.ndarray, brakes: np.ndarray, model: np.record, work: np.record,
+) -> None:  # fmt: skip
+    """Take one sample: `model.steps` plant steps at constant targets of the drives.
+
+    The IMUs' low passes run along with them.
+    """
     n = len(work.position)
     first_drive = 4 * n + 6 * imus + 1
     read_state(imus, len(axis_joints), state, model, work)
@@ -186,8 +199,9 @@ def advance(axis_joints, imus, equations, friction_of, reaction_of, limited_by, 
             drive_joints(axis_joints, first_drive, step, limited_by, ripple_of, state, effort, model, work)
         advance_one(equations, friction_of, reaction_of, model, work)
         if imus > 0:
-            # The bias is that of the step's middle: at its start half a step ahead, at its end as much behind. Over the step that is of
-            # second order; the last step's end in place of this one's start is of first, and its effort may have been another.
+            # The bias is that of the step's middle: half a step ahead at the start, half a step behind at the end, so the error over the
+            # step is of second order. The end of the last step in place of this one's start would make it of first order; besides, its
+            # effort may have been another.
             read_imus(imu, work.first_position, work.first_speed, work.first_acceleration, model, work)
             for k in range(6 * imus):
                 work.start_reading[k] = work.reading[k]

@@ -1,29 +1,40 @@
-"""How plant code is compiled: one place for numba's options."""
+"""Compilation of the plant's code: one place for numba's options."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 import numba
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+class Compiler(Protocol):
+    """A decorator that compiles a function; what it returns is called like the function itself."""
+
+    def __call__(self, function: Function, /) -> Function:
+        """Return the compiled function."""
+
 
 # Contraction to fused multiply-add and reassociation of sums; NaN and infinities keep their meaning, so that a fault stays visible.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
-# Without counts of references to arrays: whoever calls holds them, and counts are atomic operations, which took 13 to 58 % of a free run.
-# So nothing may be allocated, nor an array be assigned to part of another (numba would copy it): what asks for memory is not compiled. Nor
-# may an array be returned: numba compiles that, and hands back the whole of what the returned part was taken from.
+# References to arrays are not counted: the caller holds them, and counts are atomic operations, which took 13 to 58 % of a free run. So
+# nothing may be allocated, nor an array assigned to part of another (numba would copy it): such code is refused at compilation. Nor may an
+# array be returned: numba compiles that, and hands back the whole array that the returned part was taken from.
 UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
-# Without the entries by which Python and C would call them, a fifth of what compiling takes: only compiled functions call these.
+# The entries for calls from Python and C take a fifth of the compilation; functions that only compiled code calls do without them.
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
-compiled = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED, **INNER)
+compiled: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED, **INNER)
 
 # For the functions of a generated module: machine code of their own, kept on disk.
-compiled_and_cached = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED)
+compiled_and_cached: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED)
 
-# For whole simulations: other threads go on meanwhile. Not for what a loop in real time calls every sample: coming back it would have to
-# wait for the interpreter's lock, 5 ms where another thread has work.
-compiled_for_threads = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED)
+# For whole simulations: other threads go on meanwhile. Not for what a real-time loop calls every sample: on its return it would have to
+# wait for the interpreter's lock, which takes 5 ms where another thread has work.
+compiled_for_threads: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED)

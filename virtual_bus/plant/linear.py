@@ -1,13 +1,15 @@
-"""Small dense matrices whose size is known to the compiler."""
+"""Small dense matrices whose size the compiler knows."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from virtual_bus.plant.jit import compiled
 
 
 @compiled
-def multiply(matrix, vector, product):
-    """product = matrix vector."""
+def multiply(matrix: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
+    """Multiply: product = matrix vector."""
     for i in range(len(product)):
         total = 0.0
         for j in range(len(product)):
@@ -16,8 +18,11 @@ def multiply(matrix, vector, product):
 
 
 @compiled
-def invert(mass, pivots, inverse):
-    """Inverse of the symmetric positive definite `mass` (lower half given) by its L D Lᵀ factors. `mass` is overwritten."""
+def invert(mass: np.ndarray, pivots: np.ndarray, inverse: np.ndarray) -> None:
+    """Invert the symmetric positive definite `mass` (lower half given) by its L D Lᵀ factors.
+
+    `mass` is overwritten.
+    """
     n = len(pivots)
     for j in range(n):
         for i in range(j, n):

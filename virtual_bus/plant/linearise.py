@@ -1,4 +1,4 @@
-"""The plant as a linear system about a pose: what its frequency responses should be."""
+"""The plant as a linear system about a pose, for its frequency responses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ class LinearPlant:
     state_labels: tuple[str, ...]
 
     def state_space(self) -> control.StateSpace:
-        """The same for python-control, which takes as long to load as everything else together."""
+        """Return the same system for python-control.
+
+        python-control is imported here because it takes as long to load as everything else together.
+        """
         import control
 
         return control.ss(
@@ -38,12 +41,15 @@ class LinearPlant:
 
 
 def inertia_matrix(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-    """Joint-space inertia M(q) (n, n), armature included."""
+    """Return the joint-space inertia M(q) (n, n), armature included."""
     return plant.inertia_and_bias(model, joint_positions, np.zeros(plant.joints))[0]
 
 
 def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradients (6 imus, n) of the IMUs' unfiltered channels with joint positions, speeds and accelerations, at rest."""
+    """Return how the IMUs' unfiltered channels change with the joints' motion, at rest.
+
+    The three gradients (6 imus, n) are those with joint positions, speeds and accelerations.
+    """
     n = plant.joints
     rest = np.vstack([joint_positions, np.zeros(n), np.zeros(n)])
     gradients = []
@@ -58,11 +64,11 @@ def imu_gradients(plant: CompiledPlant, model: np.ndarray, joint_positions: np.n
 
 
 def linearised(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, *, by_joint: bool = False) -> LinearPlant:
-    """Small motions about rest at these axis positions (axes,), actuated joints free, without friction effects and brakes.
+    """Return the plant for small motions about rest at these axis positions (axes,).
 
-    Inputs are `command_<axis>` in the drives' units; `by_joint`: `effort_<joint>` [Nm or N] on every joint instead. Outputs bear the
-    recording channels' names: every encoder and speed sensor, then imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z of every IMU after its low
-    passes. States are joint positions, joint speeds and the low passes.
+    Actuated joints are free; friction effects and brakes are left out. Inputs are `command_<axis>` in the drives' units, or with `by_joint`
+    `effort_<joint>` [Nm or N] on every joint. Outputs have the names of the recording channels: every encoder and speed sensor, then imu_x,
+    imu_y, imu_z, gyro_x, gyro_y, gyro_z of every IMU after its low passes. States are joint positions, joint speeds and the low passes.
     """
     settings, n = plant.settings, plant.joints
     q = equilibrium(plant, model, axis_positions)

@@ -1,19 +1,21 @@
-"""Low passes of an IMU's channels, over one plant step and exact for an input linear in time."""
+"""Low passes of an IMU's channels over one plant step, exact for an input that is linear in time."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 LEAST_SHAPE = 1e-6
-"""Below it the second order is nowhere to be seen: its pole is a million times the corner."""
+"""Below it the second order has no visible effect: its pole lies at a million times the corner."""
 
 
-def fill_low_pass(record: Any, channels: slice, corner_Hz: float, shape: float) -> None:
-    """Put D y'' + T y' + y = u, T = 1 / (2 pi corner), D = shape T^2, into a plant's record. A corner of 0 is no low pass."""
+def fill_low_pass(record: np.record, channels: slice, corner_Hz: float, shape: float) -> None:
+    """Put the low pass D y'' + T y' + y = u of some channels into a plant's record.
+
+    T = 1 / (2 pi corner) and D = shape T^2. A corner of 0 is no low pass.
+    """
     step_s = float(record["step_s"])
     record["filter_weights"][channels] = first_order(corner_Hz, step_s)
     record["is_filtered"][channels] = corner_Hz > 0.0
@@ -28,7 +30,7 @@ def fill_low_pass(record: Any, channels: slice, corner_Hz: float, shape: float) 
 
 
 def first_order(corner_Hz: float, step_s: float) -> tuple[float, float, float]:
-    """Weights of old output, input at start, input at end."""
+    """Return the weights of the old output, of the input at the step's start, and of the input at its end."""
     if corner_Hz <= 0.0:
         return 0.0, 0.0, 1.0
     phase = 2.0 * np.pi * corner_Hz * step_s
@@ -39,9 +41,10 @@ def first_order(corner_Hz: float, step_s: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=256)
 def second_order(corner_Hz: float, shape: float, step_s: float) -> np.ndarray:
-    """(2, 4) weights of y and of y' / (2 pi corner) after a step: of both before it, of the input at its start and at its end.
+    """Return the weights (2, 4) of y and of y' / (2 pi corner) after a step.
 
-    Of the matrix exponential of the low pass with its input and the input's slope behind it (Van Loan 1978).
+    The columns weigh both of them before the step, the input at its start and the input at its end. They come from the matrix exponential
+    of the low pass, extended by its input and the input's slope (Van Loan 1978).
     """
     phase = 2.0 * np.pi * corner_Hz * step_s
     system = np.zeros((4, 4))

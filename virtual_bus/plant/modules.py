@@ -1,7 +1,7 @@
 """Generated modules on disk: written once, compiled once, loaded by later processes.
 
-Numba caches a compiled function beside the file it stands in, so a generated function needs a file. Its name is a hash of everything the
-machine code depends on; a file that exists is never written again.
+Numba caches a compiled function beside its file, so a generated function needs a file. The file's name is a hash of everything the machine
+code depends on; a file that exists is never written again.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from virtual_bus.errors import PlantError
 
 CACHE_VARIABLE = "ISOCENTER_CACHE"
 
-_one_at_a_time = threading.RLock()  # another thread would find a module that is half made; modules import each other
+_one_at_a_time = threading.RLock()  # another thread would find a module half made; reentrant, since modules import each other
 
 
 def cache_folder() -> Path:
-    """Where generated modules live: $ISOCENTER_CACHE, or the platform's place for what can be made again."""
+    """Return the folder of generated modules: $ISOCENTER_CACHE, or the platform's folder for caches."""
     if chosen := os.environ.get(CACHE_VARIABLE):
         return Path(chosen)
     if sys.platform == "win32":
@@ -36,7 +36,7 @@ def cache_folder() -> Path:
 
 
 def load_generated(name: str, text: str, depends_on: str = "") -> ModuleType:
-    """The module made of `text`, from disk if it is there.
+    """Return the module made of `text`, from disk if it is there.
 
     Parameters
     ----------
@@ -70,7 +70,8 @@ def _loaded(name: str, text: str, depends_on: str) -> ModuleType:
         except OSError as error:
             raise PlantError(f"{folder}: cannot write compiled plants there ({error.strerror}); set {CACHE_VARIABLE} to a folder") from None
     specification = importlib.util.spec_from_file_location(module_name, path)
-    assert specification is not None and specification.loader is not None
+    assert specification is not None
+    assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     sys.modules[module_name] = module
     try:

@@ -1,7 +1,7 @@
-"""The numbers of a plant that may change without its equations being compiled again: names, units and values.
+"""The numbers of a plant that may change without a new compilation: names, units and values.
 
-Entries that are zero in the settings stay structural zeros of the equations (they are no parameters), except joint stiffness, damping,
-rest position, armature and brake effort, and the sensors' bandwidths, which always are.
+Entries that are zero in the settings are structural zeros of the equations and no parameters. Joint stiffness, damping, rest position,
+armature and brake effort, and the sensors' bandwidths, are always parameters.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _imu_parameters(imu: Imu) -> Iterator[PlantParameter]:
 
 
 def plant_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
-    """Every run-time number of a plant, in the order of its parameter vector."""
+    """Return every run-time number of a plant, in the order of its parameter vector."""
     tree = settings.tree
     gravity = dict(zip(AXES, tree.gravity_m_s2.tolist(), strict=True))
     found = [PlantParameter("gravity", letter, "m/s^2", value) for letter, value in gravity.items() if value != 0.0]

@@ -1,18 +1,28 @@
-"""What a plant shows at an instant: joint accelerations under the effort that acts from now on, and the IMUs without noise."""
+"""Readings of a plant at an instant: joint accelerations under the effort that acts from then on, and the IMUs without noise."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.plant.drives import load_instant
 from virtual_bus.plant.friction import STUCK_SPEED, SWEEPS, friction_level, rubs
 from virtual_bus.plant.integrator import read_imus, read_state
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
 from virtual_bus.plant.reactions import instant_reactions
+from virtual_bus.plant.records import Equations
 
 
 @compiled
-def joint_acceleration(axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, state, effort, brakes, model, work):
-    """Joint accelerations (n,) at this instant, into work.acceleration. A joint at rest that its friction holds has none."""
+def joint_acceleration(
+    axis_joints: tuple[int, ...], imus: int, equations: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, limited_by: LimitedBy,
+    ripple_of: RippleOf, state: np.ndarray, effort: np.ndarray, brakes: np.ndarray, model: np.record, work: np.record,
+) -> None:  # fmt: skip
+    """Find the joint accelerations (n,) at this instant, into work.acceleration.
+
+    A joint at rest that its friction holds has none.
+    """
     n = len(work.position)
     read_state(imus, len(axis_joints), state, model, work)
     load_instant(axis_joints, 4 * n + 6 * imus + 1, limited_by, ripple_of, state, effort, brakes, model, work)
@@ -48,9 +58,11 @@ def joint_acceleration(axis_joints, imus, equations, friction_of, reaction_of, l
 
 @compiled
 def imu_reading(
-    axis_joints, imus, equations, friction_of, reaction_of, limited_by, ripple_of, imu, state, effort, brakes, model, work, reading
-):
-    """Specific forces and angular rates (6 imus,) at this instant, after the channels' low passes, into `reading`."""
+    axis_joints: tuple[int, ...], imus: int, equations: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, limited_by: LimitedBy,
+    ripple_of: RippleOf, imu: Equations, state: np.ndarray, effort: np.ndarray, brakes: np.ndarray, model: np.record, work: np.record,
+    reading: np.ndarray,
+) -> None:  # fmt: skip
+    """Find specific forces and angular rates (6 imus,) at this instant, after the channels' low passes, into `reading`."""
     n = len(work.position)
     unfiltered = False
     for k in range(6 * imus):

@@ -1,18 +1,23 @@
 """The memory a compiled plant works in: NumPy records, whose fields have sizes the compiler knows.
 
-Both kinds are arrays of one record; its fields are attributes of `model[0]` and `work[0]`, in Python and in compiled code. A record is one
-pointer to numba, where a tuple of arrays would be hundreds of words to hand over at every call.
+Both kinds are arrays of one record; its fields are attributes of `model[0]` and `work[0]`, in Python and in compiled code. To numba a
+record is one pointer, where a tuple of arrays would be hundreds of words to hand over at every call.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from virtual_bus.effects.table import MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, ROW
 
+Equations = Callable[[np.record, np.record], None]  # a generated function of `model` and `work`
+
 
 def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
-    """Everything about a plant that stays the same while it runs."""
+    """Return the data type of everything about a plant that stays the same while it runs."""
     n = joints
     return _record(
         [
@@ -57,7 +62,10 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
 
 
 def work_dtype(joints: int, axes: int, imus: int, bodies: int) -> np.dtype:
-    """Scratch memory. It holds nothing that matters from one call to the next."""
+    """Return the data type of the scratch memory.
+
+    It holds nothing that matters from one call to the next.
+    """
     n = joints
     vectors = [
         "position", "speed", "acceleration",  # at the end of a plant step
@@ -83,5 +91,5 @@ def work_dtype(joints: int, axes: int, imus: int, bodies: int) -> np.dtype:
     )
 
 
-def _record(fields: list[tuple]) -> np.dtype:
+def _record(fields: list[tuple[Any, ...]]) -> np.dtype:
     return np.dtype((np.record, np.dtype(fields, align=True)))

@@ -1,4 +1,4 @@
-"""Keys of caches for what has no hash, or a long one."""
+"""Keys of caches for objects that have no hash, or a slow one."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ T = TypeVar("T")
 
 
 class Same(Generic[T]):
-    """Equal to another one of the very same object alone, which it keeps. What is cached by it holds until the object changes."""
+    """A key that equals only a key of the very same object, which it keeps alive.
+
+    An entry cached by it holds until the object changes.
+    """
 
     def __init__(self, it: T) -> None:
         self.it = it
 
     def __hash__(self) -> int:
+        """Return the identity of the object."""
         return id(self.it)
 
     def __eq__(self, other: object) -> bool:
+        """Return whether the other key holds the same object."""
         return isinstance(other, Same) and other.it is self.it

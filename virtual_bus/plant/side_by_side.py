@@ -2,10 +2,18 @@
 
 What branches on a machine's own numbers is done for the machines that have it, one after the other, in records of their own: friction and
 effects with a memory, terms of effects, and drives that do more than pass their targets on. See lanes.py.
+
+`side` is always a record of lanes. Beside the records of all machines, `models`, `model` is one too; beside a `lane` it is that machine's
+own.
 """
 
 from __future__ import annotations
 
+from typing import Protocol
+
+import numpy as np
+
+from virtual_bus.effects.motion import EffortOf, FrictionOf, LimitedBy, ReactionOf, RippleOf, TermsOf
 from virtual_bus.plant.drives import drive_joints, remember_targets
 from virtual_bus.plant.friction import rubs, settle
 from virtual_bus.plant.integrator import flow, read_imus, respond, second_order
@@ -13,11 +21,36 @@ from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.lanes import LaneRecord
 from virtual_bus.plant.linear import invert
 from virtual_bus.plant.reactions import begin_reactions, end_reactions
+from virtual_bus.plant.records import Equations
 from virtual_bus.plant.terms import add_efforts, add_pairs
 
 
+class Acting(Protocol):
+    """Lanes whose machines have something of their own, each kind in ascending order."""
+
+    @property
+    def terms(self) -> np.ndarray:
+        """Lanes with terms of effects."""
+
+    @property
+    def memories(self) -> np.ndarray:
+        """Lanes with effects that have a memory."""
+
+    @property
+    def frictions(self) -> np.ndarray:
+        """Lanes with friction or an effect with a memory."""
+
+    @property
+    def drives(self) -> np.ndarray:
+        """Lanes whose drives do more than pass their targets on."""
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Whether a lane has friction or an effect with a memory at a joint (joints,)."""
+
+
 def model_record(joints: int, axes: int, imus: int, constants: int) -> LaneRecord:
-    """What `records.model_dtype` has that every machine has its own of."""
+    """Return the fields of `records.model_dtype` in which machines of one plant differ."""
     n, channels = joints, max(6 * imus, 1)
     return LaneRecord(
         {
@@ -32,7 +65,10 @@ def model_record(joints: int, axes: int, imus: int, constants: int) -> LaneRecor
 
 
 def work_record(joints: int, imus: int) -> LaneRecord:
-    """Scratch memory as of `records.work_dtype`, and the state: position, speed, acceleration, friction, filtered and its slope."""
+    """Return scratch memory as of `records.work_dtype`, with the state in it.
+
+    The state is position, speed, acceleration, friction, filtered and its slope.
+    """
     vectors = [
         "position", "speed", "acceleration", "friction", "query_position", "query_speed", "query_acceleration", "bias", "pivots", "effort",
         "load", "force", "derivative", "lower_derivative", "start_speed", "start_acceleration",
@@ -45,8 +81,11 @@ def work_record(joints: int, imus: int) -> LaneRecord:
 
 
 @compiled
-def drive_apart(axis_joints, first_drive, step, limited_by, ripple_of, lane, state, effort, model, side, work):
-    """Efforts of one machine's drives on its joints, as `drive_joints` has them."""
+def drive_apart(
+    axis_joints: tuple[int, ...], first_drive: int, step: int, limited_by: LimitedBy, ripple_of: RippleOf, lane: int, state: np.ndarray,
+    effort: np.ndarray, model: np.record, side: np.record, work: np.record,
+) -> None:  # fmt: skip
+    """Find the efforts of one machine's drives on its joints, as `drive_joints` does."""
     for i in range(len(work.position)):
         work.position[i] = side.position[i, lane]
         work.speed[i] = side.speed[i, lane]
@@ -57,8 +96,8 @@ def drive_apart(axis_joints, first_drive, step, limited_by, ripple_of, lane, sta
 
 
 @compiled
-def add_apart(effort_of, terms_of, time_s, lane, model, side, work):
-    """What one machine's effects add to its equations."""
+def add_apart(effort_of: EffortOf, terms_of: TermsOf, time_s: float, lane: int, model: np.record, side: np.record, work: np.record) -> None:
+    """Add one machine's effects to its equations."""
     n = len(work.position)
     for i in range(n):
         work.query_position[i] = side.query_position[i, lane]
@@ -80,8 +119,8 @@ def add_apart(effort_of, terms_of, time_s, lane, model, side, work):
 
 
 @compiled
-def begin_apart(lane, model, side, work):
-    """Let one machine's inner step begin with the efforts that its effects with a memory had at the end of the last."""
+def begin_apart(lane: int, model: np.record, side: np.record, work: np.record) -> None:
+    """Begin one machine's inner step with the efforts its effects with a memory had at the end of the last."""
     for i in range(len(work.position)):
         work.load[i] = side.load[i, lane]
         work.start_position[i] = side.position[i, lane]
@@ -91,8 +130,10 @@ def begin_apart(lane, model, side, work):
 
 
 @compiled
-def settle_apart(friction_of, reaction_of, h, lane, model, side, work):
-    """What friction and effects with a memory were over one machine's inner step."""
+def settle_apart(
+    friction_of: FrictionOf, reaction_of: ReactionOf, h: float, lane: int, model: np.record, side: np.record, work: np.record
+) -> None:
+    """Find the efforts of friction and of effects with a memory over one machine's inner step."""
     n = len(work.position)
     for i in range(n):
         work.speed[i] = side.speed[i, lane]
@@ -115,7 +156,9 @@ def settle_apart(friction_of, reaction_of, h, lane, model, side, work):
 
 
 @compiled
-def rub(friction_of, reaction_of, h, acting, models, works, side):
+def rub(
+    friction_of: FrictionOf, reaction_of: ReactionOf, h: float, acting: Acting, models: np.ndarray, works: np.ndarray, side: np.record
+) -> None:
     """Correct the end of an inner step for friction and effects with a memory."""
     for lane in acting.frictions:
         settle_apart(friction_of, reaction_of, h, lane, models[lane], side, works[lane])
@@ -131,8 +174,11 @@ def rub(friction_of, reaction_of, h, acting, models, works, side):
 
 
 @compiled
-def advance_one(mass_and_bias, friction_of, reaction_of, effort_of, terms_of, time_s, acting, models, works, model, side):
-    """One plant step, as `integrator.advance_one` takes it."""
+def advance_one(
+    mass_and_bias: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, effort_of: EffortOf, terms_of: TermsOf, time_s: float,
+    acting: Acting, models: np.ndarray, works: np.ndarray, model: np.record, side: np.record,
+) -> None:  # fmt: skip
+    """Take one plant step, as `integrator.advance_one` does."""
     n = len(side.position)
     h = models[0].step_s
     inner = h / models[0].inner_steps
@@ -161,12 +207,14 @@ def advance_one(mass_and_bias, friction_of, reaction_of, effort_of, terms_of, ti
 
 @compiled
 def advance(
-    axis_joints, imus, first_drive, mass_and_bias, friction_of, reaction_of, effort_of, terms_of, limited_by, ripple_of, imu,
-    time_s, targets, efforts, acting, states, models, works, model, side,
-):  # fmt: skip
-    """One sample of all machines: `targets` a lane array (axes,), `efforts` the same (LANES, axes).
+    axis_joints: tuple[int, ...], imus: int, first_drive: int, mass_and_bias: Equations, friction_of: FrictionOf, reaction_of: ReactionOf,
+    effort_of: EffortOf, terms_of: TermsOf, limited_by: LimitedBy, ripple_of: RippleOf, imu: Equations, time_s: float, targets: np.ndarray,
+    efforts: np.ndarray, acting: Acting, states: np.ndarray, models: np.ndarray, works: np.ndarray, model: np.record, side: np.record,
+) -> None:  # fmt: skip
+    """Take one sample of all machines.
 
-    Brakes are open, and all of an IMU's channels have a low pass. `states` (LANES, state size) have the drives' parts in them.
+    `targets` is a lane array (axes,), `efforts` holds the same numbers as (LANES, axes). Brakes are open, and all of an IMU's channels have
+    a low pass. `states` (LANES, state size) have the drives' parts in them.
     """
     n = len(side.position)
     for i in range(n):

@@ -1,4 +1,7 @@
-"""A plant at rest: elastic equilibrium, and the effort that holds it. Effects' efforts are in it, friction is not."""
+"""A plant at rest: elastic equilibrium, and the effort that holds it.
+
+The efforts of effects are included, friction is not.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +15,29 @@ from virtual_bus.plant.drives import DRIVE_STATES
 
 DIFFERENCE = 1e-6  # rad or m, for gradients of gravity: half the digits of a central difference
 TOLERANCE = 1e-12  # of the Newton step, relative to 1 rad or 1 m
-UNBALANCED = 1e-6  # share of the largest static effort that may stay where a spring gives none
-SOFTEST = 1e-12  # share of the largest stiffness; what is softer is stepped over as far as a step goes
+UNBALANCED = 1e-6  # share of the largest static effort that may remain where a spring gives no effort
+SOFTEST = 1e-12  # share of the largest stiffness: a softer direction is treated as if it were this stiff
 MAX_ITERATIONS = 50
 LARGEST_STEP = 0.3  # rad or m per Newton iteration, so that a soft joint does not jump to another equilibrium
 TURNED_BACK = 0.25
-"""Share of the last step from which on one that leads back is halved. A difference across a gap's corner is the mean of both slopes, and
-where one of them is next to nothing Newton's step is twice too long: it would lead back and forth over the corner for ever."""
+"""A step that leads back by more than this share of the last one is halved. A difference across the corner of a gap is the mean of both
+slopes; where one of them is nearly zero Newton's step is twice too long and would lead back and forth over the corner for ever."""
 
 
 def static_effort(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-    """Effort (..., n) [Nm or N] that must act on the joints, besides their springs, for standstill at these positions (..., n)."""
+    """Return the effort (..., n) [Nm or N] that standstill at these joint positions (..., n) takes besides the springs."""
     _, bias = plant.inertia_and_bias(model, joint_positions, np.zeros(np.shape(joint_positions)))
-    return bias + model["stiffness"][0] * (joint_positions - model["rest_position"][0])
+    effort: np.ndarray = bias + model["stiffness"][0] * (joint_positions - model["rest_position"][0])
+    return effort
 
 
 def static_stiffness(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-    """Gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
+    """Return the gradient (n, n) of `static_effort` with the joint positions: springs and gravity."""
     return _linearised(plant, model, joint_positions)[1]
 
 
 def _linearised(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`static_effort` (n,) and its gradient (n, n) with the joint positions."""
+    """Return `static_effort` (n,) and its gradient (n, n) with the joint positions."""
     n = plant.joints
     efforts = static_effort(plant, model, joint_positions + _shifts(n))
     return efforts[2 * n], (efforts[:n] - efforts[n : 2 * n]).T / (2.0 * DIFFERENCE)
@@ -41,13 +45,15 @@ def _linearised(plant: CompiledPlant, model: np.ndarray, joint_positions: np.nda
 
 @lru_cache(maxsize=16)
 def _shifts(joints: int) -> np.ndarray:
-    """(2 joints + 1, joints): every joint ahead, every joint behind, none."""
+    """Return the shifts (2 joints + 1, joints) of a difference: every joint ahead, every joint behind, none."""
     ahead = DIFFERENCE * np.eye(joints)
     return np.vstack([ahead, -ahead, np.zeros(joints)])
 
 
 def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
-    """Joint positions (n,) at rest with the actuated joints held at `axis_positions` (axes,): springs against gravity.
+    """Return the joint positions (n,) at rest with the actuated joints held at `axis_positions` (axes,).
+
+    There the springs balance gravity.
 
     Raises
     ------
@@ -71,12 +77,12 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
         if is_sprung[free].all():
             balances = bool(np.isfinite(step).all())
             if not balances:
-                step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position there
+                step = -np.linalg.lstsq(gradient, effort, rcond=None)[0]  # a spring within its backlash holds any position
                 most = UNBALANCED * np.abs(static_effort(plant, model, q)).max(initial=1.0)
                 balances = bool(np.abs(gradient @ step + effort).max() <= most)
             if not (balances and _is_stable(gradient)):
-                # In a gap gravity may be at rest where that is not stable: away from there, to the flank that the joint falls on.
-                # Without gravity nothing is stiff there: the springs outside say what is soft.
+                # Within a gap gravity may balance where the balance is not stable: step away, to the flank that the joint falls on. Without
+                # gravity nothing is stiff within the gap: then the springs outside it say which stiffness counts as soft.
                 curvatures, directions = np.linalg.eigh(0.5 * (gradient + gradient.T))
                 stiffest = np.abs(gradient).max() or model["stiffness"][0].max()
                 step = -directions @ (directions.T @ effort / np.maximum(np.abs(curvatures), SOFTEST * stiffest))
@@ -95,7 +101,10 @@ def equilibrium(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndar
 
 
 def _is_stable(gradient: np.ndarray) -> bool:
-    """Whether an effort brings every joint back from where it is moved to; one that rests anywhere is left alone as well."""
+    """Return whether an effort brings every joint back from where it is moved to.
+
+    A joint that rests anywhere counts as stable.
+    """
     try:
         np.linalg.cholesky(gradient)
     except np.linalg.LinAlgError:
@@ -104,18 +113,23 @@ def _is_stable(gradient: np.ndarray) -> bool:
 
 
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
-    """Drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
+    """Return the drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
     q = equilibrium(plant, model, axis_positions)
     return _drives_effort(static_effort(plant, model, q)[plant.driven_joints], plant.drive_gains(model, q))
 
 
 def _drives_effort(effort: np.ndarray, gains: np.ndarray) -> np.ndarray:
-    """(axes,) in the drives' units; no finite one of a drive that has no gain holds a load."""
-    return np.divide(effort, gains, out=np.where(effort == 0.0, 0.0, np.copysign(np.inf, effort)), where=gains != 0.0)
+    """Return efforts (axes,) in the drives' units.
+
+    A drive without gain cannot hold a load: the effort it would take is infinite.
+    """
+    unheld = np.where(effort == 0.0, 0.0, np.copysign(np.inf, effort))
+    needed: np.ndarray = np.divide(effort, gains, out=unheld, where=gains != 0.0)
+    return needed
 
 
 def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray, held_by_brakes: bool) -> np.ndarray:
-    """Plant state (state_size,) at rest in elastic equilibrium, with the IMUs' low passes settled.
+    """Return the plant state (state_size,) at rest in elastic equilibrium, with the IMUs' low passes settled.
 
     `held_by_brakes` says whether closed brakes carry the load (drive effort zero) or the drives do (their effort is `holding_effort`).
     """
@@ -134,6 +148,9 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
 
 
 def held_effort(plant: CompiledPlant, state: np.ndarray) -> np.ndarray:
-    """Drive efforts (axes,) in a resting state that the drives hold: `holding_effort` without looking for the equilibrium again."""
+    """Return the drive efforts (axes,) in a resting state that the drives hold.
+
+    It is `holding_effort` without another search for the equilibrium.
+    """
     drives = state[plant.first_drive_state :][: len(plant.settings.drives) * DRIVE_STATES]
     return drives.reshape(-1, DRIVE_STATES)[:, 0].copy()

@@ -1,14 +1,16 @@
-"""What effects add to the equations of motion at one instant: efforts, inertia, and the velocity terms that belong to it."""
+"""Terms that effects add to the equations of motion at one instant: efforts, inertia, and the velocity terms of that inertia."""
 
 from __future__ import annotations
 
-from virtual_bus.effects.motion import JointMotion, PairMotion
+import numpy as np
+
+from virtual_bus.effects.motion import EffortOf, JointMotion, PairMotion, TermsOf
 from virtual_bus.plant.jit import compiled
 
 
 @compiled
-def add_efforts(effort_of, model, work):
-    """Efforts on single joints, off the bias."""
+def add_efforts(effort_of: EffortOf, model: np.record, work: np.record) -> None:
+    """Subtract the efforts on single joints from the bias."""
     for row in range(model.effort_count):
         j = model.effort_joint[row]
         position = work.query_position[j]
@@ -19,8 +21,8 @@ def add_efforts(effort_of, model, work):
 
 
 @compiled
-def add_pairs(terms_of, model, work):
-    """Terms between two joints: inertia into the lower half, efforts off the bias."""
+def add_pairs(terms_of: TermsOf, model: np.record, work: np.record) -> None:
+    """Add the terms between two joints: inertia into the lower half, efforts off the bias."""
     for row in range(model.pair_count):
         i, j = model.pair_joints[row, 0], model.pair_joints[row, 1]
         rest = model.rest_position[j] if model.pair_is_spring[row] else 0.0

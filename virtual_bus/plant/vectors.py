@@ -1,4 +1,4 @@
-"""Three-dimensional vector algebra on tuples of nodes: the little the rigid-body equations need."""
+"""Three-dimensional vector algebra on tuples of nodes, as far as the rigid-body equations need it."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ Matrix = tuple[Vector, Vector, Vector]  # rows
 
 
 def constant_vector(graph: Graph, values: np.ndarray) -> Vector:
-    """(3,) numbers as nodes."""
+    """Return (3,) numbers as nodes."""
     x, y, z = (graph.constant(value) for value in values)
     return x, y, z
 
 
 def constant_matrix(graph: Graph, values: np.ndarray) -> Matrix:
-    """(3, 3) numbers as nodes."""
+    """Return (3, 3) numbers as nodes."""
     x, y, z = (constant_vector(graph, row) for row in values)
     return x, y, z
 
 
 def add(*vectors: Vector) -> Vector:
-    """Sum of any number of vectors."""
+    """Return the sum of any number of vectors."""
     total = vectors[0]
     for vector in vectors[1:]:
         total = (total[0] + vector[0], total[1] + vector[1], total[2] + vector[2])
@@ -31,58 +31,59 @@ def add(*vectors: Vector) -> Vector:
 
 
 def scale(factor: Node, vector: Vector) -> Vector:
-    """factor · vector."""
+    """Return factor · vector."""
     return factor * vector[0], factor * vector[1], factor * vector[2]
 
 
 def dot(a: Vector, b: Vector) -> Node:
-    """a · b."""
+    """Return a · b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """a × b."""
+    """Return a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def transpose(m: Matrix) -> Matrix:
-    """mᵀ."""
+    """Return mᵀ."""
     return (m[0][0], m[1][0], m[2][0]), (m[0][1], m[1][1], m[2][1]), (m[0][2], m[1][2], m[2][2])
 
 
 def apply(m: Matrix, v: Vector) -> Vector:
-    """m v."""
+    """Return m v."""
     return dot(m[0], v), dot(m[1], v), dot(m[2], v)
 
 
 def apply_transposed(m: Matrix, v: Vector) -> Vector:
-    """mᵀ v."""
+    """Return mᵀ v."""
     return apply(transpose(m), v)
 
 
 def product(a: Matrix, b: Matrix) -> Matrix:
-    """a b."""
+    """Return a b."""
     columns = transpose(b)
     x, y, z = ((dot(row, columns[0]), dot(row, columns[1]), dot(row, columns[2])) for row in a)
     return x, y, z
 
 
 def add_matrices(*matrices: Matrix) -> Matrix:
-    """Sum of any number of matrices."""
+    """Return the sum of any number of matrices."""
     x, y, z = (add(*rows) for rows in zip(*matrices, strict=True))
     return x, y, z
 
 
 def congruence(rotation: Matrix, symmetric: Matrix) -> Matrix:
-    """rotation · symmetric · rotationᵀ, with the lower half copied from the upper one."""
+    """Return rotation · symmetric · rotationᵀ, with the lower half copied from the upper one."""
     half = product(rotation, symmetric)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = product(half, transpose(rotation))
     return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
 
 
 def shifted_inertia(inertia: Matrix, mass: Node, moment: Vector, shift: Vector) -> Matrix:
-    """Inertia about a new origin: `inertia` and first `moment` are about the old one, which lies at `shift` from the new one.
+    """Return the inertia about a new origin.
 
+    `inertia` and the first `moment` are about the old origin, which lies at `shift` from the new one.
     J' = J − m [s][s] − [s][h] − [h][s], with [·] the cross-product matrix (Featherstone 2008, eq. 2.66).
     """
     s, h = shift, moment

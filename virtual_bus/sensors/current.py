@@ -1,4 +1,4 @@
-"""What a drive measures of its own current (or effort): what acts, white noise, and the converter's lattice."""
+"""A drive's measurement of its own current (or effort): the acting current, white noise, and the converter's lattice."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from virtual_bus.settings import PlantSettings
 
 @compiled
 def current_reading(effort: float, noise: float, resolution: float) -> float:
-    """Reading [drive's unit] of an effort with this sample's noise; NaN without a sensor, which a resolution of NaN says."""
+    """Return the reading [drive's unit] of an effort with this sample's noise.
+
+    A resolution of NaN says that there is no sensor; the reading is NaN then.
+    """
     return quantised(effort + noise, resolution) if resolution >= 0.0 else np.nan
 
 
 def current_arrays(settings: PlantSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Resolution and noise rms (axes,) in the drives' units; NaN where an axis has no such sensor."""
+    """Return resolution and noise rms (axes,) in the drives' units; NaN where an axis has no such sensor."""
     by_axis = {current.axis: current for current in settings.currents}
     found = [by_axis.get(drive.axis) for drive in settings.drives]
     return (

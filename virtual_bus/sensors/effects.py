@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from virtual_bus.effects.motion import EncoderErrorOf, LagOf, LostBy, SignedBy
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.effects.registry import effects, module_of
 from virtual_bus.effects.table import ROW, effect_row, with_hook
@@ -17,13 +18,13 @@ from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-HISTORY = 64  # samples a late channel remembers
-SENSOR_HOOKS = ("error", "resolution", "calibration", "signed", "lag_s", "is_lost")  # of effects' files: what sensors have of effects
-ANY, ERRORS, GAINS, CLOCKS, SIGNS, DROPOUTS = range(6)  # what there is of it
+HISTORY = 64  # samples that a late channel remembers
+SENSOR_HOOKS = ("error", "resolution", "calibration", "signed", "lag_s", "is_lost")  # hooks of the effects' files that act on sensors
+ANY, ERRORS, GAINS, CLOCKS, SIGNS, DROPOUTS = range(6)  # kinds of effects, as positions in `switches`
 
 
 class SensorEffects(NamedTuple):
-    """What effects make of a machine's sensors. Rows that begin with -1 are no effect."""
+    """What effects change of a machine's sensors. Rows that begin with -1 are no effect."""
 
     encoder_channel: np.ndarray  # (errors,) channel of every encoder error
     encoder_rows: np.ndarray  # (errors, ROW)
@@ -31,7 +32,7 @@ class SensorEffects(NamedTuple):
     lattice: np.ndarray  # (2 axes,) step of a further rounding; 0 means none
     imu_gain: np.ndarray  # (2 imus, 3, 3) accelerometer, gyro of each
     imu_offset: np.ndarray  # (6 imus,)
-    switches: np.ndarray  # (6,) 1: there are effects of that kind, see ANY to DROPOUTS
+    switches: np.ndarray  # (6,) 1: there are effects of that kind, ANY to DROPOUTS
     sign_rows: np.ndarray  # (channels, ROW)
     clock_rows: np.ndarray  # (channels, ROW)
     dropout_rows: np.ndarray  # (channels, ROW)
@@ -39,7 +40,7 @@ class SensorEffects(NamedTuple):
 
 
 class SensorMemory(NamedTuple):
-    """What the sensors carry from sample to sample. Preallocated, overwritten."""
+    """What the sensors carry from sample to sample. Preallocated and overwritten."""
 
     samples: np.ndarray  # (1,) since the start, counted where there are effects
     home_error: np.ndarray  # (2 axes,) error of incremental encoders at the start
@@ -51,7 +52,10 @@ class SensorMemory(NamedTuple):
 
 
 def channel_names(settings: PlantSettings) -> list[str]:
-    """Names by channel number; a name of its own kind where the machine has no such sensor."""
+    """Return the channels' names by number.
+
+    Where the machine has no such sensor the place has the name that one would have.
+    """
     axes = [drive.axis for drive in settings.drives]
     currents = {current.axis: current.channel for current in settings.currents}
     names = [f"position_{axis}" for axis in axes] + [f"link_position_{axis}" for axis in axes]
@@ -60,7 +64,7 @@ def channel_names(settings: PlantSettings) -> list[str]:
 
 
 def new_memory(settings: PlantSettings) -> SensorMemory:
-    """Memory for `start` to begin with."""
+    """Return memory for `start` to begin with."""
     channels, encoders = len(channel_names(settings)), 2 * len(settings.drives)
     return SensorMemory(
         np.zeros(1, dtype=np.int64), np.zeros(encoders), np.zeros(channels), np.zeros(channels), np.zeros(channels), np.zeros(channels),
@@ -69,12 +73,12 @@ def new_memory(settings: PlantSettings) -> SensorMemory:
 
 
 def act_on_sensors(chosen: Sequence[EffectSetting]) -> bool:
-    """Whether sensors have anything of these effects."""
+    """Return whether any of these effects acts on sensors."""
     return any(hasattr(module_of(setting.name), hook) for setting in chosen for hook in SENSOR_HOOKS)
 
 
 def sensor_effects(settings: PlantSettings, chosen: Sequence[EffectSetting]) -> SensorEffects:
-    """The sensors' part of a machine's effects."""
+    """Return the sensors' part of a machine's effects."""
     names = channel_names(settings)
     axes = [drive.axis for drive in settings.drives]
     absolute = {encoder.channel for encoder in settings.encoders if encoder.absolute}
@@ -121,8 +125,8 @@ def _values(setting: EffectSetting) -> list[float]:
 
 
 @compiled
-def encoder_error(channel, position, encoder_error_of, sensors):
-    """What an encoder sees beyond its position."""
+def encoder_error(channel: int, position: float, encoder_error_of: EncoderErrorOf, sensors: SensorEffects) -> float:
+    """Return what an encoder sees beyond its position."""
     error = 0.0
     for row in range(len(sensors.encoder_channel)):
         if sensors.encoder_channel[row] == channel:
@@ -131,16 +135,16 @@ def encoder_error(channel, position, encoder_error_of, sensors):
 
 
 @compiled
-def add_encoder_errors(encoder_error_of, sensors, memory):
-    """Positions as the encoders' scales show them, in place."""
+def add_encoder_errors(encoder_error_of: EncoderErrorOf, sensors: SensorEffects, memory: SensorMemory) -> None:
+    """Turn positions into what the encoders' scales show, in place."""
     for channel in range(len(sensors.lattice)):
         position = memory.values[channel]
         memory.values[channel] = position + encoder_error(channel, position, encoder_error_of, sensors) - memory.home_error[channel]
 
 
 @compiled
-def turn_imus(sensors, memory):
-    """IMU channels through gain and offset, in place."""
+def turn_imus(sensors: SensorEffects, memory: SensorMemory) -> None:
+    """Apply gain and offset to the IMU channels, in place."""
     first = 3 * (len(sensors.lattice) // 2)
     for triple in range(len(sensors.imu_gain)):
         start = first + 3 * triple
@@ -151,16 +155,18 @@ def turn_imus(sensors, memory):
 
 
 @compiled
-def raw_at(channel, sample, memory):
-    """A channel's value at an earlier sample; before the start it stood still."""
+def raw_at(channel: int, sample: int, memory: SensorMemory) -> float:
+    """Return a channel's value at an earlier sample; before the start it stood still."""
     sample = max(sample, 0)
-    return memory.raw[channel] if sample >= memory.samples[0] else memory.history[channel, sample % HISTORY]
+    value: float = memory.raw[channel] if sample >= memory.samples[0] else memory.history[channel, sample % HISTORY]
+    return value
 
 
 @compiled
-def value_before(channel, age, memory):
-    """A channel's value so many samples ago, whole or not: a cubic through the two samples on either side, through the latest four where it
-    is younger than one (Lagrange's weights).
+def value_before(channel: int, age: float, memory: SensorMemory) -> float:
+    """Return a channel's value `age` samples ago, whole or not.
+
+    It is a cubic through the two samples on either side, or through the latest four where the age is less than one (Lagrange's weights).
     """
     if age >= memory.samples[0]:  # it stood still
         return raw_at(channel, 0, memory)
@@ -173,8 +179,8 @@ def value_before(channel, age, memory):
 
 
 @compiled
-def age_channels(lag_of, sensors, memory):
-    """Values of late channels, in place."""
+def age_channels(lag_of: LagOf, sensors: SensorEffects, memory: SensorMemory) -> None:
+    """Replace the values of late channels by earlier ones, in place."""
     now = memory.samples[0]
     for channel in range(len(memory.values)):
         memory.raw[channel] = memory.values[channel]
@@ -188,8 +194,10 @@ def age_channels(lag_of, sensors, memory):
 
 
 @compiled
-def before_noise(encoder_error_of, signed_by, lag_of, sensors, memory):
-    """memory.values, the channels' true values of this instant, as the sensors see them."""
+def before_noise(
+    encoder_error_of: EncoderErrorOf, signed_by: SignedBy, lag_of: LagOf, sensors: SensorEffects, memory: SensorMemory
+) -> None:
+    """Turn memory.values, the channels' true values at this instant, into what the sensors see."""
     if sensors.switches[ERRORS]:
         add_encoder_errors(encoder_error_of, sensors, memory)
     if sensors.switches[GAINS]:
@@ -206,8 +214,11 @@ def before_noise(encoder_error_of, signed_by, lag_of, sensors, memory):
 
 
 @compiled
-def repeat_lost(readings, first, lost_by, sensors, memory):
-    """Readings of the channels from `first` on, the sample before's where they are lost, in place."""
+def repeat_lost(readings: np.ndarray, first: int, lost_by: LostBy, sensors: SensorEffects, memory: SensorMemory) -> None:
+    """Repeat the last sample's readings where they are lost, in place.
+
+    `readings` are those of the channels from `first` on.
+    """
     for k in range(len(readings)):
         row = sensors.dropout_rows[first + k]
         if row[0] >= 0.0 and lost_by(int(row[0]), memory.samples[0], row):
@@ -216,8 +227,8 @@ def repeat_lost(readings, first, lost_by, sensors, memory):
 
 
 @compiled
-def remember(sensors, memory):
-    """One sample later, in place."""
+def remember(sensors: SensorEffects, memory: SensorMemory) -> None:
+    """Keep what the next sample needs of this one, in place."""
     if sensors.switches[CLOCKS]:
         place = memory.samples[0] % HISTORY
         for channel in range(len(memory.raw)):

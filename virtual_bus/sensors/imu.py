@@ -11,12 +11,12 @@ from virtual_bus.settings import PlantSettings
 
 @compiled
 def measured_channel(value: float, bias: float, noise: float, resolution: float) -> float:
-    """Reading [m/s² or rad/s] of one channel with this sample's noise."""
+    """Return the reading [m/s² or rad/s] of one channel with this sample's noise."""
     return quantised(value + bias + noise, resolution)
 
 
 def imu_arrays(settings: PlantSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bias, noise rms and resolution (6 imus,): specific force x, y, z, then angular rate x, y, z."""
+    """Return bias, noise rms and resolution (6 imus,): specific force x, y, z, then angular rate x, y, z."""
 
     def stacked(parts: list[np.ndarray]) -> np.ndarray:
         return np.concatenate(parts) if parts else np.zeros(0)

@@ -14,11 +14,21 @@ from typing import NamedTuple
 import numpy as np
 
 from virtual_bus.effects.dispatch import compiled_effects, dispatch_sources
+from virtual_bus.effects.motion import EncoderErrorOf, LagOf, LostBy, SignedBy
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.modules import load_generated
 from virtual_bus.sensors import current, effects, encoder, imu, thermometer
 from virtual_bus.sensors.current import current_arrays, current_reading
-from virtual_bus.sensors.effects import DROPOUTS, SensorEffects, act_on_sensors, before_noise, encoder_error, repeat_lost, sensor_effects
+from virtual_bus.sensors.effects import (
+    DROPOUTS,
+    SensorEffects,
+    SensorMemory,
+    act_on_sensors,
+    before_noise,
+    encoder_error,
+    repeat_lost,
+    sensor_effects,
+)
 from virtual_bus.sensors.encoder import encoder_arrays, encoder_reading, quantised, summed_position, summed_speed
 from virtual_bus.sensors.imu import imu_arrays, measured_channel
 from virtual_bus.sensors.thermometer import thermometer_arrays, warmed
@@ -26,7 +36,10 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 
 
 class SensorModel(NamedTuple):
-    """What the sensors of a machine are like. NaN resolution (ambient, for thermometers): the axis has no such sensor."""
+    """Properties of a machine's sensors.
+
+    A resolution of NaN (an ambient of NaN, for thermometers) says that the axis has no such sensor.
+    """
 
     position_joints: np.ndarray  # (axes, n) weights of the joints in the sum
     position_resolution: np.ndarray  # (axes,) rad or m
@@ -41,12 +54,15 @@ class SensorModel(NamedTuple):
     rise_per_effort2: np.ndarray  # (axes,) K
     temperature_decay: np.ndarray  # (axes,) over one sample
     temperature_resolution: np.ndarray  # (axes,) K
-    switches: np.ndarray  # (6,) what there is of effects, see effects.ANY to DROPOUTS
+    switches: np.ndarray  # (6,) which kinds of effects there are, see ANY to DROPOUTS of effects.py
     effects: SensorEffects
 
 
 class Readings(NamedTuple):
-    """Sensor readings of one instant in SI and the drives' units; NaN where an axis has no such sensor. Preallocated, overwritten."""
+    """Sensor readings of one instant in SI and the drives' units. Preallocated and overwritten.
+
+    NaN where an axis has no such sensor.
+    """
 
     position: np.ndarray  # (axes,)
     link_position: np.ndarray  # (axes,)
@@ -57,7 +73,7 @@ class Readings(NamedTuple):
 
 
 def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | None = None) -> SensorModel:
-    """The arrays `measure` takes of a machine's sensors, with these effects or the settings' own."""
+    """Return the arrays `measure` takes of a machine's sensors, with these effects or the settings' own."""
     position_joints, position_resolution = encoder_arrays(settings, "position")
     link_joints, link_resolution = encoder_arrays(settings, "link_position")
     speeds = encoder_arrays(settings, "speed")
@@ -71,7 +87,7 @@ def sensor_model(settings: PlantSettings, effects: Sequence[EffectSetting] | Non
 
 
 def with_effects(own: SensorModel, settings: PlantSettings, effects: Sequence[EffectSetting]) -> SensorModel:
-    """Sensors that have no effects with these; themselves where these are none of sensors."""
+    """Return sensors that have no effects with these; the same sensors where none of these acts on sensors."""
     if not act_on_sensors(effects):
         return own
     added = sensor_effects(settings, effects)
@@ -79,13 +95,16 @@ def with_effects(own: SensorModel, settings: PlantSettings, effects: Sequence[Ef
 
 
 def new_readings(settings: PlantSettings) -> Readings:
-    """Readings for `measure` to fill."""
+    """Return readings for `measure` to fill."""
     axes = len(settings.drives)
     return Readings(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(6 * len(settings.imus)), np.zeros(axes))
 
 
 def noise_rms(settings: PlantSettings) -> dict[str, float]:
-    """Standard deviation of every noisy channel, by channel name, in the order `measure` takes its noise: efforts by axis, then IMUs."""
+    """Return the standard deviation of every noisy channel, by channel name, in the order `measure` takes its noise.
+
+    That is efforts by axis, then IMUs.
+    """
     by_axis = {sensor.axis: sensor for sensor in settings.currents}
     noises = {f"current_{d.axis}": by_axis[d.axis].noise_rms if d.axis in by_axis else 0.0 for d in settings.drives}
     letters = [f"{sensor}_{axis}" for sensor in ("accelerometer", "gyro") for axis in "xyz"]
@@ -94,8 +113,8 @@ def noise_rms(settings: PlantSettings) -> dict[str, float]:
 
 
 @compiled
-def start(state, encoder_error_of, model, memory):
-    """Begin at this plant state: incremental encoders are free of error here."""
+def start(state: np.ndarray, encoder_error_of: EncoderErrorOf, model: SensorModel, memory: SensorMemory) -> None:
+    """Begin at this plant state: incremental encoders have no error here."""
     memory.samples[0] = 0
     sensors = model.effects
     for i in range(len(model.position_resolution)):
@@ -106,18 +125,27 @@ def start(state, encoder_error_of, model, memory):
 
 
 @compiled
-def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings):
-    """Every sensor's reading of this instant, of sensors without effects.
+def measure(
+    state: np.ndarray, effort: np.ndarray, temperature_rise: np.ndarray, imu_reading: np.ndarray, noise: np.ndarray, sensors: SensorModel,
+    readings: Readings,
+) -> None:  # fmt: skip
+    """Read every sensor at this instant, for sensors without effects.
 
     Parameters
     ----------
-    state : the plant's, joint positions first
-    effort : (axes,) currents that flow from now on, in the drives' units
-    temperature_rise : (axes,) K above ambient
-    imu_reading : (6 imus,) from the plant's `imu_reading`
-    noise : (axes + 6 imus,) of this sample, in the channels' units
+    state : array
+        The plant's, joint positions first.
+    effort : (axes,) array
+        Currents that flow from this instant on, in the drives' units.
+    temperature_rise : (axes,) array
+        K above ambient.
+    imu_reading : (6 imus,) array
+        From the plant's `imu_reading`.
+    noise : (axes + 6 imus,) array
+        Of this sample, in the channels' units.
     sensors : SensorModel
-    readings : Readings, overwritten
+    readings : Readings
+        Overwritten.
     """
     axes = len(effort)
     for i in range(axes):
@@ -133,9 +161,14 @@ def measure(state, effort, temperature_rise, imu_reading, noise, sensors, readin
 
 @compiled
 def measure_affected(
-    state, effort, temperature_rise, imu_reading, noise, encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings
-):
-    """The same of sensors with effects: the functions are those of the effects' module, `memory` is a SensorMemory."""
+    state: np.ndarray, effort: np.ndarray, temperature_rise: np.ndarray, imu_reading: np.ndarray, noise: np.ndarray,
+    encoder_error_of: EncoderErrorOf, signed_by: SignedBy, lag_of: LagOf, lost_by: LostBy, sensors: SensorModel, memory: SensorMemory,
+    readings: Readings,
+) -> None:  # fmt: skip
+    """Read every sensor at this instant, for sensors with effects.
+
+    The functions are those of the effects' module, `memory` is a SensorMemory; the rest is as in `measure`.
+    """
     axes = len(effort)
     first_speed = 3 * axes + len(imu_reading)
     added, values = sensors.effects, memory.values
@@ -165,15 +198,18 @@ def measure_affected(
 
 
 @compiled
-def warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay):
-    """Temperatures one sample later, in place."""
+def warm_up(temperature_rise: np.ndarray, effort: np.ndarray, rise_per_effort2: np.ndarray, temperature_decay: np.ndarray) -> None:
+    """Move the temperatures one sample on, in place."""
     for i in range(len(effort)):
         temperature_rise[i] = warmed(temperature_rise[i], effort[i], rise_per_effort2[i], temperature_decay[i])
 
 
 @compiled
-def count(position, resolution, zero, counts):
-    """Whole counts from `zero` of positions that are on their lattices already; 0 where there is no lattice."""
+def count(position: np.ndarray, resolution: np.ndarray, zero: np.ndarray, counts: np.ndarray) -> None:
+    """Count whole steps from `zero` to positions that are on their lattices already.
+
+    0 where there is no lattice.
+    """
     for i in range(len(position)):
         counts[i] = 0 if not resolution[i] > 0.0 else round(position[i] / resolution[i]) - zero[i]
 
@@ -219,11 +255,14 @@ def count(position, resolution, zero, counts):
 
 
 def sensor_sources() -> str:
-    """Source of everything `measure` is compiled from: what a module that fuses it depends on."""
+    """Return the source of everything `measure` is compiled from.
+
+    A module that fuses `measure` depends on it.
+    """
     modules = (current, effects, encoder, imu, thermometer, sys.modules[__name__])
     return "\n".join(inspect.getsource(module) for module in modules) + dispatch_sources()
 
 
 def compiled_sensors() -> ModuleType:
-    """Module with `start`, `measure`, `count`, `remember` and `warm_up`, compiled once and cached."""
+    """Return the module with `start`, `measure`, `count`, `remember` and `warm_up`, compiled once and cached."""
     return load_generated("sensors", ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__), sensor_sources())

@@ -1,4 +1,4 @@
-"""Winding temperature: ambient plus a first-order answer to the copper loss."""
+"""Winding temperature: ambient plus a first-order response to the copper loss."""
 
 from __future__ import annotations
 
@@ -12,13 +12,19 @@ from virtual_bus.settings import PlantSettings
 
 @compiled
 def warmed(rise: float, effort: float, rise_per_effort2: float, decay: float) -> float:
-    """Temperature rise [K] one sample later, at constant effort [drive's unit]; `decay` is exp(-sample period / time constant)."""
+    """Return the temperature rise [K] one sample later, at constant effort [drive's unit].
+
+    `decay` is exp(-sample period / time constant).
+    """
     final = rise_per_effort2 * effort * effort
     return final + (rise - final) * decay
 
 
 def thermometer_arrays(settings: PlantSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Ambient [degC], rise [K per squared effort], decay over a sample, resolution [K] (axes,); ambient NaN where an axis has none."""
+    """Return ambient [degC], rise [K per squared effort], decay over a sample and resolution [K], each (axes,).
+
+    The ambient is NaN where an axis has no thermometer.
+    """
     by_axis = {thermometer.axis: thermometer for thermometer in settings.thermometers}
     found = [by_axis.get(drive.axis) for drive in settings.drives]
     return (

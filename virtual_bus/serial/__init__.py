@@ -1,1 +1,1 @@
-"""The emulated detector IMU and the lines it can be reached on: a pseudo terminal or a pipe in this process."""
+"""The emulated detector IMU and the lines on which it can be reached: a pseudo terminal, a TCP port or a pipe in this process."""

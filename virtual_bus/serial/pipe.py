@@ -1,14 +1,14 @@
-"""A serial line inside this process: two ends, bytes in order, nothing waits and nothing runs in the background."""
+"""A serial line inside this process: two ends, bytes in order, no waiting and nothing in the background."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-CAPACITY_BYTES = 65_536  # what an operating system buffers for a port nobody reads; further bytes are lost
+CAPACITY_BYTES = 65_536  # what an operating system buffers for a port that nobody reads; further bytes are lost
 
 
 class PipeEnd:
-    """One end of the line, with the face of `drivers.serial.stream.ByteStream`."""
+    """One end of the line, with the methods of `drivers.serial.stream.ByteStream`."""
 
     def __init__(self) -> None:
         self._received = bytearray()
@@ -20,7 +20,7 @@ class PipeEnd:
         self._peer, peer._peer = peer, self
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none."""
+        """Return all bytes that have arrived, or none."""
         if not self._received:
             return b""
         data = bytes(self._received)
@@ -36,7 +36,7 @@ class PipeEnd:
 
 
 def pipe() -> tuple[PipeEnd, PipeEnd]:
-    """Two connected ends: (the bench's, the device's)."""
+    """Return two connected ends: (the bench's, the device's)."""
     bench, device = PipeEnd(), PipeEnd()
     bench.connect(device)
     return bench, device

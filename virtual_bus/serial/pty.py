@@ -1,4 +1,4 @@
-"""A pseudo terminal as serial line: the device's end here, a path for whoever speaks to it."""
+"""A pseudo terminal as a serial line: the device's end, and a path for the other side."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Pty:
         self.path = os.ttyname(self._slave)
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none."""
+        """Return all bytes that have arrived, or none."""
         try:
             return os.read(self._master, READ_BYTES)
         except BlockingIOError:
@@ -44,10 +44,10 @@ class Pty:
             os.write(self._master, data)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until bytes arrive; False when none came in time."""
+        """Wait until bytes arrive; return False when none came in time."""
         return bool(select.select([self._master], [], [], timeout_s)[0])
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the line."""
         os.close(self._master)
         os.close(self._slave)

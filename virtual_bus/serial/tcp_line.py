@@ -9,7 +9,10 @@ READ_BYTES = 4096
 
 
 class TcpLine:
-    """Bytes to and from whoever is connected to `url`: one at a time, a second is hung up on. Nothing waits."""
+    """Bytes to and from whoever is connected to `url`. Nothing waits.
+
+    One client at a time is served; a second one is disconnected.
+    """
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -19,13 +22,16 @@ class TcpLine:
 
     @property
     def connected(self) -> bool:
-        """Whether somebody was there at the last `read`."""
+        """Whether a client was there at the last `read`."""
         return self._line is not None
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none; lets go of a listener that has hung up, and takes the next."""
+        """Return all bytes that have arrived, or none.
+
+        A client that has hung up is let go, and the next one is taken.
+        """
         data = self._received() if self._line is not None else b""
-        with contextlib.suppress(OSError):  # nobody calls, or no longer
+        with contextlib.suppress(OSError):  # there is no caller
             caller, _ = self._listener.accept()
             if self._line is not None:
                 caller.close()
@@ -54,7 +60,7 @@ class TcpLine:
                 self._line.send(data)
 
     def close(self) -> None:
-        """Hang up and give the port back."""
+        """Disconnect the client and release the port."""
         self._hang_up()
         self._listener.close()
 

@@ -46,7 +46,7 @@ INERTIAL = (DataId.ACCELERATION, DataId.RATE_OF_TURN)
 
 
 class State(Enum):
-    """What the device is doing."""
+    """States of the device."""
 
     WAKING = "waking"
     CONFIG = "config"
@@ -54,14 +54,14 @@ class State(Enum):
 
 
 class EmulatedImu:
-    """A Xsens tracker. Every method that makes it speak returns the bytes it puts on the line.
+    """A Xsens tracker. Every method that makes it send returns the bytes it puts on the line.
 
     Parameters
     ----------
     clock_error_ppm : float
         How much faster the device's clock runs than the machine's time.
     product_code, device_id, firmware
-        What the device says of itself.
+        How the device identifies itself.
     """
 
     def __init__(
@@ -89,11 +89,14 @@ class EmulatedImu:
 
     @property
     def state(self) -> State:
-        """What the device is doing."""
+        """The present state of the device."""
         return self._state
 
     def power_on(self) -> bytes:
-        """Start anew; output and sync settings are kept in the device. Says WakeUp and waits half a second for its acknowledge."""
+        """Start anew: send WakeUp and wait half a second for its acknowledgement.
+
+        Output and sync settings are kept in the device.
+        """
         self._state = State.WAKING
         self._parser = StreamParser()
         self._started_s = self._time_s
@@ -101,7 +104,10 @@ class EmulatedImu:
         return encode(MessageId.WAKE_UP)
 
     def on_sync(self, imu: np.ndarray, time_s: float) -> bytes:
-        """The SYNC line rises at `time_s` [s]: sample `imu` (6,), specific force [m/s^2] and angular rate [rad/s] in the sensor's frame."""
+        """Take the rising SYNC line at `time_s` [s].
+
+        `imu` (6,) is the sample: specific force [m/s^2] and angular rate [rad/s] in the sensor's frame.
+        """
         due = self.advance(time_s)
         self._imu = tuple(imu.tolist())
         if self._state is State.MEASUREMENT and self._sync.function == SYNC_FUNCTION_SEND_LATEST:
@@ -112,7 +118,10 @@ class EmulatedImu:
         return due
 
     def advance(self, time_s: float) -> bytes:
-        """Let machine time pass up to `time_s` [s]: a device on its own clock sends what has become due, from the reading it holds."""
+        """Move machine time to `time_s` [s].
+
+        A device on its own clock sends what has become due, from the reading it holds.
+        """
         self._time_s = time_s
         if self._state is State.WAKING and time_s - self._started_s >= WAKE_UP_WINDOW_S:
             self._measure()
@@ -125,7 +134,7 @@ class EmulatedImu:
         return sent
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes from the line and answer the messages that are complete now."""
+        """Take bytes from the line and answer the messages that are complete."""
         damaged = self._parser.checksum_errors
         messages = self._parser.feed(data)
         if not messages and self._parser.checksum_errors > damaged:
@@ -140,14 +149,14 @@ class EmulatedImu:
         self._sent = self._pulses = 0
 
     def rehearse(self) -> None:
-        """Go through the motions of a message; nothing is said."""
+        """Prepare a message without sending it, so that its code and data are at hand."""
         if self._state is State.MEASUREMENT:
             counter = self._counter
             self._mtdata2(self._time_s, 0)
             self._counter = counter
 
     def _mtdata2(self, device_time_s: float, status: int) -> bytes:
-        """One message of what is configured."""
+        """Return one message with the outputs that are configured."""
         precision = self._precision
         reading = Reading(
             counter=self._counter if DataId.PACKET_COUNTER in precision else None,
@@ -184,7 +193,7 @@ class EmulatedImu:
         return _error(ErrorCode.INVALID_MESSAGE)
 
     def _set_outputs(self, data: bytes) -> bytes:
-        """Grant rates; without data it is a request."""
+        """Grant rates; without data the request only reads them."""
         if len(data) % 4:
             return _error(ErrorCode.INVALID_PARAMETER)
         if data:
@@ -195,7 +204,7 @@ class EmulatedImu:
         return _acknowledge(MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(self._outputs))
 
     def _set_sync(self, data: bytes) -> bytes:
-        """One setting, or none; without data it is a request."""
+        """Take one setting or none; without data the request only reads it."""
         if len(data) not in (0, 12):
             return _error(ErrorCode.INVALID_PARAMETER)
         if not data:
@@ -216,7 +225,7 @@ def _error(code: ErrorCode) -> bytes:
 
 
 def _granted_rate(identifier: int, rate: int) -> int:
-    """The rate the device gives where `rate` [Hz] is asked; 0 for an output it does not have."""
+    """Return the rate that the device gives for `rate` [Hz]; 0 for an output it does not have."""
     kind = identifier & ~FORMAT_BITS
     if kind in ACCOMPANYING:
         return MAX_RATE

@@ -1,1 +1,1 @@
-"""The emulated X-ray side: source, panel and what stands between them. Projections are analytic: no voxels."""
+"""The emulated X-ray side: source, panel and the objects between them. Projections are analytic, without voxels."""

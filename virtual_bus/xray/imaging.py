@@ -1,4 +1,4 @@
-"""From transmission to what a panel reads: focal spot, motion during the exposure, point spread, scatter, photons, dead pixels."""
+"""From transmission to a panel's image: focal spot, motion during the exposure, point spread, scatter, photons, dead pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from virtual_bus.xray.objects import Item
 from virtual_bus.xray.render import Panel, View, transmission
 
 SPOT = np.array([[0.25, 0.25], [-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25]])
-"""Points of a focal spot of unit diameter: a disc's second moment, 1/16 in either direction, from four rays; mean at its middle."""
+"""Points of a focal spot of unit diameter: four rays with a disc's second moment, 1/16 in either direction, centred on it."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,18 @@ class Optics:
 
 
 def expected(views: Sequence[View], panel: Panel, items: Sequence[Item], optics: Optics, rays: int = 3) -> np.ndarray:
-    """Expected photons a pixel, the mean over the views that an exposure's time passes through; no dead pixels.
+    """Return the expected photons of every pixel, the mean over the views that an exposure passes through; no dead pixels.
 
     Parameters
     ----------
     views : sequence of View
         Evenly spaced over the exposure.
+    panel : Panel
+    items : sequence of Ball and Rod
+        Objects in the beam.
+    optics : Optics
+    rays : int
+        Rays in a row and in a column of each pixel.
 
     Returns
     -------
@@ -62,10 +68,10 @@ def expected(views: Sequence[View], panel: Panel, items: Sequence[Item], optics:
 
 
 def from_the_spot(views: Sequence[View], optics: Optics) -> Iterator[tuple[int, View, float]]:
-    """Number of a view, the view from a point of the focal spot, and its share in the image."""
+    """Yield the number of a view, the view from a point of the focal spot, and its share in the image."""
     spots = SPOT * optics.spot_m if optics.spot_m > 0.0 else np.zeros((1, 2))
     for k, view in enumerate(views):
-        # The spot's points are shared out over the views where there are enough of them: each is as likely at every instant.
+        # The spot's points are shared out over the views where there are enough views: at any instant each point is as likely.
         chosen = spots if len(views) < len(spots) else spots[k % len(spots)][None]
         for point in chosen:
             moved = View(view.source_m + view.panel_rotation[:, :2] @ point, view.panel_m, view.panel_rotation)
@@ -73,7 +79,7 @@ def from_the_spot(views: Sequence[View], optics: Optics) -> Iterator[tuple[int, 
 
 
 def read_out(total: np.ndarray, panel: Panel, optics: Optics) -> np.ndarray:
-    """Expected photons a pixel, from the share of photons that reaches each: point spread and scatter."""
+    """Return the expected photons of every pixel from the share of photons that reaches it: point spread and scatter."""
     if optics.spread_m > 0.0:
         total = gaussian_filter(total, optics.spread_m / panel.pitch_m, mode="nearest")
     if optics.scatter > 0.0:
@@ -82,7 +88,7 @@ def read_out(total: np.ndarray, panel: Panel, optics: Optics) -> np.ndarray:
 
 
 def exposed(mean: np.ndarray, optics: Optics, rng: np.random.Generator) -> np.ndarray:
-    """(rows, columns) uint16 image of one exposure: Poisson counts, dead pixels, clipped at the panel's 16 bits."""
+    """Draw the (rows, columns) uint16 image of one exposure: Poisson counts, dead pixels, clipped at the panel's 16 bits."""
     image = rng.poisson(mean).astype(float)
     if optics.dead > 0.0:
         struck = rng.random(mean.shape)

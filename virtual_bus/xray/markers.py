@@ -1,4 +1,4 @@
-"""Marker plates in the beam: metal with etched grooves and an opening, as boxes whose lengths along a ray are exact."""
+"""Marker plates in the beam: metal with etched grooves and an opening, as boxes in which a ray's length is exact."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ class Plate:
     attenuation_1_m: float
 
     def boxes(self) -> np.ndarray:
-        """(n, 7) rows [low 3, high 3, attenuation]: their sum is the plate, a crossing of two grooves given back once."""
+        """Return rows [low 3, high 3, attenuation] (n, 7) whose sum is the plate.
+
+        Where two grooves cross, the overlap is taken away once only.
+        """
         floor, roof = -0.5 * self.depth_m, self.thickness_m - 0.5 * self.depth_m
         (x, y), mu = self.half_m, self.attenuation_1_m
         rows = [[-x, -y, floor, x, y, roof, mu]]
@@ -58,7 +61,7 @@ class Plate:
 
 @dataclass(frozen=True)
 class Mounted:
-    """A plate and where it is: origin (3,) and orientation (3, 3) of its frame in the frame of the scene."""
+    """A plate and its pose: origin (3,) and orientation (3, 3) of its frame in the frame of the scene."""
 
     plate: Plate
     origin_m: np.ndarray
@@ -69,16 +72,17 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def ray_shifts(count: int) -> np.ndarray:
-    """(count,) shift of the rays of each row along u, and of each column along v, in distances of rays, -1/2 to 1/2.
+    """Return the shifts (count,) of the rays of each row along u, and of each column along v, in distances of rays.
 
-    Rays on a square grid would round an edge that runs along it to the next ray, all the way; with shifts that fill the gap evenly an
-    edge has its place on average over a few rows.
+    They lie between -1/2 and 1/2. On a square grid, an edge along the grid would be rounded to the next ray over its whole length;
+    with shifts that fill the gap evenly its place is right on average over a few rows.
     """
-    return (0.5 + GOLDEN * np.arange(count)) % 1.0 - 0.5
+    shifts: np.ndarray = (0.5 + GOLDEN * np.arange(count)) % 1.0 - 0.5
+    return shifts
 
 
 def plate_attenuation(view: View, panel: Panel, mounted: Mounted, rays: int = 3) -> np.ndarray:
-    """(rows * rays, columns * rays) attenuation times length of every ray inside the plate."""
+    """Return attenuation times length (rows * rays, columns * rays) of every ray inside the plate."""
     to_plate = mounted.rotation.T
     result = np.zeros((panel.rows * rays, panel.columns * rays))
     _cast_boxes(
@@ -99,7 +103,10 @@ def plate_attenuation(view: View, panel: Panel, mounted: Mounted, rays: int = 3)
 def expected_with_plate(
     views: Sequence[View], panel: Panel, mounted: Sequence[Mounted], optics: Optics, items: Sequence[Item] = (), rays: int = 3
 ) -> np.ndarray:
-    """(rows, columns) expected photons behind a plate, where it is at each view, and whatever else stands in the beam; no dead pixels."""
+    """Return the expected photons (rows, columns) behind a plate and whatever else stands in the beam.
+
+    `mounted` is the plate's pose at each view. There are no dead pixels.
+    """
     total = np.zeros((panel.rows, panel.columns))
     shares = np.empty_like(total)
     for k, moved, share in from_the_spot(views, optics):
@@ -112,8 +119,14 @@ def expected_with_plate(
 
 
 @njit(cache=True, error_model="numpy")
-def _cast_boxes(boxes, source, center, rotation, step, aspect, skew, along_u, along_v, result):
-    """Source, panel centre and panel axes (columns of `rotation`) in the plate's frame; `step`: distance of rays."""
+def _cast_boxes(
+    boxes: np.ndarray, source: np.ndarray, center: np.ndarray, rotation: np.ndarray, step: float, aspect: float, skew: float,
+    along_u: np.ndarray, along_v: np.ndarray, result: np.ndarray,
+) -> None:  # fmt: skip
+    """Add attenuation times length of every ray inside the boxes to `result`.
+
+    Source, panel centre and panel axes (columns of `rotation`) are in the plate's frame; `step` is the distance of rays.
+    """
     rows, columns = result.shape
     middle_row, middle_column = (rows - 1) / 2.0, (columns - 1) / 2.0
     normal = rotation[:, 2]

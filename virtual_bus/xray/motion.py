@@ -1,4 +1,4 @@
-"""Where tube and panel truly are between the samples of the emulated machine, and where the focal spot is on the tube."""
+"""The true motion of tube and panel between the samples of the emulated machine, and of the focal spot on the tube."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ class FocalSpot:
     anode_Hz: float
 
     def offset_m(self, time_s: np.ndarray, hot_since_s: float) -> np.ndarray:
-        """(..., 3) at times (...)."""
+        """Return the spot's offset (..., 3) at times (...)."""
         warm = 1.0 - np.exp(-np.maximum(np.asarray(time_s) - hot_since_s, 0.0) / self.heating_s)
         turned = np.sin(2.0 * np.pi * self.anode_Hz * np.asarray(time_s))
-        return warm[..., None] * self.heating_m + turned[..., None] * self.wobble_m
+        offset: np.ndarray = warm[..., None] * self.heating_m + turned[..., None] * self.wobble_m
+        return offset
 
 
 STILL = FocalSpot(np.zeros(3), 1.0, np.zeros(3), 1.0)
@@ -59,7 +60,7 @@ class PoseTrack:
         self._rotation = RotationSpline(time_s, Rotation.from_matrix(rotation))
 
     def __call__(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position (n, 3) and rotation (n, 3, 3) at times (n,)."""
+        """Return position (n, 3) and rotation (n, 3, 3) at times (n,)."""
         return self._position(time_s), self._rotation(time_s).as_matrix()
 
 
@@ -88,7 +89,7 @@ class XraySide:
     hot_since_s: float
 
     def views(self, start_s: float, width_s: float, count: int) -> list[View]:
-        """Evenly spread over an exposure; one in its middle if `count` is 1."""
+        """Return views evenly spread over an exposure; one in its middle if `count` is 1."""
         times = start_s + width_s * (np.arange(count) + 0.5) / count
         tube_position, tube_rotation = self.tube(times)
         panel_position, panel_rotation = self.panel(times)

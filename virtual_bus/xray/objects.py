@@ -1,4 +1,4 @@
-"""What X-rays pass: balls and rods, and the length of a ray inside each."""
+"""Objects that X-rays pass: balls and rods."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Rod:
-    """A cylinder with flat ends; one radius, straight."""
+    """A cylinder with flat ends, straight and of one radius."""
 
     start_m: np.ndarray
     end_m: np.ndarray
@@ -48,7 +48,7 @@ Item = Ball | Rod
 
 
 def packed(items: Sequence[Item]) -> np.ndarray:
-    """(n, 8) rows [start 3, end 3, radius, attenuation]; a ball's ends are one point."""
+    """Return rows [start 3, end 3, radius, attenuation] (n, 8); both ends of a ball are its centre."""
     rows = np.zeros((len(items), 8))
     for row, item in zip(rows, items, strict=True):
         if isinstance(item, Ball):

@@ -11,12 +11,15 @@ from numba import njit
 from virtual_bus.xray.objects import Item, packed
 
 MARGIN_PIXELS = 1.0
-"""Added around an item's shadow before its rays are cast: a ball's shadow is an ellipse a little larger than its centre's ray says."""
+"""Added around an item's shadow before its rays are cast: a ball's shadow is an ellipse a little larger than its centre's ray suggests."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """The flat panel: columns grow with u, rows with v from the first stored value on; the middle of the image is the panel's centre."""
+    """The flat panel: columns grow with u, rows with v from the first stored value on.
+
+    The middle of the image is the panel's centre.
+    """
 
     columns: int
     rows: int
@@ -27,7 +30,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class View:
-    """Where focal spot and panel are, in the frame of the scene."""
+    """Positions of focal spot and panel in the frame of the scene."""
 
     source_m: np.ndarray  # (3,)
     panel_m: np.ndarray  # (3,) its centre
@@ -35,7 +38,7 @@ class View:
 
 
 def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) -> np.ndarray:
-    """Integrals of attenuation along rays.
+    """Integrate the attenuation along rays.
 
     Parameters
     ----------
@@ -66,14 +69,14 @@ def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) 
 
 
 def transmission(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) -> np.ndarray:
-    """(rows, columns) share of photons that reach each pixel: the mean over its rays of exp(-attenuation)."""
+    """Return the share (rows, columns) of photons that reach each pixel: the mean over its rays of exp(-attenuation)."""
     result = np.empty((panel.rows, panel.columns))
     mean_through(attenuation(view, panel, items, rays), rays, result)
     return result
 
 
 @njit(cache=True, error_model="numpy")
-def mean_through(integrals, rays, result):
+def mean_through(integrals: np.ndarray, rays: int, result: np.ndarray) -> None:
     """Fill (rows, columns) with the mean over each pixel's rays of exp(-integral)."""
     rows, columns = result.shape
     for row in range(rows):
@@ -87,7 +90,10 @@ def mean_through(integrals, rays, result):
 
 
 @njit(cache=True, error_model="numpy")
-def _cast(items, source, center, rotation, pitch, aspect, skew, rays, result):
+def _cast(
+    items: np.ndarray, source: np.ndarray, center: np.ndarray, rotation: np.ndarray, pitch: float, aspect: float, skew: float, rays: int,
+    result: np.ndarray,
+) -> None:  # fmt: skip
     rows, columns = result.shape
     local_source = rotation.T @ (source - center)
     step = pitch / rays
@@ -123,8 +129,10 @@ def _cast(items, source, center, rotation, pitch, aspect, skew, rays, result):
 
 
 @njit(cache=True, error_model="numpy")
-def _near(start, end, radius, source, v, pitch, low_u, high_u):
-    """Range of u in which rays through row v may meet the rod."""
+def _near(
+    start: np.ndarray, end: np.ndarray, radius: float, source: np.ndarray, v: float, pitch: float, low_u: float, high_u: float
+) -> tuple[float, float]:
+    """Return the range of u in which rays through row v may meet the rod."""
     share_0 = source[2] / (source[2] - start[2])
     share_1 = source[2] / (source[2] - end[2])
     u0, v0 = source[0] + (start[0] - source[0]) * share_0, source[1] + (start[1] - source[1]) * share_0
@@ -140,8 +148,8 @@ def _near(start, end, radius, source, v, pitch, low_u, high_u):
 
 
 @njit(cache=True, error_model="numpy")
-def _inside(source, u, v, start, axis, length, radius):
-    """Length of the ray from the source to (u, v, 0) inside a ball (length 0) or a rod with flat ends."""
+def _inside(source: np.ndarray, u: float, v: float, start: np.ndarray, axis: np.ndarray, length: float, radius: float) -> float:
+    """Return the length of the ray from the source to (u, v, 0) inside a ball (length 0) or a rod with flat ends."""
     ray = np.array([u - source[0], v - source[1], -source[2]])
     ray /= np.sqrt(np.sum(ray**2))
     offset = source - start
