@@ -1,8 +1,8 @@
-"""How functions of this house are compiled, and kept on disk though numba's cache looks at one file only.
+"""Numba compilation with a disk cache that notices changes in imported modules.
 
-A function that calls one of another file is compiled together with it, but numba would find it unchanged when only that other file has
-changed. So the key of every function kept on disk holds a digest of its module and of all modules of the house that this one imports,
-directly or not: a stale machine code cannot be found.
+A function is compiled together with the functions it calls, but numba's cache looks only at the file that defines it. So the key of
+every cached function holds a digest of its module and of all of this project's modules that it imports, directly or not: machine code
+made from older sources is never found.
 """
 
 from __future__ import annotations
@@ -15,32 +15,43 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CellType, FunctionType, ModuleType
-from typing import Any
+from typing import Protocol, TypeVar, cast
 
 from numba import njit
 
-HOUSE = ("controllers", "drivers", "hil", "virtual_bus")
-
-# Compiled into whatever calls them. Left unsaid, fast math would be inherited from the first compiled caller: estimates must be the same
-# bits live and in replay.
-exactly_called = njit(fastmath=False, error_model="numpy")
-exactly_inlined = njit(fastmath=False, error_model="numpy", forceinline=True)
+F = TypeVar("F", bound=Callable[..., object])
 
 
-def kept_on_disk(signature: Any = None, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options, the machine code kept between processes.
+class Decorator(Protocol):
+    """A decorator that keeps the type of what it decorates."""
 
-    With a signature it is compiled for that one when its module is imported, and never while somebody waits for an answer.
+    def __call__(self, function: F) -> F:
+        """Return the decorated function."""
+
+
+PACKAGES = ("controllers", "drivers", "hil", "virtual_bus")
+
+# These are compiled into whatever calls them. Without an explicit setting they would inherit fast math from the first compiled caller, and
+# estimates must have the same bits live and in replay.
+exactly_called = cast(Decorator, njit(fastmath=False, error_model="numpy"))
+exactly_inlined = cast(Decorator, njit(fastmath=False, error_model="numpy", forceinline=True))
+
+
+def kept_on_disk(signature: object = None, **options: object) -> Decorator:
+    """Decorate a function with `numba.njit` and these options, and keep the machine code on disk between processes.
+
+    With a signature, the function is compiled for it when its module is imported, never later while a caller waits for an answer.
     """
 
-    def compile_and_keep(function: Any) -> Any:
-        # numba hashes what a function closes over into the key; this cell is there for nothing else
-        code = function.__code__
-        cells = (*(function.__closure__ or ()), CellType(sources_digest(sys.modules[function.__module__])))
+    def compile_and_keep(function: F) -> F:
+        plain = cast(FunctionType, function)
+        # numba hashes what a function closes over into the key; this cell has no other purpose
+        code = plain.__code__
+        cells = (*(plain.__closure__ or ()), CellType(sources_digest(sys.modules[plain.__module__])))
         named = code.replace(co_freevars=(*code.co_freevars, "sources_digest"))
-        keyed = FunctionType(named, function.__globals__, function.__name__, function.__defaults__, cells)
-        functools.update_wrapper(keyed, function)
-        return njit(signature, cache=True, **options)(keyed)
+        keyed = FunctionType(named, plain.__globals__, plain.__name__, plain.__defaults__, cells)
+        functools.update_wrapper(keyed, plain)
+        return cast(F, cast(Callable[..., Decorator], njit)(signature, cache=True, **options)(keyed))
 
     return compile_and_keep
 
@@ -49,14 +60,14 @@ exactly_compiled = kept_on_disk(fastmath=False, error_model="numpy")
 
 
 def sources_digest(*modules: ModuleType) -> int:
-    """A number that changes with the text of any of these modules and of whatever of this house they import, directly or not."""
+    """Return a number that changes with the text of any of these modules, or of any project module they import, directly or not."""
     files = {file for module in modules for file in _with_imports(module.__name__)}
     return int(hashlib.sha256("\0".join(_text(file) for file in sorted(files)).encode()).hexdigest()[:15], 16)
 
 
 @functools.cache
 def _with_imports(name: str) -> frozenset[Path]:
-    """Source files of a module and of the modules of the house it imports, directly or not."""
+    """Return the source files of a module and of the project modules it imports, directly or not."""
     found: dict[str, Path] = {}
     waiting = [name]
     while waiting:
@@ -69,7 +80,7 @@ def _with_imports(name: str) -> frozenset[Path]:
 
 
 def _imported(file: Path, name: str) -> Iterator[str]:
-    """Names of the house that a file imports; names of functions among them are found to be no modules later."""
+    """Yield the project names that a file imports; `_source_file` later drops those that are functions, not modules."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(_tree(file)):
         if isinstance(node, ast.Import):
@@ -80,7 +91,7 @@ def _imported(file: Path, name: str) -> Iterator[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        yield from (found for found in names if found.split(".")[0] in HOUSE)
+        yield from (found for found in names if found.split(".")[0] in PACKAGES)
 
 
 @functools.cache

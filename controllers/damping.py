@@ -1,11 +1,11 @@
-"""Active damping of one mode: a command against the mode's speed as an observer estimates it, ramped in and out.
+"""Active damping of one mode: a command against the mode's estimated speed, ramped in and out.
 
 With the modal model (controllers/models/modal.py) η'' + 2 ζ ω η' + ω² η = bᵀ u + d. The command of least norm that adds damping is
 
     u = -b / (bᵀ b) · 2 (ζ_wanted - ζ) ω · η'
 
 A command given in row k acts from row k+1 to k+2, so η' is the mean of what the observer's model says it will be in these two rows.
-Every parameter is taken at the estimated pose.
+Every parameter is evaluated at the estimated pose.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ import numpy as np
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.observers.linear_part import transition
-from controllers.observers.modal_equations import moving, rounded
+from controllers.observers.modal_equations import Constants, Scheduled, moving, rounded
 from controllers.observers.modal_observer import ModalObserver
 
 RAMP_s = 0.5
-"""From nothing to all of it and back: four periods of an 8 Hz mode, so that the ramp itself excites nothing."""
+"""Duration of the ramp from zero to full damping and back: four periods of an 8 Hz mode, so that the ramp itself excites nothing."""
 
 PROVEN_s = 1.0
-"""So long an estimate must have been good before it is acted upon."""
+"""An estimate must have been good for this long before damping acts on it."""
 
 LIMIT_SHARE = 0.25
-"""Of a drive's limit that damping may take: the rest is the position loop's."""
+"""Share of a drive's limit that damping may use; the rest belongs to the position loop."""
 
 SLEW = 1.5
-"""It changes no faster than a swing of that size at so many times the mode's frequency at position zero: what jumps is no vibration."""
+"""The command changes no faster than a full swing at this multiple of the mode's frequency at position zero: a jump is no vibration."""
 
 
 @dataclass(frozen=True)
 class DampingSettings:
-    """What is wanted of active damping.
+    """Settings of active damping.
 
     Parameters
     ----------
     ratio : float
-        Damping ratio that the mode is to have, as far as this command alone decides.
+        Damping ratio that the mode shall have, as far as this command alone decides it.
     mode : int
-        Which mode of the model, from 0.
+        Index of the mode in the model, from 0.
     """
 
     ratio: float
@@ -50,7 +50,9 @@ class DampingSettings:
 
 
 @exactly_compiled
-def _against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # type: ignore[no-untyped-def]
+def _against_speed(
+    constants: Constants, scheduled: Scheduled, mode: int, ratio: float, x: np.ndarray, acting: np.ndarray, effort: np.ndarray
+) -> None:
     n, speed_at = constants.sizes[0], 2 * constants.sizes[0] + constants.sizes[1] + mode
     next_row, row_after = x.copy(), x.copy()
     transition(constants, scheduled, x, acting, next_row)
@@ -69,30 +71,30 @@ def _against_speed(constants, scheduled, mode, ratio, x, acting, effort):  # typ
 
 
 @exactly_compiled
-def _as_it_acts(constants, command, out):  # type: ignore[no-untyped-def]
+def _as_it_acts(constants: Constants, command: np.ndarray, out: np.ndarray) -> None:
     rounded(constants, command, out)
 
 
 class ModalDamping:
-    """Active damping for the loop.
+    """Active damping as the sample loop runs it.
 
     Parameters
     ----------
     observer : ModalObserver
-        Its model, as it stands after the observer's step.
+        Its model is used as it stands after the observer's step.
     settings : DampingSettings
 
     Attributes
     ----------
     effort : (n_axes,) array
-        To be added to the command, in the drives' units. Overwritten by every step.
+        Added to the command, in the drives' units. Overwritten by every step.
     share : float
-        Of the damping that is in force: 0 off, 1 all of it.
+        Share of the damping in force: 0 is off, 1 is all of it.
 
     Raises
     ------
     DesignError
-        No such mode, or a ratio that is none.
+        The mode does not exist, no drive moves it at position zero, or the ratio is out of range.
     """
 
     def __init__(self, observer: ModalObserver, settings: DampingSettings) -> None:
@@ -110,17 +112,17 @@ class ModalDamping:
         self._step = 1.0 / max(round(RAMP_s * model.sample_rate_Hz), 1)
         self._proven_rows = round(PROVEN_s * model.sample_rate_Hz)
         self._wanted, self._acting = np.zeros(n), np.zeros(n)
-        self._good = np.zeros(n)  # the last wanted effort that was a number
+        self._good = np.zeros(n)  # the last wanted effort that was finite
         self.effort = np.zeros(n)
         self.restart(0)
 
     @property
     def ramp_rows(self) -> int:
-        """Rows from all of it to nothing."""
+        """Rows of the ramp from full damping to zero."""
         return round(1.0 / self._step)
 
     def restart(self, rows: int) -> None:
-        """Off; a plan of this many ticks begins, and in the last of them it is off again."""
+        """Switch off for the start of a plan of `rows` ticks; damping is off again in the last of them."""
         self.share = 0.0
         self.effort[:] = 0.0
         self._good[:] = 0.0
@@ -128,22 +130,23 @@ class ModalDamping:
         self._rows = rows
 
     def law(self, state: np.ndarray, acting: np.ndarray, out: np.ndarray) -> None:
-        """The command itself (n_axes,), neither limited nor ramped, from an observer's state and the command (n_axes,) that acts."""
+        """Write the command (n_axes,), neither limited nor ramped, for an observer's state and the command (n_axes,) that acts."""
         _against_speed(self._observer.constants, self._observer.scheduled, self.settings.mode, self.settings.ratio, state, acting, out)
 
     def step(self, state: np.ndarray, acting: np.ndarray, is_good: bool, tick: int) -> None:
-        """One row.
+        """Compute `effort` for one row.
 
         Parameters
         ----------
         state : (states,) array
-            The observer's.
+            State of the observer.
         acting : (n_axes,) array
-            The command of the row before, on the wire now; drives round it.
+            The command of the row before, which is on the wire; drives round it.
         is_good : bool
-            Whether the estimate is to be acted upon. When it is not, damping ramps out and comes back a second after it is again.
+            Whether damping may act on the estimate. When it may not, damping ramps out, and returns once the estimate has been good for
+            `PROVEN_s`.
         tick : int
-            Of the plan: those that are lost bring its end nearer, too.
+            Tick of the plan. Lost ticks count too: they bring the end nearer.
         """
         left = self._rows - 1 - tick
         self._proven = self._proven + 1 if is_good else 0

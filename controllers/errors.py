@@ -1,4 +1,4 @@
-"""What can go wrong in a control design: an input that no controller, excitation or trajectory can be made from."""
+"""Errors of a control design: inputs from which no controller, excitation or trajectory can be made."""
 
 
 class ControlError(Exception):

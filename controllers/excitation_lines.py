@@ -9,7 +9,7 @@ import numpy as np
 from controllers.errors import DesignError
 
 GRID_TOLERANCE = 1e-6
-"""In lines. Further off the grid, a sine leaks more than a millionth of its amplitude per period into its neighbours."""
+"""Tolerance in lines. Further off the grid, a sine leaks more than a millionth of its amplitude per period into its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Band:
     per_decade : int
         Lines per decade, logarithmic; 0 takes every line.
     dense_Hz : tuple of (low, high)
-        Bands in which every line is taken all the same.
+        Bands in which every line is taken regardless of `per_decade`.
     odd : bool
-        Odd lines only: then even distortions fall on even lines, odd ones on odd lines that are left free.
+        Odd lines only: even distortions then fall on even lines, odd ones on odd lines that are left free.
     one_free_in : int
-        Of so many consecutive chosen lines (2, 3 or 4), one drawn at random stays free as a detection line; 0 leaves none.
+        One line, drawn at random, of this many consecutive chosen lines (2, 3 or 4) stays free as a detection line; 0 leaves none free.
     """
 
     low_Hz: float = 0.15
@@ -40,7 +40,7 @@ class Band:
     one_free_in: int = 0
 
     def lines(self, period_samples: int, sample_rate_Hz: float, seed: int = 0) -> np.ndarray:
-        """Chosen harmonics, ascending.
+        """Return the chosen harmonics in ascending order.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Band:
 
 
 def checked_lines(lines: tuple[int, ...], period_samples: int) -> np.ndarray:
-    """Explicit lines as an ascending array.
+    """Return explicit lines as an ascending array.
 
     Raises
     ------

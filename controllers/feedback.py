@@ -1,16 +1,16 @@
 """Feedback of all axes, once per sample: u = C_r r - C_y y + w + feedforward, saturated.
 
 A missing (not finite) reference or position freezes that axis's filters and repeats their last output; a command that would not be finite
-repeats the last one. So what leaves is always a number within the limits, and the returned mask says on which axes it is a stopgap: how
-long that may go on is the loop's decision.
+repeats the last one. So every command is a number within the limits. The returned mask says on which axes it is a substitute; the loop
+decides how long that may go on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from controllers.errors import DesignError
 from controllers.sections import feedback_step, preload_state, standstill_states
@@ -18,7 +18,7 @@ from controllers.settings import AxisController
 
 
 class Feedback:
-    """Controllers of all axes with their states.
+    """The controllers of all axes, with their states.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Feedback:
         self._held = np.zeros((len(self.controllers), 2))
 
     def step(self, reference: np.ndarray, position: np.ndarray, excitation: np.ndarray, feedforward: np.ndarray, out: np.ndarray) -> int:
-        """Command of this sample, saturated, into `out`; all arrays (n_axes,) float64.
+        """Write the saturated command of this sample into `out`; all arrays are (n_axes,) float64.
 
         Returns
         -------
         int
-            Bit i set: axis i had a missing value, and its command stands on the last good one.
+            Bit i set: axis i had a missing value, and its command repeats the last good one.
         """
         return feedback_step(
             self._sections, self._state, self._rows, self._limit, self._held, reference, position, excitation, feedforward, out
@@ -67,12 +67,12 @@ class Feedback:
         return self._sections, self._state, self._rows, self._limit, self._held
 
     def reset(self) -> None:
-        """All states to zero."""
+        """Set all states to zero."""
         self._state[:] = 0.0
         self._held[:] = 0.0
 
     def preload(self, holding_effort: np.ndarray, position: np.ndarray, feedforward: np.ndarray | None = None) -> None:
-        """States of a standstill that has lasted: r = y = `position`, command = `holding_effort`, of which `feedforward` brings its part.
+        """Set the states of a lasting standstill: r = y = `position` and command = `holding_effort`, part of it from `feedforward`.
 
         Parameters
         ----------
@@ -113,8 +113,8 @@ class Feedback:
                 table[controller.axis]["reference"] = self._state[first:middle].copy()
         return table
 
-    def load_states(self, states: Mapping[str, Mapping[str, Any]]) -> None:
-        """Take over what `states` returned (arrays or nested lists).
+    def load_states(self, states: Mapping[str, Mapping[str, ArrayLike]]) -> None:
+        """Load the states that `states` returned, as arrays or nested lists.
 
         Raises
         ------

@@ -19,7 +19,7 @@ FADE_SHARE = 0.25
 
 
 def jog_line(frequency_Hz: float, period_samples: int, sample_rate_Hz: float) -> int:
-    """Line of a jog frequency.
+    """Return the line of a jog frequency.
 
     Raises
     ------
@@ -41,7 +41,9 @@ def jog_line(frequency_Hz: float, period_samples: int, sample_rate_Hz: float) ->
 
 
 def jog(amplitude: float, line: int, period_samples: int, settle_periods: int, periods: int) -> np.ndarray:
-    """Sine of `amplitude` around zero over all periods, ((settle_periods + periods) N,), grown from standstill if periods settle.
+    """Return a sine of `amplitude` about zero over all periods, ((settle_periods + periods) N,).
+
+    With settling periods it grows from standstill in the first of them.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def jog(amplitude: float, line: int, period_samples: int, settle_periods: int, p
 
 
 def odd_even_split(excited_lines: Iterable[int], jog_on_line: int | None) -> tuple[bool, str]:
-    """Whether even and odd distortions can be told apart by their lines, and a sentence why not.
+    """Return whether even and odd distortions can be told apart by their lines, and if not, a sentence that says why.
 
     With odd lines only, jog included, even distortions fall on even lines. An even jog line mixes them.
     """

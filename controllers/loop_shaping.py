@@ -1,4 +1,4 @@
-"""Controller terms as one thinks of them in continuous time, discretised at the sample rate (Tustin, exact at the term's own frequency).
+"""Continuous-time controller terms, discretised at the sample rate (Tustin, exact at the term's own frequency).
 
 Each returns rows (n, 6) for `controllers.sections`; `cascade` stacks them.
 """
@@ -12,12 +12,12 @@ from controllers.errors import DesignError
 
 
 def cascade(*terms: np.ndarray) -> np.ndarray:
-    """Terms (n_i, 6) in series: (sum n_i, 6)."""
+    """Stack terms (n_i, 6) in series: (sum n_i, 6)."""
     return np.vstack(terms)
 
 
 def gain(value: float) -> np.ndarray:
-    """A constant."""
+    """Return a constant gain as one section."""
     return np.array([[value, 0.0, 0.0, 1.0, 0.0, 0.0]])
 
 
@@ -32,7 +32,7 @@ def pid(proportional: float, integral: float, derivative: float, derivative_filt
 
 
 def lead(center_Hz: float, phase_deg: float, sample_rate_Hz: float) -> np.ndarray:
-    """Largest phase lead `phase_deg` at `center_Hz`, with unit gain there."""
+    """Return a lead with its largest phase, `phase_deg`, at `center_Hz` and unit gain there."""
     if not 0.0 < phase_deg < 90.0:
         raise DesignError(f"lead of {phase_deg:g} deg: one term gives between 0 and 90 deg; use two of {phase_deg / 2:g} deg")
     root_spread = np.tan(np.radians(45.0 + phase_deg / 2.0))
@@ -54,13 +54,13 @@ def notch(frequency_Hz: float, depth: float, damping: float, sample_rate_Hz: flo
 
 
 def lowpass(frequency_Hz: float, damping: float, sample_rate_Hz: float) -> np.ndarray:
-    """Second-order low pass w^2 / (s^2 + 2 damping w s + w^2)."""
+    """Return the second-order low pass w^2 / (s^2 + 2 damping w s + w^2)."""
     w = 2.0 * np.pi * frequency_Hz
     return _tustin([w * w], [1.0, 2.0 * damping * w, w * w], frequency_Hz, sample_rate_Hz)
 
 
 def _tustin(numerator: list[float], denominator: list[float], match_Hz: float, sample_rate_Hz: float) -> np.ndarray:
-    """One section (1, 6) whose response at match_Hz is the continuous term's."""
+    """Return one section (1, 6) whose response at match_Hz is the continuous term's."""
     if not 0.0 < match_Hz < sample_rate_Hz / 2.0:
         raise DesignError(
             f"a term at {match_Hz:g} Hz at {sample_rate_Hz:g} Hz sample rate: it must lie between 0 and {sample_rate_Hz / 2.0:g} Hz"

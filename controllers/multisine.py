@@ -16,18 +16,18 @@ from controllers.orthogonal_experiments import Mixing, mixing_matrix
 Phases = Literal["random", "optimised"]
 
 DRAWS = 24
-"""Of so many independent draws of random phases the one with the lowest crest factor is taken; more gain less than 1 % each doubling."""
+"""Independent draws of random phases, of which the one with the lowest crest factor is taken; each doubling gains less than 1 %."""
 
 SWAPS = 200
 """Rounds of the swapping algorithm; the crest factor has settled to about 1 % by then."""
 
 CLIP_START, CLIP_END = 0.75, 0.97
-"""Share of its peak a signal is clipped to, from the first round to the last: far cuts find the valley, near ones its floor."""
+"""Share of its peak to which a signal is clipped, from first round to last: deep clipping searches widely, light clipping refines."""
 
 
 @dataclass(frozen=True)
 class Multisine:
-    """All experiments of one realisation, one period each.
+    """The experiments of one realisation, one period each.
 
     Attributes
     ----------
@@ -49,9 +49,10 @@ class Multisine:
 
 
 def crest_factor(signals: np.ndarray) -> np.ndarray:
-    """Peak over rms along the last axis; 0 for a signal that is zero."""
+    """Return peak over rms along the last axis; 0 for a signal that is zero."""
     peak, rms = np.abs(signals).max(axis=-1), np.sqrt(np.mean(signals**2, axis=-1))
-    return np.divide(peak, rms, out=np.zeros_like(peak), where=rms > 0.0)
+    factor: np.ndarray = np.divide(peak, rms, out=np.zeros_like(peak), where=rms > 0.0)
+    return factor
 
 
 def multisine(
@@ -65,7 +66,7 @@ def multisine(
     realisation: int = 0,
     phases: Phases = "random",
 ) -> Multisine:
-    """One realisation of a full random orthogonal multisine, or of single-input ones.
+    """Make one realisation of a full random orthogonal multisine, or of single-input ones.
 
     Parameters
     ----------
@@ -118,12 +119,13 @@ def multisine(
 
 
 def _with_phases(mix: np.ndarray, input_phases: np.ndarray, experiment_phases: np.ndarray) -> np.ndarray:
-    """D_W T D_phi with unit amplitudes, (n_lines, n_inputs, n_experiments)."""
-    return np.exp(1j * input_phases)[:, :, None] * mix * np.exp(1j * experiment_phases)[:, None, :]
+    """Return D_W T D_phi with unit amplitudes, (n_lines, n_inputs, n_experiments)."""
+    phased: np.ndarray = np.exp(1j * input_phases)[:, :, None] * mix * np.exp(1j * experiment_phases)[:, None, :]
+    return phased
 
 
 def _signals(spectrum: np.ndarray, lines: np.ndarray, period_samples: int) -> np.ndarray:
-    """(n_experiments, n_inputs, N) from W(k)."""
+    """Return the signals (n_experiments, n_inputs, N) of W(k)."""
     inputs = spectrum.shape[1]
     transform = np.zeros((inputs, inputs, period_samples // 2 + 1), dtype=complex)
     transform[:, :, lines] = spectrum.transpose(2, 1, 0) * (-0.5j * period_samples)  # sines, (3.8)
@@ -158,4 +160,5 @@ def _swapped(start: Multisine, mix: np.ndarray) -> Multisine:
 
 def _unit(values: np.ndarray) -> np.ndarray:
     size = np.abs(values)
-    return np.divide(values, size, out=np.zeros_like(values), where=size > 0.0)
+    unit: np.ndarray = np.divide(values, size, out=np.zeros_like(values), where=size > 0.0)
+    return unit

@@ -11,9 +11,14 @@ Mixing = Literal["orthogonal", "single"]
 
 
 def mixing_matrix(inputs: int, mixing: Mixing) -> np.ndarray:
-    """T of (3.9), (n_u, n_u), unitary: Hadamard/sqrt(n_u) (errata) for powers of two, else DFT/sqrt(n_u); single inputs: identity."""
+    """Return the unitary T of (3.9), (n_u, n_u).
+
+    It is Hadamard/sqrt(n_u) (errata) for powers of two, else DFT/sqrt(n_u); for single inputs the identity.
+    """
     if mixing == "single":
         return np.eye(inputs)
     if inputs & (inputs - 1) == 0:
-        return scipy.linalg.hadamard(inputs) / np.sqrt(inputs)
-    return scipy.linalg.dft(inputs, scale="sqrtn")
+        hadamard: np.ndarray = scipy.linalg.hadamard(inputs) / np.sqrt(inputs)
+        return hadamard
+    dft: np.ndarray = scipy.linalg.dft(inputs, scale="sqrtn")
+    return dft

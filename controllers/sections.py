@@ -18,13 +18,14 @@ INTEGRATOR_TOLERANCE = 1e-9
 STEADY_TOLERANCE = 1e-9
 """Relative residual up to which a standstill state counts as solved."""
 
-# Left unsaid, fast math would be inherited from the first compiled caller, and numba's cache would hand its roundings to everybody.
+# Without an explicit setting, fast math would be inherited from the first compiled caller, and numba's cache would give every caller its
+# roundings.
 exactly_compiled = kept_on_disk(fastmath=False)
 
 
 @exactly_compiled
 def sections_step(sections: np.ndarray, state: np.ndarray, x: float) -> float:
-    """One sample through a cascade, bit for bit what `scipy.signal.sosfilt` returns; callable from other compiled functions.
+    """Pass one sample through a cascade, bit for bit as `scipy.signal.sosfilt` does; callable from other compiled functions.
 
     Parameters
     ----------
@@ -47,9 +48,9 @@ def sections_step(sections: np.ndarray, state: np.ndarray, x: float) -> float:
     return x
 
 
-_READ = types.Array(float64, 1, "C", readonly=True)  # a plan's rows are; what may be written to is taken too
+_READ = types.Array(float64, 1, "C", readonly=True)  # a plan's rows are read-only; writable arrays are accepted too
 
-# One machine code for whatever arrays come: a bench that compiled another in the middle of a motion would be silent for seconds.
+# One machine code for all arrays that come: compiling another in the middle of a motion would stop the commands for seconds.
 FEEDBACK_STEP = int64(
     *(float64[:, ::1], float64[:, ::1], int64[:, ::1], float64[::1], float64[:, ::1], _READ, _READ, _READ, _READ, float64[::1])
 )
@@ -68,7 +69,9 @@ def feedback_step(
     feedforward: np.ndarray,
     out: np.ndarray,
 ) -> int:
-    """One sample of every axis, u = C_r r - C_y y + w + feedforward; callable from other compiled functions. See `controllers.feedback`.
+    """Compute one sample of every axis, u = C_r r - C_y y + w + feedforward; callable from other compiled functions.
+
+    See `controllers.feedback`.
 
     Parameters
     ----------
@@ -108,21 +111,23 @@ def feedback_step(
 
 
 def response(sections: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-    """Complex frequency response (n_frequencies,) of a cascade (n, 6)."""
+    """Return the complex frequency response (n_frequencies,) of a cascade (n, 6)."""
     z = np.exp(-2j * np.pi * np.asarray(frequencies_Hz) / sample_rate_Hz)[:, None]
     b0, b1, b2, a0, a1, a2 = np.asarray(sections, dtype=float).T
-    return np.prod((b0 + z * (b1 + z * b2)) / (a0 + z * (a1 + z * a2)), axis=1)
+    cascade: np.ndarray = np.prod((b0 + z * (b1 + z * b2)) / (a0 + z * (a1 + z * a2)), axis=1)
+    return cascade
 
 
 def integrates(sections: np.ndarray) -> np.ndarray:
-    """Which sections (n,) have a pole at z = 1."""
-    return np.abs(1.0 + sections[:, 4] + sections[:, 5]) < INTEGRATOR_TOLERANCE
+    """Return which sections (n,) have a pole at z = 1."""
+    found: np.ndarray = np.abs(1.0 + sections[:, 4] + sections[:, 5]) < INTEGRATOR_TOLERANCE
+    return found
 
 
 def preload_state(sections: np.ndarray, output: float) -> np.ndarray:
-    """State (n, 2) in which a cascade holds `output` for as long as its input is zero.
+    """Return the state (n, 2) in which a cascade holds `output` for as long as its input is zero.
 
-    The last integrating section holds it, and what follows passes it on with its static gain.
+    The last integrating section holds it, and the sections behind pass it on with their static gain.
 
     Raises
     ------
@@ -153,7 +158,7 @@ def preload_state(sections: np.ndarray, output: float) -> np.ndarray:
 def standstill_states(
     reference_sections: np.ndarray, position_sections: np.ndarray, position: float, output: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States of separate filters C_r, C_y in which C_r r - C_y y stays at `output` while r = y = `position`.
+    """Return states of separate filters C_r, C_y in which C_r r - C_y y stays at `output` while r = y = `position`.
 
     Where both integrate, each of them ramps and the ramps cancel. The solution of least norm is taken.
 
@@ -184,11 +189,11 @@ def standstill_states(
 
 
 def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Transition (2n, 2n), input (2n,), output (2n,) and feedthrough of a cascade in the coordinates of its `zi`."""
+    """Return transition (2n, 2n), input (2n,), output (2n,) and feedthrough of a cascade in the coordinates of its `zi`."""
     size = 2 * len(sections)
     transition, entering, leaving, through = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
     for i, (b0, b1, b2, _, a1, a2) in enumerate(sections):
-        # this section's input is leaving . x + through * u, with what stands before it
+        # this section's input is leaving . x + through * u, x the states of the sections before it
         own = slice(2 * i, 2 * i + 2)
         gain = np.array([b1 - a1 * b0, b2 - a2 * b0])
         transition[own] = np.outer(gain, leaving)

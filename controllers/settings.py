@@ -1,4 +1,4 @@
-"""What the controllers need to know, as frozen values in SI units and the drives' units. The bench builds these from a machine file."""
+"""Settings of the controllers, frozen, in SI units and the drives' units. The bench builds them from a machine file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class AxisController:
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What an axis may do; every reference and every sample is held against it."""
+    """Limits of an axis, against which every reference and every sample is checked."""
 
     axis: str
     lower: float  # rad or m

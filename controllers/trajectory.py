@@ -29,7 +29,7 @@ class Trajectory:
 
 
 def move(start: np.ndarray, goal: np.ndarray, limits: tuple[AxisLimits, ...], sample_rate_Hz: float) -> Trajectory:
-    """All axes from standstill at `start` to standstill at `goal`, arriving together, within their limits.
+    """Move all axes from standstill at `start` to standstill at `goal`, arriving together, within their limits.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ def move(start: np.ndarray, goal: np.ndarray, limits: tuple[AxisLimits, ...], sa
 
 
 def sweep(axis: int, start: np.ndarray, stop: float, speed: float, limits: tuple[AxisLimits, ...], sample_rate_Hz: float) -> Trajectory:
-    """One axis from `start` to `stop` with a part at constant `speed`, the others standing still.
+    """Move one axis from `start` to `stop` with a part at constant `speed`, the others standing still.
 
     Raises
     ------
     DesignError
-        A speed beyond the axis's limit, or a way too short to reach it; names the way it would take.
+        The speed exceeds the axis's limit, or the way is too short to reach it; the message names the way it would take.
     """
     limit = limits[axis]
     if not 0.0 < speed <= limit.speed:
@@ -90,19 +90,20 @@ def sweep(axis: int, start: np.ndarray, stop: float, speed: float, limits: tuple
 
 
 def way_to_reach(speed: float, acceleration: float, jerk: float) -> float:
-    """Way of a symmetric move that just reaches `speed`: two jerk-limited ramps of it."""
+    """Return the way of a symmetric move that just reaches `speed`: two jerk-limited ramps of it."""
     if speed * jerk < acceleration**2:  # full acceleration is never reached
-        return 2.0 * speed * np.sqrt(speed / jerk)
+        way: float = 2.0 * speed * np.sqrt(speed / jerk)
+        return way
     return speed * (speed / acceleration + acceleration / jerk)
 
 
 def check_limits(trajectory: Trajectory, limits: tuple[AxisLimits, ...], sample_rate_Hz: float) -> None:
-    """Hold a sampled move against its limits, the jerk by differences of the acceleration.
+    """Check a sampled move against its limits, the jerk by differences of the acceleration.
 
     Raises
     ------
     DesignError
-        Names axis, quantity, value and limit.
+        A limit is exceeded; the message names axis, quantity, value and limit.
     """
     slack = 1.0 + LIMIT_SLACK
     jerk = np.diff(trajectory.acceleration, axis=0) * sample_rate_Hz

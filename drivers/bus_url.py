@@ -1,9 +1,9 @@
-"""Bus URLs: which CAN interface the bench opens, named in one word.
+"""Bus URLs, which name the CAN interface that the bench opens.
 
 virtual:NAME                    in this process (python-can's virtual bus)
 socketcan:vcan0                 Linux SocketCAN
 udp:GROUP[@PORT]                between processes, over UDP multicast
-slcan:/dev/ttyACM0@1000000      serial adapter; after @ the serial line's baud rate, the CAN bit rate comes from the machine file
+slcan:/dev/ttyACM0@1000000      serial adapter; after @ the serial line's baud rate (the CAN bit rate comes from the machine file)
 INTERFACE:CHANNEL               any other back end of python-can
 lockstep:                       in process, virtual time; not a bus of python-can, the bench builds it
 """
@@ -37,7 +37,7 @@ EXAMPLES = "lockstep:, virtual:NAME, socketcan:vcan0, udp:GROUP, slcan:/dev/ttyA
 
 @dataclass(frozen=True)
 class BusUrl:
-    """A bus URL taken apart: python-can's interface, channel and further arguments."""
+    """The parts of a bus URL: python-can's interface, channel and further arguments."""
 
     url: str
     interface: str  # python-can's name, or "lockstep"
@@ -46,12 +46,12 @@ class BusUrl:
 
 
 def parse_bus_url(url: str) -> BusUrl:
-    """Take a bus URL apart without opening anything.
+    """Split a bus URL into its parts without opening anything.
 
     Raises
     ------
     BusUnavailableError
-        No colon, an unknown interface, or a channel that cannot be one.
+        The colon is missing, the interface is unknown, or the channel is invalid.
     """
     scheme, colon, rest = url.strip().partition(":")
     scheme = scheme.lower()
@@ -89,7 +89,7 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
     Raises
     ------
     BusUnavailableError
-        One line: what is wrong, and what would be right.
+        The bus cannot be opened; one line says what is wrong, and what would be right.
     """
     parsed = parse_bus_url(url)
     if parsed.interface == "lockstep":

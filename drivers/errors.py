@@ -1,4 +1,4 @@
-"""What can go wrong with a device, drawn in one file.
+"""All errors of the device drivers in one hierarchy.
 
 DriverError                    base; exit status 1 unless a class says otherwise
 |-- BusError                       the bus itself
@@ -12,9 +12,9 @@ DriverError                    base; exit status 1 unless a class says otherwise
 |   |-- DeviceFaultError                    the drive is in fault; carries the EMCY in words
 |   |-- HeartbeatLostError (TimeoutError)   a supervised node fell silent
 |   `-- ProtocolError (ValueError)     bytes that are no message of the protocol
-|-- imaging.SpoolError             a panel's folder does not hold frames
+|-- imaging.SpoolError             the folder of an X-ray panel does not hold frames
 |-- imaging.PanelError             a panel on the network hung up, or sends no frames
-|-- imaging.ClocksDisagreeError         a panel's stamps and the loop's pulses tell different times
+|-- imaging.ClocksDisagreeError    a panel's time stamps and the loop's pulses do not agree
 `-- MotionRefusedError                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
 """
 
@@ -62,7 +62,7 @@ class DuplicateNodeError(DeviceError):
 
 
 class ConfigurationRefusedError(DeviceError):
-    """The device aborted a write, or read back something else than was written."""
+    """The device aborted a write, or read back another value than was written."""
 
 
 class DeviceFaultError(DeviceError):

@@ -1,7 +1,7 @@
-"""The one interface the sample loop sees: exchange a command for a sample, and stop.
+"""The interface between the sample loop and a machine: exchange a command for a sample, and stop.
 
-Timing (docs/notation.md): `exchange(command_k)` puts command k on the wire at once, waits for tick k+1, sends SYNC k+1, returns sample k+1.
-The drives apply command k at SYNC k+1, so the effort in sample k+1 already answers to it.
+Timing (docs/explanation/notation.md): `exchange(command_k)` puts command k on the wire at once, waits for tick k+1, sends SYNC
+k+1 and returns sample k+1. The drives apply command k at SYNC k+1, so the effort in sample k+1 already answers to it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 @dataclass
 class Sample:
-    """What was latched at one SYNC, in SI and the drives' units. One object is reused for every tick: copy what must be kept.
+    """The values latched at one SYNC, in SI and the drives' units. One object is reused for every tick, so copy what must be kept.
 
     Arrays have the length of the axis list. A value that did not arrive is NaN (or -1 for a statusword) in this row;
     `age_s` says how old the newest good value of that axis is.
@@ -37,9 +37,10 @@ class Sample:
     lateness_s: float = field(default=0.0, init=False)  # of this tick's SYNC against its absolute time
     arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the wait for answers ends here
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
-    imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured: motion does not hang on it
+    imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured; motion does not depend on it
 
     def __post_init__(self) -> None:
+        """Fill the arrays with missing values."""
         self.position = np.full(self.axes, np.nan)
         self.link_position = np.full(self.axes, np.nan)
         self.effort = np.full(self.axes, np.nan)
@@ -56,26 +57,26 @@ class Clock(Protocol):
     Attributes
     ----------
     awake_s : float
-        How long after a SYNC its answers are awaited awake, looking again and again; later ones are slept for.
+        How long after a SYNC its answers are polled without sleeping; later ones are awaited asleep.
     """
 
     awake_s: float
 
     def now(self) -> float:
-        """Seconds since an arbitrary start."""
+        """Return seconds since an arbitrary start."""
 
     def wait(self, seconds: float) -> None:
-        """Let that much time pass (the emulated machine moves on in lockstep)."""
+        """Let this much time pass (in lockstep the emulated machine advances with it)."""
 
     def start_ticks(self, period_s: float) -> None:
-        """Tick 0 is now; later ticks are at absolute times."""
+        """Start ticks at this moment with tick 0; later ticks come at absolute times."""
 
     def wait_tick(self) -> float:
-        """Wait for the next tick and return its lateness [s]. Overrun ticks are skipped whole: see `missed`."""
+        """Wait for the next tick and return its lateness [s]. Overrun ticks are skipped entirely, see `missed`."""
 
     @property
     def missed(self) -> int:
-        """Ticks skipped so far because the work of one took longer than its period."""
+        """Number of ticks skipped because the work of one took longer than its period."""
 
 
 class MachineLink(Protocol):
@@ -87,8 +88,8 @@ class MachineLink(Protocol):
         Raises
         ------
         HeartbeatLostError, DeviceFaultError, BusError
-            The motors have been told to stop before the error leaves this method.
+            The exchange failed; the motors were told to stop before the error is raised.
         """
 
     def stop(self) -> None:
-        """Quick stop every drive, close the brakes, disable; from any state, any number of times, never raising."""
+        """Quick stop every drive, close the brakes, disable. Works from any state, any number of times, and never raises."""

@@ -1,7 +1,7 @@
 """A whole machine on a CAN bus behind `drivers.interface.MachineLink`: drives, encoders, the IMU on its serial line, the I/O over Modbus.
 
 Life of a machine: `start` (boot, identity, configuration, operational), `home`, `enable`, `release_brakes`, `exchange` once per tick,
-`stop`, `close`. Whatever raises has told the motors to stop first.
+`stop`, `close`. Every error tells the motors to stop before it is raised.
 """
 
 from __future__ import annotations
@@ -16,33 +16,34 @@ from drivers.ticking_machine import TickingMachine
 
 
 class CanMachine(TickingMachine):
-    """A ticking machine and the phases in which it ticks by itself: homing, enabling, brakes; each is watched, and each stops the motors
-    when it refuses. Parameters as for `TickingMachine`.
+    """A ticking machine and the phases in which it ticks by itself: homing, enabling, brakes.
+
+    Each phase is watched, and stops the motors when it refuses. Parameters as for `TickingMachine`.
     """
 
     def home(
         self, holding_effort: np.ndarray | None = None, windup: np.ndarray | None = None, *, check_first_move: bool = True
     ) -> tuple[str, ...]:
-        """Per axis: first-move check, homing, encoder agreement. All drives are disabled and all brakes closed before and after.
+        """Check the first move, home and check encoder agreement of each axis. Drives are disabled and brakes closed before and after.
 
         Parameters
         ----------
         holding_effort : (n_axes,) array, optional
             Effort that holds each axis where it is, in the drives' units; none where the machine is balanced.
         windup : (n_axes,) array, optional
-            By how much each gear's deflection puts the link ahead of the motor side where the machine stands [rad or m].
+            How far each gear's deflection puts the link ahead of the motor side where the machine stands [rad or m].
         check_first_move : bool
-            Whether each axis is pushed a little to see that it moves the right way.
+            Whether each axis is pushed a little to check that it moves in the right direction.
 
         Returns
         -------
         tuple of str
-            What was checked and found, a line each.
+            The checks and their findings, a line each.
 
         Raises
         ------
         MotionRefusedError
-            A check failed, or the permission to move was taken back: hold-to-run, door, I/O.
+            A check failed, or the permission to move was withdrawn by hold-to-run, door or I/O.
         DeviceFaultError, HeartbeatLostError, BusError
         """
         holding = self.zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
@@ -90,7 +91,7 @@ class CanMachine(TickingMachine):
         Raises
         ------
         MotionRefusedError
-            A brake's feedback does not follow, or the permission to move was taken back: hold-to-run, door, I/O.
+            A brake's feedback does not follow, or the permission to move was withdrawn by hold-to-run, door or I/O.
         DeviceFaultError, HeartbeatLostError, BusError
         """
         with self.stopping_on_error():
@@ -98,7 +99,7 @@ class CanMachine(TickingMachine):
             motion.open_brakes(self, range(len(self.axes)), hold)
 
     def close_brakes(self, hold: motion.Hold) -> None:
-        """Close all brakes while the drives still hold, then disable the drives: the way back of `enable` and `release_brakes`."""
+        """Close all brakes while the drives still hold, then disable the drives: the reverse of `release_brakes` and `enable`."""
         with self.stopping_on_error():
             axes = range(len(self.axes))
             self.watch.settle()
@@ -106,7 +107,7 @@ class CanMachine(TickingMachine):
             motion.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
 
     def _check_permission(self) -> None:
-        """One tick, and what must be true before anything moves."""
+        """Make one tick, and check that motion is permitted."""
         self.exchange(self.zeros)
         refusal = self.refusal()
         if refusal:

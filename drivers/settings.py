@@ -1,4 +1,4 @@
-"""What the drivers have to know about the devices of a machine, as frozen values. The bench builds these from a machine file."""
+"""Settings of a machine's devices for the drivers, frozen. The bench builds them from a machine file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Pdo:
-    """One process data object as configured over SDO: what is in it and when it goes out."""
+    """One process data object as configured over SDO: its content and its transmission."""
 
     number: int  # 1..4 (or 1..512)
     cob_id: int
@@ -18,7 +18,7 @@ class Pdo:
 
 @dataclass(frozen=True)
 class Identity:
-    """Object 1018h as the machine file expects it; None is not compared."""
+    """Identity object 1018h as the machine file expects it; a field of None is not compared."""
 
     vendor_id: int | None
     product_code: int | None
@@ -45,7 +45,10 @@ class Node:
 
 @dataclass(frozen=True)
 class AxisScaling:
-    """Between the wire and SI for one axis. position = sign * counts * resolution + offset; effort = sign * per mille / 1000 * rated."""
+    """Conversion between the wire and SI for one axis.
+
+    position = sign * counts * resolution + offset; effort = sign * per mille / 1000 * rated.
+    """
 
     axis: str
     position_resolution: float  # rad or m at the joint, per count
@@ -61,7 +64,7 @@ class AxisScaling:
 
 @dataclass(frozen=True)
 class HomingSettings:
-    """How an axis finds its zero and what is checked on the way."""
+    """Homing of an axis and the checks that go with it."""
 
     axis: str
     method: int  # CiA 402 homing method, 37: the present position is home
@@ -70,20 +73,20 @@ class HomingSettings:
     timeout_s: float
     agreement_tolerance: float  # rad: |motor side - link encoder| after homing
     direction_check_effort: float  # in the drive's unit, added to the holding effort
-    direction_check_travel: float  # rad that must be seen, in the right direction, before more is allowed
+    direction_check_travel: float  # rad that the axis must move in the right direction before more is allowed
     direction_check_timeout_s: float
-    travel_limit: float  # rad: how far a method that moves may lead the axis before its zero is found
+    travel_limit: float  # rad: how far a method that moves may move the axis before its zero is found
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What an axis may do in the ticks the link makes by itself."""
+    """Limits of an axis in the ticks that the link makes by itself."""
 
     axis: str
     lower: float  # rad or m
     upper: float
     speed: float  # rad/s or m/s
-    tracking_error: float  # rad or m: |where it should be - position|
+    tracking_error: float  # rad or m: |reference - position|
     stale_ticks: int  # ticks in a row without a position that are bridged
 
 
@@ -92,7 +95,7 @@ class ImuPort:
     """The detector's IMU on a serial line, Xsens Xbus framing."""
 
     name: str
-    device: str  # a path such as /dev/ttyUSB0, or tcp:HOST:PORT; "" when the bench says where it is
+    device: str  # a path such as /dev/ttyUSB0, or tcp:HOST:PORT; "" when the bench names it
     baud: int
     triggered_by_sync: bool  # False: runs on its own clock at rate_Hz
     rate_Hz: float
@@ -100,9 +103,9 @@ class ImuPort:
 
 @dataclass(frozen=True)
 class IoMap:
-    """Modbus: where brakes, hold-to-run, door contact and temperatures live. Addresses are zero-based."""
+    """Modbus addresses of brakes, hold-to-run, door contact and temperatures, zero-based."""
 
-    url: str  # "tcp:HOST:PORT" or "rtu:/dev/ttyUSB1@115200"; "" when the bench says where it is
+    url: str  # "tcp:HOST:PORT" or "rtu:/dev/ttyUSB1@115200"; "" when the bench names it
     unit_id: int
     poll_period_s: float
     stale_after_s: float

@@ -1,4 +1,4 @@
-"""`tcp:HOST:PORT`, as I/O devices, serial device servers and panels are named, and why nobody is reached there."""
+"""Addresses `tcp:HOST:PORT` of I/O devices, serial device servers and panels, and the reason why one is not reached."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 
 
 def parse_tcp_url(url: str) -> tuple[str, int] | None:
-    """Host and port, IPv6 addresses in brackets; None for anything else."""
+    """Return host and port, IPv6 addresses in brackets; None for anything else."""
     match = re.fullmatch(r"tcp:(\[[^\s\[\]]+\]|[^\s\[\]]+):([0-9]{1,5})", url)
     if match is None or not 0 < int(match[2]) <= 0xFFFF:
         return None
@@ -20,6 +20,6 @@ def parse_tcp_url(url: str) -> tuple[str, int] | None:
 
 
 def why_not_reached(error: OSError) -> str:
-    """What the system says of a connection that could not be made; name resolution counts its errors below zero."""
+    """Return the system's reason for a failed connection; errors of name resolution have negative numbers."""
     number = error.errno or 0
     return os.strerror(number) if number > 0 else error.strerror or str(error)

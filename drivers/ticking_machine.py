@@ -1,6 +1,6 @@
-"""A machine's nodes booted, configured and exchanging process data tick by tick, until they are stopped, from whatever state.
+"""A machine on a CAN bus: boot and configure its nodes, exchange process data tick by tick, and stop from any state.
 
-This is all the sample loop needs of a machine that is ready to run; what makes it ready stands on it, in `drivers.machine_link`.
+This is all that the sample loop needs of a machine that is ready to run. `drivers.machine_link` adds the phases that make it ready.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
 
 
 class TickingMachine:
-    """A machine on a CAN bus, real or emulated: what every tick of it is, who makes it, and how it is stopped.
+    """A machine on a CAN bus, real or emulated: its nodes, its ticks and its stop.
 
     Parameters
     ----------
     settings : BusSettings
     bus : can.BusABC
-        Open bus; it stays the caller's.
+        Open bus, which remains the caller's.
     clock : Clock
         Wall time, or virtual time in lockstep.
     imu : ImuDriver, optional
@@ -74,20 +74,20 @@ class TickingMachine:
         self.watch = MotionWatch(settings.motions, settings.scalings, clock, self.period_s)
         self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
-        self.stopping = False  # from the first step of a stop to its last: whoever handles signals must not break it off
+        self.stopping = False  # from the first step of a stop to its last; a signal handler must not interrupt it
         self._imu, self._io = imu, io
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
         self._armed = [False] * len(self.axes)
         self._ticking = False
-        self._ours = False  # nobody else runs this machine: only then may anything be sent, even to stop it
+        self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
         self._standstill = self._new_standstill()
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
-        """Boot every node, check who it is, configure it, make it operational, and see every TPDO once. Drives stay disabled.
+        """Boot every node, check its identity, configure it, make it operational, and await every TPDO once. Drives stay disabled.
 
         Raises
         ------
@@ -152,20 +152,20 @@ class TickingMachine:
 
     @property
     def syncs(self) -> int:
-        """SYNCs sent since the nodes were started: what a device that counts them from its NMT start on says, too."""
+        """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number."""
         return self._cyclic.syncs
 
     def rehearse(self) -> None:
-        """Go through the motions of a tick shortly before it; nothing is sent and nothing changes."""
+        """Execute the code of a tick shortly before it, to warm the processor's caches; nothing is sent and nothing changes."""
         if self._imu is not None:
             self._imu.rehearse()
         self._cyclic.rehearse()
 
     def stop(self) -> None:
-        """Quick stop, brakes closed, voltage off, nodes pre-operational; from any state, any number of times, never raising.
+        """Stop: quick stop, brakes closed, voltage off, nodes pre-operational. Works from any state, any number of times, never raises.
 
-        What failed on the way is in `stop_trouble`; every later step was tried all the same. A machine that another bench was found to run,
-        or that was never started, is not touched: neither its bus nor its I/O.
+        `stop_trouble` lists what failed; later steps are tried regardless. A machine that another bench runs, or that was never started, is
+        not touched: neither its bus nor its I/O.
         """
         outer, self.stopping = self.stopping, True
         try:
@@ -175,7 +175,7 @@ class TickingMachine:
             self.stopping = outer
 
     def close(self) -> None:
-        """Stop, and let every node forget the bench: a reset of communication ends their watch over its heartbeat. Never raises."""
+        """Stop, and reset the communication of every node, which ends its watch over the bench's heartbeat. Never raises."""
         outer, self.stopping = self.stopping, True
         try:
             self.stop()
@@ -184,7 +184,7 @@ class TickingMachine:
             if self._ours:
                 for node in self.settings.nodes:
                     attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
-            self._ours = False  # from here on somebody else may take it
+            self._ours = False  # another bench may take it after this
             self.stop_trouble += attempts.trouble
             for sdo in self._nodes.values():
                 sdo.close()
@@ -193,11 +193,11 @@ class TickingMachine:
             self.stopping = outer
 
     def set_controlword(self, axis: int, controlword: int) -> None:
-        """Controlword of an axis' drive from the next tick on."""
+        """Set the controlword of an axis' drive for the next tick and all later ones."""
         self._cyclic.outputs[axis].controlword = controlword
 
     def arm(self, axis: int, armed: bool) -> None:
-        """From now on leaving operation enabled is a fault (or no more)."""
+        """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
         self._armed[axis] = armed
 
     def command_brakes(self, open_: dict[str, bool]) -> None:
@@ -207,17 +207,17 @@ class TickingMachine:
             self._io.command_brakes(known)
 
     def has_brake(self, axis: int) -> bool:
-        """Whether the I/O commands a brake of this axis and reports its feedback."""
+        """Return whether the I/O commands a brake of this axis and reports its feedback."""
         io = self.settings.io
         return self._io is not None and io is not None and self.axes[axis] in io.brake_coils and self.axes[axis] in io.brake_feedback_inputs
 
     def io_is_fresh(self) -> bool:
-        """Whether the I/O's newest state is young enough to be believed; a state that is too old says closed and released of everything."""
+        """Return whether the I/O's newest state is recent enough; a state that is too old reads as brakes closed and switch released."""
         io = self.settings.io
         return io is None or self.sample.io_age_s <= io.stale_after_s
 
     def refusal(self) -> str:
-        """Why nothing may move by the newest state of hold-to-run, door and I/O, in words; '' when it may, or nothing watches."""
+        """Return in words why hold-to-run, door or I/O forbid motion; '' when they permit it or are not there."""
         sample, io = self.sample, self.settings.io
         if self._io is None or io is None:
             return ""
@@ -233,11 +233,11 @@ class TickingMachine:
         return ""
 
     def sdo(self, axis: int) -> SdoNode:
-        """Object dictionary of an axis' drive."""
+        """Return the object dictionary of an axis' drive."""
         return self._nodes[self.drives[axis].node_id]
 
     def resume_ticks(self) -> None:
-        """Ticks start anew, e.g. after SDO traffic took longer than a period."""
+        """Start the ticks again, e.g. after SDO traffic took longer than a period."""
         self.clock.start_ticks(self.settings.sync_period_s)
 
     def _configure(self, node: Node) -> tuple[str, ...]:
@@ -272,7 +272,7 @@ class TickingMachine:
             awake_s = self.clock.awake_s
             asleep_s = overdue_s - self.settings.answer_timeout_s + awake_s
             while not arrived and self._imu_triggered and (now_s := self.clock.now()) < overdue_s:
-                if awake_s <= 0.0 or now_s >= asleep_s:  # rounding may put asleep_s after now_s, and virtual time passes by waiting alone
+                if awake_s <= 0.0 or now_s >= asleep_s:  # rounding may put asleep_s after now_s, and virtual time passes only by waiting
                     self.clock.wait(IMU_RETRY_S)
                 arrived = self._imu.poll(sample)
         if self._io is not None:
@@ -280,7 +280,7 @@ class TickingMachine:
             self._io.update(sample)
 
     def _explain_fault(self, axis: int) -> None:
-        """Raise what made a drive leave operation enabled, with the EMCY that may still be in the queue."""
+        """Raise the fault that made a drive leave operation enabled, with the EMCY that may still be in the queue."""
         for _ in range(PENDING_FRAMES):
             if not self.network.pump(0.0):
                 break
@@ -292,7 +292,7 @@ class TickingMachine:
         )
 
     def stopping_on_error(self) -> _StopOnError:
-        """A block that no error leaves before the motors were told to stop."""
+        """Return a context manager that tells the motors to stop before an error leaves its block."""
         return _StopOnError(self)
 
     def _bring_to_rest(self) -> None:
@@ -314,7 +314,7 @@ class TickingMachine:
         self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
     def _tick_at_rest(self) -> None:
-        """A tick on the way to a stop: the I/O may be lost, the drives are stopped all the same."""
+        """Make one tick during a stop; the drives are stopped even when the I/O is lost."""
         self._cyclic.run(self.zeros.tolist(), self.sample, self._before_sync)
         self._standstill.update(self.sample.position)
         if self._io is None or self._io_lost:
@@ -329,7 +329,7 @@ class TickingMachine:
         self.command_brakes({axis: False for axis in self.axes})
 
     def _axis_at_rest(self, axis: int, powered: bool) -> bool:
-        """By the brake's feedback, as far as it is to be believed; without one by the position, unless there is no voltage to hold with."""
+        """Return whether an axis is at rest: by its brake's feedback from a fresh I/O; without a brake by its position while powered."""
         if self.has_brake(axis):
             return self.io_is_fresh() and not self.sample.brakes_open[axis]
         return not powered or self._standstill.of(axis)
@@ -339,14 +339,15 @@ class TickingMachine:
 
 
 class _StopOnError:
-    """Whatever leaves the block as an error has stopped the motors first."""
+    """Context manager that stops the motors before an error leaves its block."""
 
     def __init__(self, machine: TickingMachine) -> None:
         self._machine = machine
 
     def __enter__(self) -> None:
-        """Nothing to prepare."""
+        """Do nothing: there is nothing to prepare."""
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Stop the machine when the block was left by an error."""
         if kind is not None:
             self._machine.stop()

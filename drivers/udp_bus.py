@@ -1,7 +1,8 @@
-"""python-can's UDP multicast bus as a sample loop wants it: the same datagrams, but no echo and one system call per frame.
+"""python-can's UDP multicast bus for a sample loop: the same datagrams, but no echo and one system call per frame.
 
-python-can sends through the socket it listens on, so every frame comes back to its sender, as on no CAN controller; each echo wakes the
-process and is decoded. Here frames leave through a socket of their own, which tells them apart, and on Linux the kernel drops the echoes.
+python-can sends through the socket it listens on, so every frame returns to its sender, unlike on a CAN controller; each echo wakes the
+process and is decoded. Here frames leave through a separate socket, by whose address they are recognised, and on Linux the kernel drops
+the echoes.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ WHOLE, NOTHING = 0xFFFFFFFF, 0
 class UdpBus(UdpMulticastBus):
     """CAN frames as datagrams to a multicast group. Parameters are those of `UdpMulticastBus`.
 
-    A hop limit of 0 keeps frames on this host: the network is spared them, and other benches on it too. With python-can's 1 they also leave
-    through the host's network device, and sending one takes about twice the processor time (docs/timing.md).
+    A hop limit of 0 keeps frames on this host, away from the network and other benches on it. With python-can's 1 they also leave through
+    the host's network device, and sending one takes about twice the processor time (docs/explanation/timing.md).
     """
 
     def __init__(self, channel: str, port: int = PYTHON_CAN_PORT, hop_limit: int = 0, fd: bool = False) -> None:
@@ -67,20 +68,20 @@ class UdpBus(UdpMulticastBus):
             raise
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """See `can.BusABC`; never waits."""
+        """Send as `can.BusABC` does; never waits."""
         self._send(pack_message(msg))
 
     def send_frame(self, can_id: int, data: bytes) -> None:
-        """A data frame with an 11-bit identifier, without a message object around it."""
+        """Send a data frame with an 11-bit identifier, without a message object around it."""
         fields = self._fields
         fields["arbitration_id"], fields["dlc"], fields["data"] = can_id, len(data), data
         self._send(msgpack.packb(fields))
 
     def rehearse(self) -> None:
-        """Send a frame and read it, between two sockets that nobody else hears.
+        """Send a frame and read it, between two sockets that nobody else listens on.
 
-        What a process has not done for milliseconds it does slowly, since others have had the processor's caches: the first frame takes
-        several times as long as the second. Call it shortly before a frame that matters.
+        Code that has not run for milliseconds runs slowly, because other processes have used the processor's caches: the first frame takes
+        several times as long as the second. Call this shortly before a frame that matters.
         """
         if self._mirror is not None:
             sender, listener = self._mirror
@@ -95,7 +96,7 @@ class UdpBus(UdpMulticastBus):
             raise can.CanOperationError(f"failed to send: {error.strerror or error}", error.errno) from error
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """See `can.BusABC`, which looks at the clock and the log for every frame and every time there is none."""
+        """Receive as `can.BusABC` does, but without its look at the clock and the log for every frame."""
         give_up_s = None if timeout is None or timeout <= 0.0 else time.perf_counter() + timeout
         while True:
             try:
@@ -128,9 +129,9 @@ def _unpacked(data: bytes, sender: tuple[str, int]) -> can.Message:
 
 
 def _mirror(channel: str) -> tuple[socket.socket, socket.socket] | None:
-    """Two sockets on the group (IPv4), at a port of their own and for this host only: what the first sends, the second hears.
+    """Open two sockets on the group (IPv4), at a separate port and for this host only; the second receives what the first sends.
 
-    None where the system does not give them.
+    Return None where the system refuses them.
     """
     sender, listener = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     try:
@@ -147,7 +148,7 @@ def _mirror(channel: str) -> tuple[socket.socket, socket.socket] | None:
 
 
 def _drop_datagrams_from(listener: socket.socket, address: str, port: int) -> None:
-    """Have the kernel drop what comes from there (IPv4), before anybody wakes."""
+    """Have the kernel drop datagrams from this address (IPv4) before they wake a process."""
     instructions = (
         (LOAD_WORD, 0, 0, NETWORK_HEADER + SOURCE_ADDRESS & 0xFFFFFFFF),
         (JUMP_EQUAL, 0, 3, int.from_bytes(socket.inet_aton(address), "big")),

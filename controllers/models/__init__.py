@@ -1,1 +1,1 @@
-"""Models fitted to recordings, as controllers and observers run them. They know nothing of the emulated machine."""
+"""Models fitted to recordings, as controllers and observers run them. They are independent of the emulated machine."""

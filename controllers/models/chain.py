@@ -1,7 +1,7 @@
-"""Kinematics of a chain of driven axes: where a point at its end is, how fast, and what an inertial sensor there feels.
+"""Kinematics of a chain of driven axes: position and velocity of a point at its end, and what an inertial sensor there measures.
 
 The chain is described in its zero position, where all frames are parallel to the world: axis i is a direction `axes[i]` and a point
-`points[i]` on it, measured from the point before. Everything at the end is in the end's own frame; rotations take it to the world.
+`points[i]` on it, measured from the point before. Quantities at the end are in the end's own frame; rotations take them to the world.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 
 from controllers.compiled import exactly_inlined
 from controllers.errors import DesignError
-from controllers.models.vectors import cross, minus, plus, row, scaled, turned_back
+from controllers.models.vectors import Vector, cross, minus, plus, row, scaled, turned_back
 
 UNIT = 1e-6
-"""How far an axis may be from a unit vector."""
+"""Tolerance on the length of an axis's unit vector."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Chain:
     points : (n, 3) array
         A point on each axis at position zero, from the point before it (the first: from the world's origin) [m].
     revolute : (n,) bool array
-        False: prismatic, shifting along its axis.
+        False: prismatic, sliding along its axis.
     gravity_m_s2 : (3,) array
         In the world.
     """
@@ -40,6 +40,7 @@ class Chain:
     gravity_m_s2: np.ndarray
 
     def __post_init__(self) -> None:
+        """Check shapes, finite numbers and unit axes."""
         n = len(self.axes)
         for name, shape in (("axes", (n, 3)), ("points", (n, 3)), ("revolute", (n,)), ("gravity_m_s2", (3,))):
             fits("chain", name, getattr(self, name), shape)
@@ -48,7 +49,7 @@ class Chain:
 
 
 def fits(whose: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Whether an array is one of finite numbers of this shape.
+    """Check that an array has this shape and finite numbers.
 
     Raises
     ------
@@ -62,14 +63,16 @@ def fits(whose: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> N
 
 
 @exactly_inlined
-def carried(omega, alpha, r):
-    """alpha x r + omega x (omega x r): what acceleration changes by from one point of a body to another."""
+def carried(omega: Vector, alpha: Vector, r: Vector) -> Vector:
+    """Return alpha x r + omega x (omega x r): how acceleration changes from one point of a body to another."""
     return plus(cross(alpha, r), cross(omega, cross(omega, r)))
 
 
 @exactly_inlined
-def chain_motion(axes, points, revolute, gravity, motion, end):
-    """Angular rate, angular acceleration and specific force at the point `end` of the last frame, in that frame.
+def chain_motion(
+    axes: np.ndarray, points: np.ndarray, revolute: np.ndarray, gravity: np.ndarray, motion: np.ndarray, end: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """Return angular rate, angular acceleration and specific force at the point `end` of the last frame, in that frame.
 
     Parameters
     ----------
@@ -103,8 +106,8 @@ def chain_motion(axes, points, revolute, gravity, motion, end):
 
 
 @exactly_inlined
-def point_in_world(axes, points, revolute, q, end):
-    """Position in the world of the point `end` of the last frame, axes at q (n,)."""
+def point_in_world(axes: np.ndarray, points: np.ndarray, revolute: np.ndarray, q: np.ndarray, end: Vector) -> Vector:
+    """Return the position in the world of the point `end` of the last frame, axes at q (n,)."""
     position = end
     for i in range(len(revolute) - 1, -1, -1):
         axis = row(axes, i)
@@ -114,8 +117,8 @@ def point_in_world(axes, points, revolute, q, end):
 
 
 @exactly_inlined
-def direction_in_world(axes, revolute, q, direction):
-    """A direction of the last frame in the world, axes at q (n,)."""
+def direction_in_world(axes: np.ndarray, revolute: np.ndarray, q: np.ndarray, direction: Vector) -> Vector:
+    """Return a direction of the last frame in the world, axes at q (n,)."""
     for i in range(len(revolute) - 1, -1, -1):
         if revolute[i]:
             direction = turned_back(row(axes, i), -np.sin(q[i]), np.cos(q[i]), direction)
@@ -123,8 +126,11 @@ def direction_in_world(axes, revolute, q, direction):
 
 
 @exactly_inlined
-def axis_screw(axes, points, revolute, q, end, which):
-    """Velocity of the point `end` and angular rate in the last frame per unit speed of axis `which`: a column of the body Jacobian."""
+def axis_screw(axes: np.ndarray, points: np.ndarray, revolute: np.ndarray, q: np.ndarray, end: Vector, which: int) -> tuple[Vector, Vector]:
+    """Return the velocity of the point `end` and the angular rate, in the last frame, per unit speed of axis `which`.
+
+    Together they are a column of the body Jacobian.
+    """
     n = len(revolute)
     arm = end
     for i in range(n - 1, which, -1):

@@ -49,16 +49,16 @@ class DenavitHartenberg:
 
     @property
     def values(self) -> np.ndarray:
-        """(5 n + 4,) all parameters."""
+        """All parameters (5 n + 4,)."""
         return np.concatenate([self.table.ravel(), self.frame_angles])
 
     def with_values(self, values: np.ndarray) -> DenavitHartenberg:
-        """The same chain with other parameters."""
+        """Return the same chain with other parameters."""
         count = self.table.size
         return replace(self, table=np.reshape(values[:count], self.table.shape).copy(), frame_angles=np.array(values[count:]))
 
     def poses(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the phantom is, seen from the detector.
+        """Return the pose of the phantom, seen from the detector.
 
         Parameters
         ----------
@@ -77,14 +77,14 @@ class DenavitHartenberg:
         return end[:, :3, 3], end[:, :3, :3]
 
     def jacobian(self, angles: np.ndarray) -> np.ndarray:
-        """(N, 6, 5 n + 4) change of nu_ph^d [m], then of the rotation [rad, in detector coordinates], per unit of each parameter (2.17)."""
+        """Return the change (N, 6, 5 n + 4) of nu_ph^d [m], then of the rotation [rad, detector coordinates], per unit parameter (2.17)."""
         angles = self.checked(angles)
         motions = [motion for row in self.motions(angles) for motion in row]
         frames = frames_of(motions, len(angles))
         return motion_jacobian(motions, frames, frames[-1][:, :3, 3], len(self.names))
 
     def motions(self, angles: np.ndarray) -> list[list[Motion]]:
-        """Elementary motions in order, for N poses: the panel's two turns, one list a joint, the phantom's two turns."""
+        """Return the elementary motions in order, for N poses: the panel's two turns, one list a joint, the phantom's two turns."""
         last = self.table.size
         theta_u, theta_v, theta_y, theta_z = self.frame_angles
         ones = np.ones(len(angles))
@@ -103,12 +103,12 @@ class DenavitHartenberg:
         return result
 
     def checked(self, angles: np.ndarray) -> np.ndarray:
-        """Angles as an array (N, n).
+        """Return angles as an array (N, n).
 
         Raises
         ------
         ValueError
-            Another number of joints.
+            The number of angles is not the number of joints.
         """
         angles = np.atleast_2d(np.asarray(angles, dtype=float))
         if angles.shape[1] != len(self.joints):

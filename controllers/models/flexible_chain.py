@@ -1,8 +1,8 @@
-"""Denavit-Hartenberg kinematics with joints that give way under gravity (thesis (2.6), (2.13)-(2.16)), and the focal spot beside them.
+"""Denavit-Hartenberg kinematics with elastic joints under gravity (thesis (2.6), (2.13)-(2.16)), and the focal spot.
 
-Every elastic joint turns (or slides) by compliance times the effort of gravity on it, (2.15); the efforts are those of the deflected
-machine. The turn stands in the chain where the joint is, so that (2.13), its first order, is not needed: gears and mounts (2.16), and the
-flexible support of Sec. 2.3.3 as joints between the last driven axis and the phantom.
+Every elastic joint turns (or slides) by its compliance times the effort of gravity on it, (2.15); the efforts are those of the deflected
+machine. The turn stands in the chain where the joint is, so its first order (2.13) is not needed. Elastic joints model gears and mounts
+(2.16), and the flexible support of Sec. 2.3.3 as joints between the last driven axis and the phantom.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from controllers.models.motions import Motion, frames_of, motion_jacobian
 SOURCE_NAMES = ("source_u", "source_v", "source_w")
 
 ROUNDS = 8
-"""Rounds of deflection and gravity; each gains the ratio of gravity's stiffness to the joint's, a few hundredths at most."""
+"""Iterations between deflection and gravity; each shrinks the error by gravity's stiffness over the joint's, a few hundredths at most."""
 
 LEAST_STEP = 1e-12
-"""Difference of a compliance of zero [rad/Nm]: a few hundred Nm bend it by 1e-10 rad."""
+"""Smallest difference step of a compliance [rad/Nm]: a few hundred Nm bend it by 1e-10 rad."""
 
 IN_CHAIN, AT_PANEL, AT_TUBE = "in_chain", "at_panel", "at_tube"
 
 
 @dataclass(frozen=True)
 class ElasticJoint:
-    """A joint that nobody drives.
+    """A joint without a drive that yields under load.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class ElasticJoint:
     place : str
         `IN_CHAIN`: panel and tube turn together; `AT_PANEL`: between panel and tube, on the panel's side; `AT_TUBE`: on the tube's.
     row : int
-        Stands before this row of the chain: 0 the panel, 1 ... n the joints, n + 1 the phantom.
+        Row of the chain before which it stands: 0 the panel, 1 ... n the joints, n + 1 the phantom.
     axis, point_m : (3,) arrays
         Its line in the frame there, pointing so that a positive turn carries the panel (or the tube) by a positive angle.
     revolute : bool
@@ -55,7 +55,7 @@ class ElasticJoint:
 
 @dataclass(frozen=True)
 class FlexibleChain:
-    """Where focal spot and phantom are, seen from the panel.
+    """Poses of focal spot and phantom, seen from the panel.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class FlexibleChain:
     elastic : tuple of ElasticJoint
         From the panel to the world.
     compliance : (e,) array
-        Of each [rad/Nm or m/N].
+        Compliance of each elastic joint [rad/Nm or m/N].
     tree : GravityTree
         Coordinates: the axes, then the elastic joints.
     """
@@ -91,11 +91,11 @@ class FlexibleChain:
 
     @property
     def values(self) -> np.ndarray:
-        """(p,) all parameters."""
+        """All parameters (p,)."""
         return np.concatenate([self.chain.values, self.source_m, self.compliance])
 
     def with_values(self, values: np.ndarray) -> FlexibleChain:
-        """The same machine with other parameters."""
+        """Return the same machine with other parameters."""
         rigid = len(self.chain.names)
         return replace(
             self,
@@ -105,7 +105,7 @@ class FlexibleChain:
         )
 
     def angles(self, positions: np.ndarray) -> np.ndarray:
-        """(N, n) angles of the chain's joints with axes at positions (N, axes); zero for a joint that nobody drives."""
+        """Return the angles (N, n) of the chain's joints with axes at positions (N, axes); zero for a joint without a drive."""
         angles = np.zeros((len(positions), len(self.chain.joints)))
         for axis, row in enumerate(self.driven):
             if row >= 0:
@@ -113,7 +113,7 @@ class FlexibleChain:
         return angles
 
     def deflections(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, e) deflection of the elastic joints [rad or m] with axes at positions (N, axes), and the efforts that make it [Nm or N]."""
+        """Return the deflection (N, e) of the elastic joints [rad or m] with axes at positions (N, axes), and its efforts [Nm or N]."""
         positions = np.atleast_2d(np.asarray(positions, dtype=float))
         bent = np.zeros((len(positions), len(self.elastic)))
         effort = bent
@@ -127,7 +127,10 @@ class FlexibleChain:
         return bent, effort
 
     def _gains(self, positions: np.ndarray, bent: np.ndarray) -> np.ndarray:
-        """(N, e, e) change of every deflection with each compliance, gravity's change with the deflection included; by differences."""
+        """Return the change (N, e, e) of every deflection with each compliance, by differences.
+
+        The change of gravity's effort with the deflection is included.
+        """
         result = np.empty((*bent.shape, len(self.elastic)))
         for k, compliance in enumerate(self.compliance):
             step = max(1e-4 * abs(compliance), LEAST_STEP)
@@ -137,12 +140,12 @@ class FlexibleChain:
         return result
 
     def poses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Focal spot and phantom, seen from the panel.
+        """Return the poses of focal spot and phantom, seen from the panel.
 
         Parameters
         ----------
         positions : (N, axes) array
-            Of the machine's axes [rad].
+            Positions of the machine's axes [rad].
 
         Returns
         -------
@@ -157,7 +160,7 @@ class FlexibleChain:
         return seen[:, :3, :3] @ self.source_m + seen[:, :3, 3], end[:, :3, 3], end[:, :3, :3]
 
     def jacobian(self, positions: np.ndarray) -> np.ndarray:
-        """(N, 9, p) change of source [m], phantom [m] and rotation [rad, in detector coordinates] per unit of each parameter (2.17)."""
+        """Return the change (N, 9, p) of source [m], phantom [m] and rotation [rad, detector coordinates] per unit parameter (2.17)."""
         chain, tube = self._motions(positions)
         size, rigid = len(self.names), len(self.chain.names)
         result = np.zeros((len(positions), 9, size))
@@ -170,7 +173,7 @@ class FlexibleChain:
         return result
 
     def _motions(self, positions: np.ndarray, with_gains: bool = True) -> tuple[list[Motion], list[Motion]]:
-        """From the panel to the phantom, and from the panel to the tube."""
+        """Return the motions from the panel to the phantom, and from the panel to the tube."""
         rows = self.chain.motions(self.angles(positions))
         bent, _ = self.deflections(positions)
         gains = self._gains(positions, bent) if with_gains else None
@@ -178,7 +181,7 @@ class FlexibleChain:
         tube: list[Motion] = []
         for k in range(len(self.elastic) - 1, -1, -1):
             joint = self.elastic[k]
-            # Who carries the panel by +q sees everything behind it move by -q; the tube itself moves by +q
+            # A joint that carries the panel by +q makes everything behind it move by -q; the tube itself moves by +q
             sign = 1.0 if joint.place == AT_TUBE else -1.0
             parameters = () if gains is None else tuple((first + j, sign * gains[:, k, j]) for j in range(len(self.elastic)))
             motion = Motion(joint.revolute, joint.axis, sign * bent[:, k], parameters, joint.point_m)

@@ -1,7 +1,7 @@
-"""What gravity asks of the joints of a tree of rigid bodies: forces at the centres of mass, carried to the joints (2.14).
+"""Efforts of gravity at the joints of a tree of rigid bodies: forces at the centres of mass, carried to the joints (2.14).
 
-The thesis puts the load at the end of the chain (2.14); at the isocentre, where the axes of a C-arm meet, that load would have no arm
-(correction to (2.15), (2.16)).
+The thesis puts the load at the end of the chain (2.14). At the isocentre, where the axes of a C-arm meet, that load would have no lever
+arm (correction to (2.15), (2.16)).
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from scipy.spatial.transform import Rotation
 
 @dataclass(frozen=True)
 class GravityTree:
-    """Bodies, parents first.
+    """A tree of rigid bodies, parents first.
 
     Attributes
     ----------
     parent : (b,) int array
         -1: the world.
     position_m, orientation : (b, 3), (b, 3, 3) arrays
-        Of the body's frame in its parent's, joint at zero.
+        Pose of the body's frame in its parent's, joint at zero.
     axis : (b, 3) array
-        Of the joint, in the body's frame.
+        Axis of the joint, in the body's frame.
     revolute : (b,) bool array
     coordinate : (b,) int array
-        Which coordinate the joint is; -1: welded.
+        Index of the joint's coordinate; -1: welded.
     mass_kg, center_of_mass_m : (b,), (b, 3) arrays
     gravity_m_s2 : (3,) array
     """
@@ -42,7 +42,7 @@ class GravityTree:
     gravity_m_s2: np.ndarray
 
     def efforts(self, coordinates: np.ndarray) -> np.ndarray:
-        """(N, m) effort of gravity [Nm or N] along each of the coordinates (N, m) [rad or m]."""
+        """Return the effort (N, m) of gravity [Nm or N] along each of the coordinates (N, m) [rad or m]."""
         count, bodies = len(coordinates), len(self.parent)
         origin = np.zeros((bodies, count, 3))
         rotation = np.zeros((bodies, count, 3, 3))

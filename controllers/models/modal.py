@@ -1,22 +1,22 @@
-"""The modal state space that varies with pose: Sec. 5.4, on top of the rigid chain of driven axes.
+"""The pose-dependent modal state space of Sec. 5.4, on top of the rigid chain of driven axes.
 
-The machine moves as q_r, the axes' rigid coordinates, plus n modes about it:
+The machine moves as q_r, the axes' rigid coordinates, plus n modes about them:
 
     q_r'' = B_r(θ) w + d_r                                                       rigid part
     η_i'' + 2 ζ_i ω_i η_i' + ω_i² η_i = b_i(θ)ᵀ w + d_i                          (5.30), (5.35), with ω_i(θ), ζ_i(θ)
     w = u - C(θ) m'                                                              what is left of the command after the drives' friction
     motor side  m = q_r + Φ_m η,    link side  l = q_r + Φ_l η
-    twist of an observed body about where q_r alone would put it: Ψ η, at the body's centre and in its frame
+    twist of an observed body relative to its pose under q_r alone: Ψ η, at the body's centre and in its frame
 
-Friction at the drives couples the modes: taken for damping of each alone, it is wrong by what disturbances at the mount bring to a drive.
-d_r and d_i are what else pushes: gravity as a function of the pose, and disturbances, friction and hands, each in a direction of its own:
-[d_r, d] = G(θ) ξ. What turning axes push, in proportion to products of their speeds, may be in it (`turning`), though Sec. 5.4.1 neglects
-it: a gear is bent by it as by gravity. What an axis's speed and the modes' speeds push together, the gyroscopic part, may be in it
-(`coupling`): Σ_a θ_a' Γ_a(θ) η' on the axes, where nothing else pushes unknown. What it does to the modes is neglected.
+Friction at the drives couples the modes; treated as damping of each mode alone, it would miss what disturbances at the mount bring to a
+drive. d_r and d_i are the other forces: gravity as a function of the pose, and disturbances such as friction and hands, each in a
+direction of its own, [d_r, d] = G(θ) ξ. Two more parts are optional. `turning` is the force proportional to products of the axes' speeds:
+Sec. 5.4.1 neglects it, but it bends a gear as gravity does. `coupling` is the gyroscopic force, proportional to an axis's speed and the
+modes' speeds: Σ_a θ_a' Γ_a(θ) η' on the axes, where no other force is unknown. Its effect on the modes is neglected.
 
-Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`): of a mode not ω² but 1/ω², and not what pushes it but
-that over ω², what it bends the mode at rest. With springs that stay the same those are an inertia and static bends, which are such
-polynomials; ω² is none.
+Every parameter is a trigonometric polynomial of the scheduling pose (`harmonics`). For a mode the polynomial gives 1/ω² instead of ω², and
+for the forces on it the force over ω², which is the static deflection. With constant springs these are an inertia and static
+deflections, which are such polynomials; ω² is not.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ import numpy as np
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.models.chain import Chain, chain_motion, fits
+from controllers.models.vectors import Vector
 
 SMALLEST_s2 = 1e-9
-"""Of 1/ω²: a polynomial that falls to nothing between poses makes a mode of 5 kHz, not one that runs off."""
+"""Smallest 1/ω²: where the polynomial falls to zero between poses, the mode stays at 5 kHz instead of diverging."""
 
 DIFFERENCE = 1e-4
-"""Step [rad or m] of differences over position."""
+"""Step [rad or m] of the differences over position."""
 
 
 @dataclass(frozen=True)
 class InertialSensor:
-    """An IMU and the body it sits on, whose twist the modes' shapes give.
+    """An IMU and the body it is mounted on, whose twist the mode shapes give.
 
     Parameters
     ----------
@@ -62,43 +63,45 @@ class InertialSensor:
     channels: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        """Check shapes and finite numbers."""
         for name, shape in (("body_end_m", (3,)), ("sensor_end_m", (3,)), ("rotation", (3, 3)), ("lag_s", ())):
             fits("inertial sensor", name, getattr(self, name), shape)
 
 
 @dataclass(frozen=True)
 class ModalModel:
-    """Parameters of the modal model over pose.
+    """The modal model: its parameters as functions of the pose.
 
     Parameters
     ----------
     axes : tuple of str
     chain : Chain
     sensors : tuple of InertialSensor
-        The first is the one on the detector; a second one, at the source, is welcome (Sec. 8.1).
+        The first is the one on the detector; a second one, at the source, is optional (Sec. 8.1).
     source_end_m : (3,) array
         Focal spot in the chain's last frame at zero deformation, from the last axis's point; it moves with the link side.
     harmonics : tuple of int
         Order of the trigonometric polynomial in each axis position; 0: no dependence on it.
     coefficients : (rows, basis) array
         Rows: per mode 1/ω², 2ζ/ω, its shape on the motor sides, the link sides and the observed bodies' twists, its input over ω²; then B_r
-        by rows, C, gravity's push on the axes and on the modes over ω², and the quasi-static offset of the detector's twist that no mode
-        has (5.37). Columns as `basis_values`.
+        by rows, C, gravity's force on the axes and on the modes over ω², and the quasi-static offset of the detector's twist that no mode
+        contains (5.37). Columns as in `basis_values`.
     sample_rate_Hz : float
     effort_limit : (n_axes,) array
         Largest command [drive's unit].
     position_unit : tuple of str
         "rad" or "m" for each axis.
     directions : (n_axes + modes, disturbances, basis) array, optional
-        G(θ): accelerations that a unit of each disturbance gives axes, and modes over ω². Without it every axis and mode has its own.
+        G(θ): accelerations that a unit of each disturbance gives axes, and modes over ω². Without it every axis and every mode has its own
+        disturbance.
     places : tuple of str, optional
-        Of every disturbance, where it acts: "drive", "gear", "mount", or between link side and detector "turn" or "shift".
+        Where each disturbance acts: "drive", "gear", "mount", or between link side and detector "turn" or "shift".
     turning : (n_axes + modes, n_axes (n_axes + 1) / 2, basis) array, optional
-        What products of the axes' speeds push: accelerations of axes, and of modes over ω². Products in the order 11, 12, ..., 22, ...
+        Accelerations of the axes, and of the modes over ω², per product of the axes' speeds. Products in the order 11, 12, ..., 22, ...
     coupling : (n_axes, n_axes, modes, basis) array, optional
-        Γ(θ): what an axis's speed times a mode's pushes: accelerations of the axes, the second index.
+        Γ(θ): accelerations of the axes (second index) per product of an axis's speed (first index) and a mode's speed.
     effort_step : (n_axes,) array
-        Step to which drives round their commands, half to even; 0 or empty: none.
+        Step to which drives round their commands, half to even; 0 or empty: no rounding.
     """
 
     axes: tuple[str, ...]
@@ -118,6 +121,7 @@ class ModalModel:
     effort_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        """Check that all shapes fit each other and all numbers are finite."""
         axes = (len(self.axes),)
         fits("modal model", "source_end_m", self.source_end_m, (3,))
         fits("modal model", "effort_limit", self.effort_limit, axes)
@@ -158,20 +162,21 @@ class ModalModel:
 
     @property
     def modes(self) -> int:
+        """Number of modes."""
         return (len(self.coefficients) - self._rest_rows) // (self.mode_stride + 1)
 
     @property
     def disturbances(self) -> int:
-        """How many there are."""
+        """Number of disturbances."""
         return len(self.axes) + self.modes if self.directions is None else self.directions.shape[1]
 
     @property
     def products(self) -> int:
-        """Products of two axes' speeds."""
+        """Number of products of two axes' speeds."""
         return len(self.axes) * (len(self.axes) + 1) // 2
 
     def all_rows(self) -> np.ndarray:
-        """`coefficients`, below them the directions, what turning pushes and Γ, all by rows: all that varies with pose."""
+        """Stack everything that varies with pose by rows: `coefficients`, then directions, `turning` and Γ."""
         size = len(self.axes) + self.modes
         if self.directions is None:
             directions = np.zeros((size, size, self.coefficients.shape[1]))
@@ -189,34 +194,36 @@ class ModalModel:
 
     @property
     def _rest_rows(self) -> int:
-        """Rows that are not a mode's: B_r, D_r, gravity's push on the axes, six quasi-static offsets."""
+        """Rows that belong to no mode: B_r, D_r, gravity's force on the axes, six quasi-static offsets."""
         n = len(self.axes)
         return n * (n + 1) + n + 6
 
     def at(self, pose: np.ndarray) -> np.ndarray:
-        """The parameters (rows,) at a pose (n_axes,), in the order of `coefficients`: ω², 2ζω, inputs and pushes as (5.30) has them."""
+        """Return the parameters (rows,) at a pose (n_axes,), in the order of `coefficients`: ω², 2ζω, inputs and forces as in (5.30)."""
         values, by_function = np.zeros(len(self.coefficients)), np.ascontiguousarray(self.coefficients.T)
         sizes = np.array([len(self.axes), self.modes, len(self.sensors)], dtype=np.int64)
         schedule(sizes, np.array(self.harmonics, dtype=np.int64), by_function, np.asarray(pose, float), values)
         return values
 
     def frequencies_Hz(self, pose: np.ndarray) -> np.ndarray:
-        """Natural frequencies (modes,) at a pose."""
+        """Return the natural frequencies (modes,) at a pose."""
         first = np.arange(self.modes) * self.mode_stride
-        return np.sqrt(np.maximum(self.at(pose)[first], 0.0)) / (2.0 * np.pi)
+        frequencies: np.ndarray = np.sqrt(np.maximum(self.at(pose)[first], 0.0)) / (2.0 * np.pi)
+        return frequencies
 
     def damping_ratios(self, pose: np.ndarray) -> np.ndarray:
-        """ζ (modes,) at a pose."""
+        """Return ζ (modes,) at a pose."""
         values, first = self.at(pose), np.arange(self.modes) * self.mode_stride
-        return values[first + 1] / (2.0 * np.sqrt(np.maximum(values[first], 1e-12)))
+        ratios: np.ndarray = values[first + 1] / (2.0 * np.sqrt(np.maximum(values[first], 1e-12)))
+        return ratios
 
     def channels(self) -> tuple[str, ...]:
-        """Measured channels in the order of the output vector: motor sides, link sides, inertial sensors."""
+        """Return the measured channels in the order of the output vector: motor sides, link sides, inertial sensors."""
         names = [f"position_{axis}" for axis in self.axes] + [f"link_position_{axis}" for axis in self.axes]
         return (*names, *(channel for sensor in self.sensors for channel in sensor.channels))
 
     def frozen(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Continuous-time A, B, C, D at a pose, at rest: (5.31), (5.35), with the accelerometers' rows of (5.32) and gravity in them.
+        """Return the continuous-time A, B, C, D at rest in a pose: (5.31), (5.35), and the accelerometers' rows of (5.32) with gravity.
 
         States are [q_r, η, q_r', η']; inputs the commands; outputs `channels()`, before the sensors' low passes.
         """
@@ -252,7 +259,7 @@ class ModalModel:
 
 @dataclass(frozen=True)
 class RestGradients:
-    """What inertial sensors read changes with the axes' positions, speeds and accelerations at rest: (6 sensors, n_axes) each.
+    """Gradients at rest of the inertial sensors' readings over the axes' positions, speeds and accelerations: (6 sensors, n_axes) each.
 
     `down` (3,) is gravity in the chain's last frame.
     """
@@ -264,7 +271,7 @@ class RestGradients:
 
 
 def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.ndarray) -> RestGradients:
-    """Gradients at a pose (n_axes,), by differences: exact for speeds and accelerations, to 1e-9 for positions."""
+    """Return the gradients at a pose (n_axes,), by differences: exact for speeds and accelerations, to 1e-9 for positions."""
     n = len(pose)
     gradients = [np.zeros((6 * len(sensors), n)) for _ in range(3)]
     zero = np.zeros(n)
@@ -285,20 +292,25 @@ def chain_at_rest(chain: Chain, sensors: tuple[InertialSensor, ...], pose: np.nd
 
 
 def chain_reading(chain: Chain, sensor: InertialSensor, motion: np.ndarray) -> np.ndarray:
-    """Specific force and rate (6,) a sensor on the rigid chain reads, from the axes' positions, speeds and accelerations (3 n_axes,)."""
-    end = tuple(float(value) for value in sensor.sensor_end_m)
-    omega, force = _motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, end)
+    """Return the specific force and rate (6,) that a sensor on the rigid chain reads.
+
+    `motion` (3 n_axes,) holds the axes' positions, speeds and accelerations.
+    """
+    x, y, z = (float(value) for value in sensor.sensor_end_m)
+    omega, force = _motion(chain.axes, chain.points, chain.revolute, chain.gravity_m_s2, motion, (x, y, z))
     return np.concatenate((np.array(force) @ sensor.rotation, np.array(omega) @ sensor.rotation))
 
 
 @exactly_compiled
-def _motion(axes, points, revolute, gravity, motion, end):  # type: ignore[no-untyped-def]
+def _motion(
+    axes: np.ndarray, points: np.ndarray, revolute: np.ndarray, gravity: np.ndarray, motion: np.ndarray, end: Vector
+) -> tuple[Vector, Vector]:
     omega, _, force = chain_motion(axes, points, revolute, gravity, motion, end)
     return omega, force
 
 
 def basis_at(harmonics: Sequence[int], poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-    """Values (poses, basis) of the scheduling functions at poses (n_axes,)."""
+    """Return the values (poses, basis) of the scheduling functions at poses (n_axes,)."""
     basis = np.zeros((len(poses), basis_size(tuple(harmonics))))
     for row, pose in zip(basis, poses, strict=True):
         basis_values(np.array(harmonics, dtype=np.int64), pose, row)
@@ -306,13 +318,13 @@ def basis_at(harmonics: Sequence[int], poses: Sequence[np.ndarray] | np.ndarray)
 
 
 def basis_size(harmonics: tuple[int, ...]) -> int:
-    """Functions in the tensor product of 1, cos θ, sin θ, cos 2θ, ... over the axes."""
+    """Return the number of functions in the tensor product of 1, cos θ, sin θ, cos 2θ, ... over the axes."""
     return int(np.prod([2 * order + 1 for order in harmonics], dtype=int))
 
 
 @exactly_compiled
-def basis_values(harmonics, pose, out):
-    """Values (basis,) of the scheduling functions at a pose: the last axis varies fastest."""
+def basis_values(harmonics: np.ndarray, pose: np.ndarray, out: np.ndarray) -> None:
+    """Write the values (basis,) of the scheduling functions at a pose; the last axis varies fastest."""
     out[0] = 1.0
     size = 1
     for i in range(len(harmonics)):
@@ -327,11 +339,11 @@ def basis_values(harmonics, pose, out):
 
 
 @exactly_compiled
-def schedule(sizes, harmonics, coefficients, pose, values):
-    """All parameters (rows,) at a pose (n_axes or more,): (5.35) with θ frozen there, of the modes as (5.30) has them.
+def schedule(sizes: np.ndarray, harmonics: np.ndarray, coefficients: np.ndarray, pose: np.ndarray, values: np.ndarray) -> None:
+    """Write all parameters (rows,) at a pose (n_axes or more,): (5.35) with θ frozen there, those of the modes as in (5.30).
 
-    `sizes` are axes, modes, sensors; `coefficients` (basis, rows) the model's transposed, so that sums run along memory. Rows below
-    `ModalModel.coefficients` stay what the polynomials say.
+    `sizes` are axes, modes, sensors; `coefficients` (basis, rows) are the model's, transposed so that sums run along memory. Rows beyond
+    those of `ModalModel.coefficients` keep the values of their polynomials.
     """
     basis = np.zeros(coefficients.shape[0])
     basis_values(harmonics, pose, basis)

@@ -1,4 +1,4 @@
-"""A chain of elementary motions: its frames, and how its end moves with what the amounts depend on."""
+"""A chain of elementary motions: its frames, and how its end moves with the parameters of the motions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Motion(NamedTuple):
 
 
 def frames_of(motions: Sequence[Motion], count: int) -> list[np.ndarray]:
-    """(N, 4, 4) frame before each motion and after the last, seen from the first."""
+    """Return the frame (N, 4, 4) before each motion and after the last, seen from the first."""
     frames = [np.broadcast_to(np.eye(4), (count, 4, 4))]
     for motion in motions:
         frames.append(frames[-1] @ _transform(motion))
@@ -31,7 +31,10 @@ def frames_of(motions: Sequence[Motion], count: int) -> list[np.ndarray]:
 
 
 def motion_jacobian(motions: Sequence[Motion], frames: Sequence[np.ndarray], end: np.ndarray, parameters: int) -> np.ndarray:
-    """(N, 6, p) change of the point `end` (N, 3) [m], then of the orientation behind it [rad], seen from the first frame, per parameter."""
+    """Return the change (N, 6, p) per parameter of the point `end` (N, 3) [m], then of the orientation behind it [rad].
+
+    Both are seen from the first frame.
+    """
     result = np.zeros((len(end), 6, parameters))
     for motion, before in zip(motions, frames, strict=False):
         if not motion.parameters:
@@ -48,7 +51,7 @@ def motion_jacobian(motions: Sequence[Motion], frames: Sequence[np.ndarray], end
 
 
 def _transform(motion: Motion) -> np.ndarray:
-    """(N, 4, 4)"""
+    """Return the transform (N, 4, 4) of one motion."""
     result = np.tile(np.eye(4), (len(motion.amount), 1, 1))
     if motion.turns:
         turned = Rotation.from_rotvec(motion.amount[:, None] * motion.axis).as_matrix()

@@ -1,1 +1,1 @@
-"""Observers: where the detector really is, once per sample."""
+"""Observers, which estimate the pose of the detector once per sample."""

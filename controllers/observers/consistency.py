@@ -1,4 +1,4 @@
-"""Is the filter what it believes to be? Normalised innovations squared against chi-square, at every sample and over a window."""
+"""Consistency of a filter: its normalised innovations squared (NIS) against chi-square, at every sample and over a window."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 from scipy import stats
 
 WINDOW = 64
-"""Samples of the alarm's window: a quarter of a second at 256 Hz."""
+"""Samples in the alarm's window: a quarter of a second at 256 Hz."""
 
 FALSE_ALARM = 1e-6
 """Probability that a window of a consistent filter raises the alarm: once in an hour of overlapping windows at 256 Hz, at most."""
 
 
 class InnovationMonitor:
-    """Sum of the last `WINDOW` normalised innovations squared, beside what chi-square allows. Allocates nothing while it runs."""
+    """Compares the sum of the last `WINDOW` normalised innovations squared with chi-square. Allocates nothing while it runs."""
 
     def __init__(self, window: int = WINDOW, false_alarm: float = FALSE_ALARM) -> None:
         self._nis = np.zeros(window)
@@ -24,13 +24,13 @@ class InnovationMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """As if nothing had been seen."""
+        """Forget all samples."""
         self._nis[:] = 0.0
         self._measured[:] = 0.0
         self._next = 0
 
     def step(self, nis: float, measured: float) -> tuple[float, bool]:
-        """Mean of NIS per measurement over the window (1 when consistent), and whether it is too large to be chance."""
+        """Return the mean NIS per measurement over the window (1 when consistent), and whether it is too large for chance."""
         self._nis[self._next] = nis
         self._measured[self._next] = measured
         self._next = (self._next + 1) % len(self._nis)
@@ -44,7 +44,7 @@ class InnovationMonitor:
 
 
 def share_in_band(nis: np.ndarray, measured: np.ndarray, probability: float = 0.95) -> float:
-    """Share of samples whose NIS lies in chi-square's central band; rows without a measurement do not count.
+    """Return the share of samples whose NIS lies in chi-square's central band; rows without a measurement do not count.
 
     Parameters
     ----------

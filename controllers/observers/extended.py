@@ -1,4 +1,4 @@
-"""Extended Kalman filter (thesis Sec. 5.3.2): differences over one deviation either way, about the estimate (5.12)."""
+"""Extended Kalman filter (thesis Sec. 5.3.2): differences over one standard deviation to either side of the estimate (5.12)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.kalman import SLOPE_STEP
 from controllers.observers.linear_part import prepare, signals, transition
-from controllers.observers.modal_equations import MODE_SIGNALS, adapted_step, first_bias, moving, readings
+from controllers.observers.modal_equations import MODE_SIGNALS, Constants, Scheduled, adapted_step, first_bias, moving, readings
 
 
 @exactly_called
-def ends(constants, scheduled, here, line, distance, row, bend):
-    """Adapted modes at both ends of a deviation `line` from `here`: half the difference into `row`, half the sum into `bend`."""
+def ends(
+    constants: Constants, scheduled: Scheduled, here: np.ndarray, line: np.ndarray, distance: float, row: np.ndarray, bend: np.ndarray
+) -> None:
+    """Step adapted modes from both ends of a deviation `line` about `here`: half the difference into `row`, half the sum into `bend`."""
     n, modes, half = constants.sizes[0], constants.sizes[1], 0.5 / distance
     for k in range(constants.sizes[3]):
         mode, place = constants.adapted[k], moving(constants) + MODE_SIGNALS * k
@@ -26,8 +28,8 @@ def ends(constants, scheduled, here, line, distance, row, bend):
 
 
 @exactly_compiled
-def linearised(constants, scheduled, x, F, H):  # type: ignore[no-untyped-def]
-    """Transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
+def linearised(constants: Constants, scheduled: Scheduled, x: np.ndarray, F: np.ndarray, H: np.ndarray) -> None:
+    """Write transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     biases = first_bias(constants)
     prepare(constants, x, scheduled)

@@ -1,6 +1,7 @@
-"""One step of the observer, compiled: schedule, prediction and measurement update, for a row or a whole recording.
+"""One compiled step of the observer: schedule, prediction and measurement update, for a row or a whole recording.
 
-One skeleton serves the three filters of Sec. 5.3; they differ in where the model is asked: `kalman`, `extended`, `unscented`.
+One skeleton serves the three filters of Sec. 5.3, which differ in the points where the model is evaluated: `kalman`, `extended`,
+`unscented`.
 """
 
 from __future__ import annotations
@@ -11,15 +12,15 @@ from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.extended import ends
 from controllers.observers.kalman import look_at_rigid
 from controllers.observers.linear_part import arrived, carried, heading, others_stepped, prepare, signals, stays, transition
-from controllers.observers.memory import KALMAN, UNSCENTED
-from controllers.observers.modal_equations import moving, readings, rounded
+from controllers.observers.memory import KALMAN, UNSCENTED, Memory
+from controllers.observers.modal_equations import Constants, Scheduled, moving, readings, rounded
 from controllers.observers.square_root import triangularise, update
 from controllers.observers.unscented import bent, look_around
 
 
 @exactly_called
-def process_noise(constants, scheduled, array, first):
-    """Rows of deviations that one sample adds, into array[first:]: commands and disturbances through the model, then one state each."""
+def process_noise(constants: Constants, scheduled: Scheduled, array: np.ndarray, first: int) -> None:
+    """Write the deviations that one sample adds into array[first:]: commands and disturbances through the model, then one state each."""
     n, modes, states, sources = constants.sizes[0], constants.sizes[1], constants.sizes[4], constants.sizes[6]
     period, std, rigid = constants.period_s, constants.noise_std, scheduled.rigid
     for i in range(sources):
@@ -50,10 +51,10 @@ def process_noise(constants, scheduled, array, first):
 
 
 @exactly_called
-def predict(constants, scheduled, memory, kind):
-    """Time update to the next sample: (5.7), (5.9) or (5.17)-(5.19) with Q.
+def predict(constants: Constants, scheduled: Scheduled, memory: Memory, kind: int) -> None:
+    """Do the time update to the next sample: (5.7), (5.9) or (5.17)-(5.19) with Q.
 
-    Adapted modes alone are asked at both ends of a deviation; of the rest sigma points would find what the table says.
+    Only adapted modes are evaluated at both ends of a deviation; the rest is linear, so sigma points would reproduce the table.
     """
     states, adapted, first = constants.sizes[4], constants.sizes[3], moving(constants)
     x, factor, array, after, here, line = memory.x, memory.factor, memory.array, memory.lines[0], memory.lines[1], memory.lines[2]
@@ -82,8 +83,8 @@ def predict(constants, scheduled, memory, kind):
 
 
 @exactly_called
-def correct(constants, scheduled, memory, kind, z):
-    """Measurement update with whatever of z (measurements,) is a number: (5.5), (5.6) or (5.21)-(5.26).
+def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: int, z: np.ndarray) -> tuple[float, int, float]:
+    """Do the measurement update with those entries of z (measurements,) that are not NaN: (5.5), (5.6) or (5.21)-(5.26).
 
     Returns
     -------
@@ -116,7 +117,7 @@ def correct(constants, scheduled, memory, kind, z):
     if measured == 0:
         return 0.0, 0, 0.0
     if extra:
-        triangularise(array, measured + extra, measured)  # curvature counts as noise of z alone
+        triangularise(array, measured + extra, measured)  # curvature counts as noise on z alone
     for i in range(states):
         column = 0
         for j in range(measurements):
@@ -133,11 +134,20 @@ def correct(constants, scheduled, memory, kind, z):
 
 
 @exactly_compiled
-def filter_rows(constants, scheduled, memory, kind, is_first, acted, measured, summaries):  # type: ignore[no-untyped-def]
-    """N samples, one after the other: one in the loop, all of a recording for tuning. One function, for compiling takes long.
+def filter_rows(
+    constants: Constants,
+    scheduled: Scheduled,
+    memory: Memory,
+    kind: int,
+    is_first: bool,
+    acted: np.ndarray,
+    measured: np.ndarray,
+    summaries: np.ndarray,
+) -> None:
+    """Filter N samples in order: one in the loop, all of a recording for tuning. One function serves both because compiling takes long.
 
-    `acted` (N, axes) commands until each, which drives round; `summaries` (N, 3) get what `correct` returns. `is_first`: nothing came
-    before the first of them.
+    `acted` (N, axes) holds the commands that acted until each sample, which drives round; `summaries` (N, 3) receives what `correct`
+    returns. `is_first`: no sample came before the first of these.
     """
     for k in range(len(measured)):
         rounded(constants, acted[k], scheduled.command)
@@ -149,10 +159,12 @@ def filter_rows(constants, scheduled, memory, kind, is_first, acted, measured, s
 
 
 @exactly_compiled
-def next_and_read(constants, scheduled, x, command, after, read):  # type: ignore[no-untyped-def]
-    """State (states,) a sample after x while a command (axes,) acts, and what the sensors (measurements,) read in x but for their biases.
+def next_and_read(
+    constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, after: np.ndarray, read: np.ndarray
+) -> None:
+    """Write the state (states,) one sample after x while a command (axes,) acts, and the sensors' readings (measurements,) in x.
 
-    Of the model as it was last prepared.
+    The readings are without biases; the model is the one last prepared.
     """
     seen = np.empty(scheduled.sees.shape[1])
     transition(constants, scheduled, x, command, after)

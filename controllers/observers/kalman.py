@@ -1,24 +1,25 @@
-"""Kalman filter (thesis Sec. 5.3.1): output rows about the rigid machine.
+"""Kalman filter (thesis Sec. 5.3.1): output rows linearised about the rigid machine.
 
-The rows stand about the rigid machine, unbent, at the predicted pose and speeds: what its motion makes the sensors read is a known
-input, all else is linear. Its time update (5.7) is that of `filter_step` with a linear model.
+The rows are taken about the undeformed machine at the predicted pose and speeds: the readings due to its motion are a known input,
+everything else is linear. The time update (5.7) is that of `filter_step` with a linear model.
 """
 
 from __future__ import annotations
 
 from controllers.compiled import exactly_called
 from controllers.observers.linear_part import signals
-from controllers.observers.modal_equations import first_bias, readings
+from controllers.observers.memory import Memory
+from controllers.observers.modal_equations import Constants, Scheduled, first_bias, readings
 
 SLOPE_STEP = 1e-4
-"""Difference step of the KF's output rows, in units of the states: the outputs are at most sines of a pose, so the error is 1e-9."""
+"""Difference step of the Kalman filter's output rows, in units of the states: outputs are at most sines of a pose, so the error is 1e-9."""
 
 
 @exactly_called
-def look_at_rigid(constants, scheduled, memory):
-    """Rows of the KF: ẑ into lines[5], what deviation i changes in it into seen[i], both about the rigid machine as it moves.
+def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) -> None:
+    """Write ẑ into lines[5], and its change by deviation i into seen[i], both about the rigid machine as it moves.
 
-    Gravity, centripetal and Coriolis accelerations, and rates seen from a tilted sensor, are those of the axes' pose and speeds.
+    Gravity, centripetal and Coriolis accelerations, and the rates that a tilted sensor reads, are those of the axes' pose and speeds.
     """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.command

@@ -1,6 +1,7 @@
-"""What of the modal model is linear in the state, in tables: the next state and the signals, a row for each state and each input.
+"""The linear part of the modal model as tables: next state and signals, a row for each state and each input.
 
-Made once per sample, at the pose of the last estimate, so that sigma points and deviations cost sums along memory and no equations.
+The tables are made once per sample, at the pose of the last estimate, so that sigma points and deviations cost sums along memory and no
+equations.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from controllers.models.vectors import cross, plus
 from controllers.observers.modal_equations import (
     MODE_SIGNALS,
     SENSOR_SIGNALS,
+    Constants,
+    Scheduled,
     adapted_signals,
     adapted_step,
     first_offset,
@@ -23,8 +26,8 @@ from controllers.observers.modal_equations import (
 
 
 @exactly_called
-def prepare(constants, x, scheduled):
-    """The model at a state's pose, and what turning pushes at its speeds."""
+def prepare(constants: Constants, x: np.ndarray, scheduled: Scheduled) -> None:
+    """Schedule the model at a state's pose, and the forces of turning axes at its speeds."""
     _parameters(constants, x, scheduled)
     _forces(constants, scheduled)
     _sees(constants, scheduled)
@@ -32,7 +35,7 @@ def prepare(constants, x, scheduled):
 
 
 @exactly_inlined
-def _parameters(constants, x, scheduled):
+def _parameters(constants: Constants, x: np.ndarray, scheduled: Scheduled) -> None:
     sizes, modes_at, encoders, rigid, looks = constants.sizes, scheduled.modes, scheduled.encoders, scheduled.rigid, scheduled.looks
     n, modes, sensors, at = sizes[0], sizes[1], sizes[2], constants.sensors
     values, pushes = scheduled.values, scheduled.pushes
@@ -87,8 +90,8 @@ def _parameters(constants, x, scheduled):
 
 
 @exactly_inlined
-def _forces(constants, scheduled):
-    """Accelerations of the axes and what forces the modes now: by inputs, disturbances, the drives' friction and what turning couples."""
+def _forces(constants: Constants, scheduled: Scheduled) -> None:
+    """Fill `forces`: accelerations of axes and modes by inputs, disturbances, the drives' friction and gyroscopic coupling."""
     n, modes, disturbances, first_input = constants.sizes[0], constants.sizes[1], constants.sizes[7], moving(constants)
     encoders, rigid, rubbing, forces = scheduled.encoders, scheduled.rigid, scheduled.rubbing, scheduled.forces
     size = n + modes
@@ -98,7 +101,7 @@ def _forces(constants, scheduled):
             forces[first_input + k, i] = rigid[i, k] if i < n else encoders[i - n, 2 * n + k]
     rubbing[:] = 0.0
     _couple(constants, scheduled)
-    for k in range(n):  # the motor side moves with its axis and with the modes; what its friction takes acts as the command does
+    for k in range(n):  # the motor side moves with its axis and with the modes; its friction acts where the command does
         for j in range(size):
             speed = (1.0 if j == k else 0.0) if j < n else encoders[j - n, k]
             for i in range(size):
@@ -114,8 +117,8 @@ def _forces(constants, scheduled):
 
 
 @exactly_inlined
-def _couple(constants, scheduled):
-    """What axes turning at their speed make of the modes' speeds, on the axes."""
+def _couple(constants: Constants, scheduled: Scheduled) -> None:
+    """Add the gyroscopic coupling: forces on the axes by the modes' speeds while the axes turn."""
     n, modes, sensors, disturbances = constants.sizes[0], constants.sizes[1], constants.sizes[2], constants.sizes[7]
     size, values = n + modes, scheduled.values
     row = modes * (2 + 3 * n + 6 * sensors) + n * (n + 1) + size + 6 + size * disturbances + size * n * (n + 1) // 2
@@ -129,8 +132,11 @@ def _couple(constants, scheduled):
 
 
 @exactly_inlined
-def _sees(constants, scheduled):
-    """Signals: motor sides, link sides; per sensor the axes' motion (3 axes) `lag` ago and `SENSOR_SIGNALS`; adapted modes."""
+def _sees(constants: Constants, scheduled: Scheduled) -> None:
+    """Fill `sees`, the table of signals.
+
+    Signals are motor sides, link sides, per sensor the axes' motion (3 axes) `lag` ago and `SENSOR_SIGNALS`, then the adapted modes.
+    """
     n, modes, sensors = constants.sizes[0], constants.sizes[1], constants.sizes[2]
     encoders, forces, looks, sees = scheduled.encoders, scheduled.forces, scheduled.looks, scheduled.sees
     sees[:] = 0.0
@@ -166,10 +172,11 @@ def _sees(constants, scheduled):
 
 
 @exactly_inlined
-def _steps(constants, scheduled):
-    """One sample on. Forces become those of the transition: friction half a sample on, for its speed changes while the rest holds.
+def _steps(constants: Constants, scheduled: Scheduled) -> None:
+    """Fill `steps`, the table of the transition by one sample, and adjust `forces` to it.
 
-    A disturbance in the state is the one that acted until now: it decays first, then acts over the sample, and so the sensors see it.
+    Friction is taken half a sample ahead, because its speed changes while the other forces hold. A disturbance in the state is the one
+    that acted until this sample: it decays first, then acts over the sample, and the sensors see it so.
     """
     n, modes, disturbances, period = constants.sizes[0], constants.sizes[1], constants.sizes[7], constants.period_s
     at, rubbing, forces, steps, colour = scheduled.modes, scheduled.rubbing, scheduled.forces, scheduled.steps, constants.colour
@@ -227,8 +234,8 @@ def _steps(constants, scheduled):
 
 
 @exactly_inlined
-def carried(constants, table, x, first, out):
-    """What a table makes of the moving states of a deviation x whose first `first` states are zero; `out` is as wide as the table."""
+def carried(constants: Constants, table: np.ndarray, x: np.ndarray, first: int, out: np.ndarray) -> None:
+    """Apply a table to the moving states of a deviation x whose first `first` states are zero; `out` is as wide as the table."""
     for j in range(table.shape[1]):
         out[j] = 0.0
     for k in range(first, moving(constants)):
@@ -238,8 +245,8 @@ def carried(constants, table, x, first, out):
 
 
 @exactly_inlined
-def acted(constants, table, command, out):
-    """Add what commands (axes,) and pushes make in a table."""
+def acted(constants: Constants, table: np.ndarray, command: np.ndarray, out: np.ndarray) -> None:
+    """Add the contributions of commands (axes,) and of the forces of gravity and turning to `out`."""
     first = moving(constants)
     for k in range(constants.sizes[0]):
         for j in range(table.shape[1]):
@@ -249,23 +256,23 @@ def acted(constants, table, command, out):
 
 
 @exactly_inlined
-def others_stepped(constants, x, out):
-    """Add log frequency ratios, which are no moving states, where `steps` leaves room for them."""
+def others_stepped(constants: Constants, x: np.ndarray, out: np.ndarray) -> None:
+    """Add the log frequency ratios, which are no moving states, where `steps` leaves room for them."""
     for k in range(constants.sizes[3]):
         out[moving(constants) + MODE_SIGNALS * k + 3] += x[moving(constants) + k]
 
 
 @exactly_inlined
-def heading(constants, scheduled, x, command, out):
-    """What `steps` makes of a state x while a command (axes,) acts: see there."""
+def heading(constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, out: np.ndarray) -> None:
+    """Apply `steps` to a state x while a command (axes,) acts."""
     carried(constants, scheduled.steps, x, 0, out)
     acted(constants, scheduled.steps, command, out)
     others_stepped(constants, x, out)
 
 
 @exactly_inlined
-def arrived(constants, scheduled, line, out):
-    """Moving states one sample later, from `heading`'s line."""
+def arrived(constants: Constants, scheduled: Scheduled, line: np.ndarray, out: np.ndarray) -> None:
+    """Write the moving states one sample later, from the line that `heading` made."""
     n, modes, first = constants.sizes[0], constants.sizes[1], moving(constants)
     for k in range(first):
         out[k] = line[k]
@@ -275,16 +282,16 @@ def arrived(constants, scheduled, line, out):
 
 
 @exactly_inlined
-def stays(constants, x, out):
-    """States that move no other, one sample later."""
+def stays(constants: Constants, x: np.ndarray, out: np.ndarray) -> None:
+    """Write those states one sample later that move no other state."""
     first = moving(constants)
     for k in range(first, constants.sizes[4]):
         out[k] = constants.kept[k - first] * x[k]
 
 
 @exactly_inlined
-def transition(constants, scheduled, x, command, out):
-    """State (states,) one sample after x while a command (axes,) acts."""
+def transition(constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, out: np.ndarray) -> None:
+    """Write the state (states,) one sample after x while a command (axes,) acts."""
     line = np.empty(scheduled.steps.shape[1])
     heading(constants, scheduled, x, command, line)
     arrived(constants, scheduled, line, out)
@@ -292,8 +299,8 @@ def transition(constants, scheduled, x, command, out):
 
 
 @exactly_inlined
-def others_seen(constants, x, out):
-    """Add what signals have of the states that do not move: motor sides' offsets, log frequency ratios."""
+def others_seen(constants: Constants, x: np.ndarray, out: np.ndarray) -> None:
+    """Add the part of the signals that comes from states that move no other: motor sides' offsets, log frequency ratios."""
     if constants.sizes[9] > 0:
         offsets = first_offset(constants)
         for i in range(constants.sizes[0]):
@@ -303,8 +310,8 @@ def others_seen(constants, x, out):
 
 
 @exactly_inlined
-def signals(constants, scheduled, x, command, out):
-    """Signals (signals,) of a state while a command (axes,) acts."""
+def signals(constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, out: np.ndarray) -> None:
+    """Write the signals (signals,) of a state while a command (axes,) acts."""
     carried(constants, scheduled.sees, x, 0, out)
     acted(constants, scheduled.sees, command, out)
     others_seen(constants, x, out)

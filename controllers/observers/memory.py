@@ -1,4 +1,4 @@
-"""What a compiled observer changes while it runs, and which filter it is."""
+"""The working memory of a compiled observer, and the numbers of the three filters."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ KALMAN, EXTENDED, UNSCENTED = 0, 1, 2
 
 
 class Memory(NamedTuple):
-    """What a compiled observer changes. Preallocated."""
+    """Preallocated arrays that a compiled observer changes."""
 
     x: np.ndarray  # (states,)
     factor: np.ndarray  # (states, states) U, P = UᵀU
     innovation: np.ndarray  # (measurements,) z - ẑ; NaN where nothing was measured
-    bends: np.ndarray  # (states, 2 adapted): how the mean of a pair of sigma points strays, one sample on
+    bends: np.ndarray  # (states, 2 adapted): deviation of the mean of a pair of sigma points, one sample ahead
     seen: np.ndarray  # (2 states, measurements)
     array: np.ndarray  # (2 states + measurements + noise sources, measurements + states)
-    lines: np.ndarray  # (6, states, signals or columns of `steps`, whichever are most): scratch
+    lines: np.ndarray  # (6, states, signals or columns of `steps`, whichever is largest): scratch

@@ -1,11 +1,12 @@
-"""The modal model as the filters ask it: one state one sample on, and what the sensors would read. (5.2), (5.3) with (5.30)-(5.35).
+"""The modal model as the filters use it: the state one sample later and the sensors' readings, (5.2), (5.3) with (5.30)-(5.35).
 
 State: [q_r, q_r', η, η', ξ, quadratures of those ξ that lie in a band, log frequency ratios of the adapted modes,
-offsets, sensor biases]. Offsets, where there are any: of the motor sides' encoders, and of the detector's twist that no mode has (5.37).
+offsets, sensor biases]. Offsets, where there are any: of the motor sides' encoders, and of the detector's twist that no mode contains
+(5.37).
 
-All but two things are linear in the state, and stand in tables (`linear_part`): what an adapted mode does with its frequency ratio, and
-what the sensors read (rotations, products of rates) of a few signals. So a deviation is carried to the next state and to the signals once,
-and only these two are asked at both of its ends.
+All but two parts are linear in the state and stand in tables (`linear_part`). The two are the dependence of an adapted mode on its
+frequency ratio, and the sensors' readings (rotations, products of rates) as functions of a few signals. So a deviation is carried to the
+next state and to the signals once, and only these two parts are evaluated at both of its ends.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from controllers.models.chain import chain_motion
 from controllers.models.vectors import cross, minus, plus, scaled
 
 SENSOR_SIGNALS = 12
-"""Per inertial sensor: acceleration and velocity by the modes, turn and turning rate by the modes."""
+"""Signals per inertial sensor: acceleration and velocity by the modes, turn and turning rate by the modes."""
 
 MODE_SIGNALS = 4
-"""Per adapted mode: deflection, speed, what forces it, log frequency ratio."""
+"""Signals per adapted mode: deflection, speed, force, log frequency ratio."""
 
 
 class Constants(NamedTuple):
-    """What a compiled observer works with; nothing in it changes while it runs."""
+    """Constants of a compiled observer; nothing in them changes while it runs."""
 
     sizes: np.ndarray  # (10,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets
     harmonics: np.ndarray  # (axes,) int
@@ -38,8 +39,8 @@ class Constants(NamedTuple):
     sensors: np.ndarray  # (sensors, 16): body's centre, sensor, rotation by rows, lag
     source_and_gravity: np.ndarray  # (2, 3)
     period_s: float
-    effort_step: np.ndarray  # (axes,): to which the drives round; 0: not at all
-    colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; what drives the first in the second
+    effort_step: np.ndarray  # (axes,): step to which the drives round; 0: no rounding
+    colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; the disturbance's noise in the quadrature
     quadrature: np.ndarray  # (disturbances,) int: its place in the state, -1 where the disturbance is of first order
     kept: np.ndarray  # (states - moving,): share of a ratio, an offset or a bias that a sample leaves
     noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, biases
@@ -47,9 +48,9 @@ class Constants(NamedTuple):
 
 
 class Scheduled(NamedTuple):
-    """The model at the scheduled pose, as the equations want it. Overwritten once per sample.
+    """The model at the scheduled pose, in the form of the equations. Overwritten once per sample.
 
-    Tables have a row for each moving state, then one for each command, then one for what gravity and turning push.
+    Tables have a row for each moving state, then one for each command, then one for the forces of gravity and turning.
     """
 
     values: np.ndarray  # (rows,)
@@ -57,54 +58,58 @@ class Scheduled(NamedTuple):
     encoders: np.ndarray  # (modes, 3 axes): motor shapes, link shapes, inputs
     rigid: np.ndarray  # (axes, axes + 1): B_r, friction at the drive per speed of its motor side, in the command's unit
     directions: np.ndarray  # (axes + modes, disturbances)
-    pushes: np.ndarray  # (axes + modes,): what gravity and turning push
+    pushes: np.ndarray  # (axes + modes,): forces of gravity and turning
     speeds: np.ndarray  # (axes,) at which the model is scheduled
-    command: np.ndarray  # (axes,): what acts
-    rubbing: np.ndarray  # (axes + modes, axes + modes): by drives' friction and turning, row: per speed of a coordinate; column: on one
-    forces: np.ndarray  # (table rows, axes + modes): accelerations of the axes, and what forces the modes
+    command: np.ndarray  # (axes,): the command that acts
+    rubbing: np.ndarray  # (axes + modes, axes + modes): by drives' friction and turning; row: per speed of a coordinate; column: on one
+    forces: np.ndarray  # (table rows, axes + modes): accelerations of the axes, and forces on the modes
     shapes: np.ndarray  # (sensors, modes, 6): shift at the sensor, turn
-    looks: np.ndarray  # (sensors, 3 modes, SENSOR_SIGNALS): what a sensor sees of deflection, speed and force of a mode; adapted: zero
-    steps: np.ndarray  # (table rows, moving + MODE_SIGNALS adapted): moving states one sample later, and the adapted modes now
+    looks: np.ndarray  # (sensors, 3 modes, SENSOR_SIGNALS): a sensor's signals of a mode's deflection, speed and force; adapted modes: zero
+    steps: np.ndarray  # (table rows, moving + MODE_SIGNALS adapted): moving states one sample later, and the adapted modes at this sample
     sees: np.ndarray  # (table rows, signals)
 
 
 @exactly_inlined
-def moving(constants):
-    """How many states move others: axes, modes, disturbances, quadratures. The rest stay or decay."""
+def moving(constants: Constants) -> int:
+    """Return the number of states that move others: axes, modes, disturbances, quadratures. The rest stay or decay."""
     sizes = constants.sizes
-    return 2 * (sizes[0] + sizes[1]) + sizes[7] + sizes[8]
+    count: int = 2 * (sizes[0] + sizes[1]) + sizes[7] + sizes[8]
+    return count
 
 
 @exactly_inlined
-def first_bias(constants):
-    """Place of the sensors' biases in the state."""
-    return constants.sizes[4] - 6 * constants.sizes[2]
+def first_bias(constants: Constants) -> int:
+    """Return the place of the sensors' biases in the state."""
+    place: int = constants.sizes[4] - 6 * constants.sizes[2]
+    return place
 
 
 @exactly_inlined
-def first_offset(constants):
-    """Place of the offsets in the state: motor sides' encoders, then the detector's twist."""
-    return first_bias(constants) - constants.sizes[9]
+def first_offset(constants: Constants) -> int:
+    """Return the place of the offsets in the state: motor sides' encoders, then the detector's twist."""
+    place: int = first_bias(constants) - constants.sizes[9]
+    return place
 
 
 @exactly_inlined
-def adapted_signals(constants):
-    """Place of the adapted modes among the signals: after motor sides, link sides and what the sensors see."""
+def adapted_signals(constants: Constants) -> int:
+    """Return the place of the adapted modes among the signals: after motor sides, link sides and the sensors' signals."""
     n, sensors = constants.sizes[0], constants.sizes[2]
-    return 2 * n + sensors * (3 * n + SENSOR_SIGNALS)
+    place: int = 2 * n + sensors * (3 * n + SENSOR_SIGNALS)
+    return place
 
 
 @exactly_inlined
-def rounded(constants, command, out):
-    """Commands (axes,) as the drives round them, into out (axes,)."""
+def rounded(constants: Constants, command: np.ndarray, out: np.ndarray) -> None:
+    """Write commands (axes,) as the drives round them into out (axes,)."""
     for i in range(constants.sizes[0]):
         step = constants.effort_step[i]
         out[i] = step * np.rint(command[i] / step) if step > 0.0 else command[i]
 
 
 @exactly_inlined
-def mode_step(stiffness, damping, duration):
-    """Exact discretisation of η'' = -stiffness η - damping η' + f, f held: Φ11, Φ12, Φ21, Φ22, Γ1, Γ2. Backwards for duration < 0."""
+def mode_step(stiffness: float, damping: float, duration: float) -> tuple[float, float, float, float, float, float]:
+    """Discretise η'' = -stiffness η - damping η' + f exactly, f held: Φ11, Φ12, Φ21, Φ22, Γ1, Γ2. A duration < 0 steps backwards."""
     half = 0.5 * damping
     root = np.sqrt(max(stiffness - half * half, 1e-12))
     e = np.exp(-half * duration)
@@ -115,10 +120,11 @@ def mode_step(stiffness, damping, duration):
 
 
 @exactly_inlined
-def look(stiffness, damping, lag):
-    """Deflection, speed and acceleration of a mode as a sensor shows them, from [η, η', f] now: three rows of three.
+def look(stiffness: float, damping: float, lag: float) -> tuple[float, ...]:
+    """Return deflection, speed and acceleration of a mode as a sensor shows them, from [η, η', f] at this sample: three rows of three.
 
-    A low pass far above the mode is a lag: the motion `lag` ago, speed and acceleration with the low pass's gain at the mode's frequency.
+    A low pass far above the mode acts as a lag: the sensor shows the motion `lag` ago, speed and acceleration with the low pass's gain at
+    the mode's frequency.
     """
     p11, p12, p21, p22, g1, g2 = mode_step(stiffness, damping, -lag)
     gain = 1.0 / np.sqrt(1.0 + stiffness * lag * lag)
@@ -130,16 +136,16 @@ def look(stiffness, damping, lag):
 
 
 @exactly_inlined
-def adapted_step(constants, scheduled, mode, now):
-    """Deflection and speed of an adapted mode one sample later, from its `MODE_SIGNALS` now."""
+def adapted_step(constants: Constants, scheduled: Scheduled, mode: int, now: np.ndarray) -> tuple[float, float]:
+    """Return deflection and speed of an adapted mode one sample later, from its `MODE_SIGNALS` at this sample."""
     ratio = np.exp(now[3])
     p11, p12, p21, p22, g1, g2 = mode_step(scheduled.modes[mode, 0] * ratio * ratio, scheduled.modes[mode, 1] * ratio, constants.period_s)
     return p11 * now[0] + p12 * now[1] + g1 * now[2], p21 * now[0] + p22 * now[1] + g2 * now[2]
 
 
 @exactly_inlined
-def seen_of_mode(constants, scheduled, sensor, mode, seen):
-    """Deflection, speed and acceleration of an adapted mode as a sensor shows them, from its `MODE_SIGNALS`."""
+def seen_of_mode(constants: Constants, scheduled: Scheduled, sensor: int, mode: int, seen: np.ndarray) -> tuple[float, float, float]:
+    """Return deflection, speed and acceleration of an adapted mode as a sensor shows them, from its `MODE_SIGNALS`."""
     position, speed, force, ratio = seen[0], seen[1], seen[2], np.exp(seen[3])
     rows = look(scheduled.modes[mode, 0] * ratio * ratio, scheduled.modes[mode, 1] * ratio, constants.sensors[sensor, 15])
     return (
@@ -150,8 +156,8 @@ def seen_of_mode(constants, scheduled, sensor, mode, seen):
 
 
 @exactly_inlined
-def readings(constants, scheduled, seen, z):
-    """What the sensors read (measurements,) without their biases, from the signals."""
+def readings(constants: Constants, scheduled: Scheduled, seen: np.ndarray, z: np.ndarray) -> None:
+    """Write the sensors' readings (measurements,), without their biases, from the signals."""
     n, sensors = constants.sizes[0], constants.sizes[2]
     at = constants.sensors
     for i in range(2 * n):
@@ -172,7 +178,7 @@ def readings(constants, scheduled, seen, z):
             shift, twist = (shape[0], shape[1], shape[2]), (shape[3], shape[4], shape[5])
             acceleration, velocity = plus(acceleration, scaled(shift, pressed)), plus(velocity, scaled(shift, past_speed))
             turn, rate = plus(turn, scaled(twist, past)), plus(rate, scaled(twist, past_speed))
-        # (I - [ρ]x) of what the chain feels, the modes' own acceleration, and what turning makes of their velocity
+        # (I - [ρ]x) of the rigid chain's force, the modes' own acceleration, and the Coriolis part of their velocity
         felt = plus(minus(force, cross(turn, force)), plus(acceleration, scaled(cross(omega, velocity), 2.0)))
         turned = plus(minus(omega, cross(turn, omega)), rate)
         place = 2 * n + 6 * s

@@ -1,4 +1,4 @@
-"""The observer of Chapter 5 in the loop: one `step` per sample, the estimate in a preallocated array."""
+"""The observer of Chapter 5 as the sample loop runs it: one `step` per sample, the estimate in a preallocated array."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ FilterKind = Literal["kf", "ekf", "ukf"]
 KINDS: dict[str, int] = {"kf": KALMAN, "ekf": EXTENDED, "ukf": UNSCENTED}
 
 START_SPEED = 1e-3
-"""Standard deviation [rad/s or m/s] of an axis's speed at the start: a recording starts at standstill."""
+"""Standard deviation [rad/s or m/s] of an axis's speed at the start, small because a recording starts at standstill."""
 
 
 class ModalObserver:
-    """Filter on a modal model.
+    """A Kalman filter on a modal model.
 
     Parameters
     ----------
@@ -40,18 +40,18 @@ class ModalObserver:
     Attributes
     ----------
     channels : list of (name, unit)
-        Of `estimate`, in order.
+        Channels of `estimate`, in order.
     estimate : (channels,) array
-        What the last `step` found; NaN before the first one.
+        Result of the last `step`; NaN before the first one.
     innovation : (measurements,) array
         z - ẑ of the last step; NaN where nothing was measured.
     constants, memory
-        What the compiled functions work with: for modules beside this one.
+        Data of the compiled functions, for the modules of this package.
 
     Raises
     ------
     DesignError
-        Noise that does not fit the model, or an adapted mode that does not exist.
+        The noise does not fit the model, or an adapted mode does not exist.
     """
 
     def __init__(
@@ -82,26 +82,28 @@ class ModalObserver:
 
     @property
     def innovation(self) -> np.ndarray:
+        """Innovation z - ẑ (measurements,) of the last step; NaN where nothing was measured."""
         return self.memory.innovation
 
     @property
     def state(self) -> np.ndarray:
-        """(states,) estimate of the state, see `state_names`."""
+        """Estimate (states,) of the state, see `state_names`."""
         return self.memory.x
 
     @property
     def scheduled(self) -> Scheduled:
-        """The model at the pose estimated in the row before the last; on the first row at its own."""
+        """Model at the pose estimated in the row before the last; on the first row at the pose of that row."""
         return self._scheduled
 
     @property
     def covariance(self) -> np.ndarray:
-        """(states, states) of the state's error."""
-        return self.memory.factor.T @ self.memory.factor
+        """Covariance (states, states) of the state's error."""
+        covariance: np.ndarray = self.memory.factor.T @ self.memory.factor
+        return covariance
 
     @property
     def state_names(self) -> list[str]:
-        """What each state is."""
+        """Name of each state."""
         model = self.model
         modes = [f"mode_{i + 1}" for i in range(model.modes)]
         names = [f"position_{axis}" for axis in model.axes] + [f"speed_{axis}" for axis in model.axes]
@@ -119,7 +121,7 @@ class ModalObserver:
         return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
 
     def restart(self) -> None:
-        """Forget everything; the next step is a first one."""
+        """Forget everything, so that the next step is a first one."""
         self.memory.x[:] = 0.0
         self.memory.x[len(self.memory.x) - len(self.noise.bias) :] = self.noise.bias
         self.memory.factor[:] = self._start
@@ -130,7 +132,7 @@ class ModalObserver:
         self.estimate[:] = np.nan
 
     def step(self, position: np.ndarray, link_position: np.ndarray, imu: np.ndarray, command: np.ndarray) -> None:
-        """One sample, before the feedback makes its command of this row.
+        """Take one sample, before the feedback makes its command of this row.
 
         Parameters
         ----------
@@ -139,7 +141,7 @@ class ModalObserver:
         imu : (6 sensors or fewer,) array
             As measured; NaN for what is missing.
         command : (n_axes,) array
-            The previous row's command, on the wire now: it acts from this sample to the next. On the first row it is not looked at.
+            The previous row's command, which is on the wire and acts from this sample to the next. It is ignored on the first row.
         """
         n, z = len(self.model.axes), self._measured
         z[:n] = position
@@ -149,14 +151,14 @@ class ModalObserver:
         self.step_measured(z, command)
 
     def step_measured(self, z: np.ndarray, command: np.ndarray) -> None:
-        """The same with all measurements in one array (measurements,), in the order of `model.channels()`."""
+        """Take one sample like `step`, with all measurements in one array (measurements,) in the order of `model.channels()`."""
         memory = self.memory
         if self._is_first:
             self._stand_at(z)
             acting = self._held
             acting[:] = 0.0
         else:
-            if not self._has_command:  # what acted before row 0 is not recorded; at standstill it is what row 0 commands
+            if not self._has_command:  # the command before row 0 is not recorded; at standstill it equals that of row 0
                 self._held[:] = command
                 self._has_command = True
             acting = self._held
@@ -173,8 +175,10 @@ class ModalObserver:
         self.estimate[tail + 3] = is_alarm
 
     def skip(self, samples: int, command: np.ndarray) -> None:
-        """Samples that passed without a SYNC, before the next step, which will be given `command` (n_axes,): nothing was measured, and what
-        acted at the last sample went on acting."""
+        """Pass over samples without a SYNC: nothing was measured, and the command of the last sample went on acting.
+
+        Call it before the next step, which will be given `command` (n_axes,).
+        """
         if not self._has_command:
             self._held[:] = command
             self._has_command = True
@@ -183,21 +187,21 @@ class ModalObserver:
             self.step_measured(nothing, held)
 
     def likelihood(self, measured: np.ndarray, commands: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the log likelihood of N rows (N, measurements), (N, n_axes) from a restart, and (N, 2) NIS with its degrees of freedom.
+        """Return minus the log likelihood of N rows (N, measurements), (N, n_axes) from a restart, and NIS with degrees of freedom (N, 2).
 
         Leaves the observer restarted.
         """
         self.restart()
         self._stand_at(measured[0])
         summaries = np.zeros((len(measured), 3))
-        acted = np.zeros(commands.shape)  # until row 0: not known
-        acted[1:] = commands[np.maximum(np.arange(1, len(commands)) - 2, 0)]  # command k-2 from row k-1 to k; before row 0 what it commands
+        acted = np.zeros(commands.shape)  # unknown until row 0
+        acted[1:] = commands[np.maximum(np.arange(1, len(commands)) - 2, 0)]  # command k-2 from row k-1 to k; before row 0 that of row 0
         filter_rows(self.constants, self._scheduled, self.memory, self._kind, True, acted, measured, summaries)
         self.restart()
         return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
 
     def linearised(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrix (states, states) and output rows (measurements, states) at rest in a pose (n_axes,)."""
+        """Return transition matrix (states, states) and output rows (measurements, states) at rest in a pose (n_axes,)."""
         states, measurements = len(self.state), len(self._measured)
         x, F, H = np.zeros(states), np.zeros((states, states)), np.zeros((measurements, states))
         x[: len(pose)] = pose
@@ -206,8 +210,9 @@ class ModalObserver:
 
     @property
     def initial_std(self) -> np.ndarray:
-        """(states,) what is believed before the first measurement."""
-        return np.sqrt(np.sum(self._start**2, axis=0))
+        """Standard deviation (states,) of the state before the first measurement."""
+        std: np.ndarray = np.sqrt(np.sum(self._start**2, axis=0))
+        return std
 
     def _stand_at(self, z: np.ndarray) -> None:
         n = len(self.model.axes)
@@ -217,13 +222,13 @@ class ModalObserver:
                     self.memory.x[i] = known
 
     def _initial_factor(self) -> np.ndarray:
-        """Standstill somewhere near the encoders, bent and pushed by no more than the drives could."""
+        """Return the factor at standstill: near the encoders, deflected by forces no greater than those of the drives."""
         model, noise, n = self.model, self.noise, len(self.model.axes)
         values = model.at(np.zeros(n))
         table = values[: model.modes * model.mode_stride].reshape(model.modes, model.mode_stride)
         rigid = values[model.modes * model.mode_stride :][: n * n].reshape(n, n)
         modal = np.abs(table[:, -n:]) @ model.effort_limit
-        if model.directions is not None:  # a mode that no drive moves is bent by what else pushes
+        if model.directions is not None:  # a mode that no drive moves is deflected by the disturbances
             pushed = model.directions[n:] @ basis_at(model.harmonics, np.zeros((1, n)))[0]
             modal = np.maximum(modal, table[:, 0] * (np.abs(pushed[:, n:]) @ noise.disturbance[n:]))
         deflection = modal / table[:, 0]
@@ -315,7 +320,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
 
 
 def in_band(noise: ObserverNoise) -> np.ndarray:
-    """Which disturbances lie in a band, or are low passes of second order, and so have two states."""
+    """Return which disturbances have two states: those in a band and the low passes of second order."""
     return np.flatnonzero(noise.disturbance_Hz)
 
 
@@ -324,7 +329,7 @@ def _is_low_pass(noise: ObserverNoise, j: int) -> bool:
 
 
 def _steady(noise: ObserverNoise, j: int) -> np.ndarray:
-    """Covariance (2, 2) of a disturbance and its quadrature in steady state, over the disturbance's variance; its determinant is 1.
+    """Return the steady-state covariance (2, 2) of a disturbance and its quadrature over the disturbance's variance; its determinant is 1.
 
     A low pass is driven at its quadrature: P₁₂ = -2/(ωτ), P₂₂ = 1 + P₁₂².
     """
@@ -335,7 +340,7 @@ def _steady(noise: ObserverNoise, j: int) -> np.ndarray:
 
 
 def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every disturbance: `Constants.colour` (5,), the noise that drives it, and what drives its quadrature beside that.
+    """Return of every disturbance `Constants.colour` (5,), the noise that drives it, and the further noise of its quadrature.
 
     First order: ξ' = -ξ/τ. With a frequency: ξ' = -2ξ/τ - ωκ, κ' = ωξ, and Q = P - ΦPΦᵀ with P of the steady state. In a band white noise
     drives ξ; a low pass is driven at κ.
@@ -363,7 +368,7 @@ def _colour(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets are processes of first order: the share (offsets,) that a sample leaves of them, the deviation (offsets,) that it adds."""
+    """Return the share (offsets,) that a sample leaves of the offsets, processes of first order, and the deviation (offsets,) it adds."""
     walk, deviation = np.asarray(noise.offset_walk, float), np.asarray(noise.initial_offset, float)
     rate = np.divide(walk**2, 2.0 * deviation**2, out=np.zeros_like(walk), where=deviation > 0.0)
     return np.exp(-rate * period), deviation * np.sqrt(-np.expm1(-2.0 * rate * period))

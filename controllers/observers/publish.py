@@ -1,4 +1,4 @@
-"""From the observer's state to what is published: the detector's displacement and velocity, and the geometric parameters (2.2)."""
+"""Published values from the observer's state: the detector's displacement and velocity, and the geometric parameters (2.2)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
-from controllers.observers.modal_equations import first_offset
+from controllers.observers.memory import Memory
+from controllers.observers.modal_equations import Constants, first_offset
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 GEOMETRY = 9
 GEOMETRY_STEP = 1e-6
-"""Difference step [rad, m] for the variances of the geometric parameters: error 1e-10 of the gradient."""
+"""Difference step [rad, m] for the variances of the geometric parameters; the gradient's error is 1e-10."""
 
 
 def estimate_channels(axes: tuple[str, ...], units: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Names and units of the published values, in order; variances follow as `<name>_variance`, then the consistency's four numbers."""
+    """Return names and units of the published values in order: values, `<name>_variance` of each, then four consistency numbers."""
     values = [(f"estimate_position_{axis}", unit) for axis, unit in zip(axes, units, strict=True)]
     values += [(f"estimate_link_position_{axis}", unit) for axis, unit in zip(axes, units, strict=True)]
     values += [(f"estimate_detector_{name}", "m") for name in "xyz"] + [(f"estimate_detector_r{name}", "rad") for name in "xyz"]
@@ -28,16 +29,16 @@ def estimate_channels(axes: tuple[str, ...], units: tuple[str, ...]) -> list[tup
 
 
 def squared(unit: str) -> str:
-    """The unit of a variance."""
+    """Return the unit of a variance."""
     return {"m": "m^2", "rad": "rad^2", "m/s": "m^2/s^2", "rad/s": "rad^2/s^2"}[unit]
 
 
 @exactly_called
-def geometric_parameters(constants, motion, isocenter, out):
-    """Focal spot and isocentre in the detector's frame [m], and the detector's orientation in the world as extrinsic x, y, z angles (2.2).
+def geometric_parameters(constants: Constants, motion: np.ndarray, isocenter: np.ndarray, out: np.ndarray) -> None:
+    """Write focal spot and isocentre in the detector's frame [m], then the detector's orientation as extrinsic x, y, z angles (2.2).
 
-    `motion` (2 axes + 6,) is motor side, link side and the displacement: the source follows the link side, the detector its displacement
-    from where the motor side puts it.
+    `motion` (2 axes + 6,) is motor side, link side and displacement. The source follows the link side; the detector is displaced from its
+    pose on the rigid chain at the motor side's positions. The angles are those in the world.
     """
     n = constants.sizes[0]
     chain = (constants.axes, constants.points, constants.revolute)
@@ -60,8 +61,8 @@ def geometric_parameters(constants, motion, isocenter, out):
 
 
 @exactly_called
-def displacement_rows(constants, values, motor, rows):
-    """rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η]."""
+def displacement_rows(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray) -> None:
+    """Write rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η]."""
     n, modes = constants.sizes[0], constants.sizes[1]
     stride = 2 + 3 * n + 6 * constants.sizes[2]
     end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
@@ -83,12 +84,11 @@ def displacement_rows(constants, values, motor, rows):
 
 
 @exactly_called
-def quasi_static(constants, values, motor, rows, out):
-    """M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's push on modes gives it.
+def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
+    """Write M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's force on the modes gives.
 
-    That shift is taken against the link sides, beyond which no sensor tells one at rest: what shapes measured in motion make of gravity's
-    push is not believed.
-    `rows` as of `displacement_rows` at `motor`.
+    That shift is taken relative to the link sides, beyond which no sensor shows a shift at rest: mode shapes measured in motion are not
+    trusted for the static deflection under gravity. `rows` are those of `displacement_rows` at `motor`.
     """
     n, modes = constants.sizes[0], constants.sizes[1]
     stride = 2 + 3 * n + 6 * constants.sizes[2]
@@ -129,8 +129,8 @@ def quasi_static(constants, values, motor, rows, out):
 
 
 @exactly_compiled
-def publish(constants, values, memory, isocenter, estimate):  # type: ignore[no-untyped-def]
-    """Values and variances into `estimate[: 2 (2 axes + 21)]`."""
+def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter: np.ndarray, estimate: np.ndarray) -> None:
+    """Write values and variances into `estimate[: 2 (2 axes + 21)]`."""
     n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY

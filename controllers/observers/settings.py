@@ -1,4 +1,4 @@
-"""What an observer believes about noise, as frozen values in SI and the drives' units."""
+"""Noise settings of an observer, frozen, in SI and the drives' units."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ObserverNoise:
-    """Standard deviations of everything random.
+    """Standard deviations of every random quantity in the observer's model.
 
     Parameters
     ----------
     command : (n_axes,) array
-        Of what acts beside the command, white from sample to sample: quantisation, ripple [drive's unit].
+        Of the effort that acts beside the command, white from sample to sample: quantisation, ripple [drive's unit].
     disturbance : (disturbances,) array
         In steady state, in the unit that the model's directions give each: without directions rad/s^2 on the axes and the modes' own unit
         on the modes.
     disturbance_time_s : (disturbances,) array
         Their correlation time: first-order coloured noise. Infinite: a random walk, with `disturbance` per sqrt(s).
     disturbance_Hz : (disturbances,) array
-        Middle of the band in which one lies, with nothing at rest; 0: first order, strongest at rest. Empty: all are.
+        Centre of a disturbance's band, which has no power at zero frequency; 0: first order, strongest at zero frequency. Empty: all are of
+        first order.
     low_pass : (disturbances,) array of bool
-        Of those with a frequency, which are flat below it and fall with its square above: of second order, their damping ratio 1 / (ω τ).
-        Empty: none.
+        Which of those with a frequency are low passes of second order instead: flat below it, falling with its square above, with damping
+        ratio 1 / (ω τ). Empty: none.
     bias_walk : (6 sensors,) array
         Of the sensors' biases, per sqrt(s).
     adapted_walk : float
@@ -36,9 +37,9 @@ class ObserverNoise:
     initial_adapted : float
         Of the log frequency ratios when it starts.
     offset_walk : (n_axes,) or (n_axes + 6,) array
-        Of the offsets of the motor sides' encoders, then of the detector's twist, per sqrt(s) [rad or m]. Empty: they are no states.
+        Of the offsets of the motor sides' encoders, then of the detector's twist, per sqrt(s) [rad or m]. Empty: offsets are no states.
     initial_offset : array of the same length
-        Of these when the observer starts, and at any time: processes of first order, in short steps a walk. Zero: no offset.
+        Of the offsets, at the start and at any time: they are processes of first order, over short times a random walk. Zero: no offset.
     bias : (6 sensors,) array
         Expected value of the biases when it starts; empty: zero.
     """

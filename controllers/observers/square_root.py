@@ -12,11 +12,11 @@ from controllers.compiled import exactly_compiled
 
 
 @exactly_compiled
-def triangularise(rows, count, columns):
+def triangularise(rows: np.ndarray, count: int, columns: int) -> None:
     """Replace rows[:count, :columns] by the upper triangular R of their QR decomposition, diagonal not negative, zeros below.
 
-    Householder reflections applied row by row, so that the inner loops run along memory. The pass that applies one also gathers what the
-    next one needs: `ahead` is the sum over the rows below its pivot of their first element times the row.
+    Householder reflections are applied row by row, so that the inner loops run along memory. The pass that applies one reflection also
+    gathers the sums of the next: `ahead` is the sum over the rows below its pivot of their first element times the row.
     """
     work, ahead = np.zeros(columns), np.zeros(columns)
     for i in range(1, count):
@@ -60,17 +60,17 @@ def triangularise(rows, count, columns):
 
 
 @exactly_compiled
-def update(array, measured, states, innovation, x, factor):
-    """Measurement update in array form: (5.5), (5.10), (5.25), (5.26) without forming or subtracting a covariance.
+def update(array: np.ndarray, measured: int, states: int, innovation: np.ndarray, x: np.ndarray, factor: np.ndarray) -> float:
+    """Do the measurement update in array form: (5.5), (5.10), (5.25), (5.26) without forming or subtracting a covariance.
 
     Parameters
     ----------
     array : (measured + states or more, measured + states) array
-        Rows of deviations of [z, x]: the noise's rows [V, 0] with VᵀV = R (and what else only moves z), then one row per state deviation.
-        Triangularised in place beforehand.
+        Rows of deviations of [z, x]: the noise's rows [V, 0] with VᵀV = R (and other rows that move z alone), then one row per state
+        deviation. The caller triangularises it in place beforehand.
     measured, states : int
     innovation : (measured,) array
-        z - ẑ; replaced by its whitened self.
+        z - ẑ; replaced by the whitened innovation.
     x : (states,) array
         Corrected in place.
     factor : (states, states) array

@@ -1,7 +1,7 @@
 """Unscented Kalman filter (thesis Sec. 5.3.3): sigma points at √n deviations with equal weights.
 
 (5.15)-(5.26) with κ = 0, and with the Q that (5.19) omits. With n + κ = 3 and 24 states the centre's weight would be -7 and the
-covariance indefinite. The EKF looks at the same pairs of points at one deviation and leaves their curvature out.
+covariance indefinite. The EKF uses the same pairs of points at one standard deviation and leaves their curvature out.
 """
 
 from __future__ import annotations
@@ -10,15 +10,22 @@ import numpy as np
 
 from controllers.compiled import exactly_called
 from controllers.observers.linear_part import carried, others_seen, signals
-from controllers.observers.memory import UNSCENTED
-from controllers.observers.modal_equations import first_bias, readings
+from controllers.observers.memory import UNSCENTED, Memory
+from controllers.observers.modal_equations import Constants, Scheduled, first_bias, readings
 from controllers.observers.square_root import triangularise
 
 
 @exactly_called
-def bent(constants, memory, distance):
-    """Means of the sigma points of adapted modes into lines[0], and how pairs stray from them into rows of the array: returns how many."""
-    n, modes, states, count = constants.sizes[0], constants.sizes[1], constants.sizes[4], 2 * constants.sizes[3]
+def bent(constants: Constants, memory: Memory, distance: float) -> int:
+    """Write the means of the adapted modes' sigma points into lines[0], the deviations of pairs from them into rows of `array`.
+
+    Returns
+    -------
+    int
+        Number of rows written.
+    """
+    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    count: int = 2 * constants.sizes[3]
     bends, after = memory.bends, memory.lines[0]
     for b in range(count):
         total = 0.0
@@ -37,10 +44,10 @@ def bent(constants, memory, distance):
 
 
 @exactly_called
-def look_around(constants, scheduled, memory, kind):
-    """Rows of EKF and UKF: ẑ into lines[5], half the difference of a pair into seen[i], how its mean strays from ẑ into seen[states + i].
+def look_around(constants: Constants, scheduled: Scheduled, memory: Memory, kind: int) -> None:
+    """Write ẑ into lines[5], half a pair's difference into seen[i] and the deviation of its mean from ẑ into seen[states + i].
 
-    The last deviations move biases alone, which only shift what is read.
+    Serves EKF and UKF. The last deviations move biases alone, which only shift the readings.
     """
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, array = memory.x, memory.factor, memory.seen, memory.lines, memory.array

@@ -16,18 +16,18 @@ from controllers.shapers.delays import DelayFilter, basis
 from controllers.shapers.dynamics import Dynamics
 
 REAL = 1e-12
-"""A point of the s plane with a smaller relative imaginary part is real and gives one equation instead of two."""
+"""A point of the s plane with a smaller relative imaginary part counts as real and gives one equation instead of two."""
 
 SOLVED = 1e-9
-"""Largest residual of a condition, in units of its largest term for a gain of 1, that counts as met."""
+"""Largest residual with which a condition counts as met, in units of its largest term for a gain of 1."""
 
 LIGHTLY_DAMPED = 0.3
-"""Damping ratio below which a pole rings: one that rings has a peak a forcing frequency must keep away from."""
+"""Damping ratio below which a pole rings: its response has a peak that a forcing frequency must keep away from."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """The order-th derivative of G is `value` at s (and its conjugate at the conjugate)."""
+    """A condition on G: its derivative of this order is `value` at s (and the conjugate of `value` at the conjugate of s)."""
 
     s: complex
     value: complex
@@ -36,12 +36,12 @@ class Condition:
 
     @property
     def equations(self) -> int:
-        """Real equations: one at a real point, two elsewhere."""
+        """Number of real equations: one at a real point, two elsewhere."""
         return 1 if abs(self.s.imag) <= REAL * abs(self.s) else 2
 
 
 def cancelling(poles: Iterable[complex], robust: bool = False) -> list[Condition]:
-    """(7.22): G = 0 at each pole, conjugates once; robust: dG/ds = 0 there as well, (7.35)."""
+    """Make the conditions (7.22): G = 0 at each pole, conjugates once; robust: dG/ds = 0 there as well, (7.35)."""
     conditions = []
     for pole in poles:
         if pole.imag < -REAL * abs(pole):
@@ -53,9 +53,9 @@ def cancelling(poles: Iterable[complex], robust: bool = False) -> list[Condition
 
 
 def tracking(dynamics: Dynamics, frequencies_rad_s: Iterable[float], robust: bool = False) -> list[Condition]:
-    """(7.23), (7.24): P G = +1 at each forcing frequency, 0 among them for a mean; robust: d(P G)/ds = 0 there as well, (7.36).
+    """Make the conditions (7.23), (7.24): P G = +1 at each forcing frequency; robust: d(P G)/ds = 0 there as well, (7.36).
 
-    At zero frequency the slope makes a ramp follow without lag.
+    A reference with a mean has the forcing frequency 0 among them. At zero frequency the slope makes a ramp follow without lag.
     """
     conditions = []
     for frequency in frequencies_rad_s:
@@ -70,11 +70,12 @@ def tracking(dynamics: Dynamics, frequencies_rad_s: Iterable[float], robust: boo
 
 
 def check_apart(poles: Iterable[complex], frequencies_rad_s: Iterable[float]) -> None:
-    """Refuse a forcing frequency inside the resonance of a pole that is to be cancelled: G would be 0 and 1/P side by side.
+    """Refuse a forcing frequency inside the resonance of a pole that is to be cancelled: G would have to be 0 and 1/P side by side.
 
     Raises
     ------
     DesignError
+        A forcing frequency lies on a pole; the message says how far to stay away.
     """
     for pole in poles:
         if -pole.real >= LIGHTLY_DAMPED * abs(pole):
@@ -88,7 +89,7 @@ def check_apart(poles: Iterable[complex], frequencies_rad_s: Iterable[float]) ->
 
 
 def equations(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynamics | None) -> tuple[np.ndarray, np.ndarray]:
-    """Real matrix (m, n) and right-hand side (m,) of the conditions for these taps, each condition scaled to its largest complex term.
+    """Return the real matrix (m, n) and right-hand side (m,) of the conditions for these taps, each scaled to its largest complex term.
 
     Real and imaginary parts keep their proportion: a part that vanishes at some delay does so smoothly with the delay.
     """
@@ -107,12 +108,12 @@ def equations(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynam
 
 
 def solve(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynamics | None = None, name: str = "") -> DelayFilter:
-    """The gains that meet the conditions; of many, those of least sum of squares.
+    """Return the filter whose gains meet the conditions; of many, that with the least sum of squares.
 
     Raises
     ------
     DesignError
-        No gains meet them at these delays; names the condition that is missed most.
+        No gains meet them at these delays; the message names the condition that is missed most.
     """
     matrix, right = equations(conditions, delays_s, tail)
     gains = np.linalg.lstsq(matrix, right, rcond=1e-15)[0]
@@ -130,8 +131,9 @@ def solve(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynamics 
 
 
 def residuals(conditions: Sequence[Condition], shaper: DelayFilter) -> np.ndarray:
-    """How far (n_conditions,) complex a filter is from each condition."""
+    """Return the complex residual (n_conditions,) of a filter for each condition."""
     points = np.array([condition.s for condition in conditions])
     values, slopes = basis(points, shaper.delays_s, shaper.tail)
     chosen = np.where(np.array([condition.order for condition in conditions])[:, None] == 0, values, slopes)
-    return chosen @ shaper.gains - np.array([condition.value for condition in conditions])
+    missed: np.ndarray = chosen @ shaper.gains - np.array([condition.value for condition in conditions])
+    return missed

@@ -12,7 +12,7 @@ from controllers.shapers.dynamics import Dynamics
 
 @dataclass(frozen=True)
 class DelayFilter:
-    """Taps of a shaper.
+    """The taps of a shaper.
 
     Attributes
     ----------
@@ -29,6 +29,7 @@ class DelayFilter:
     name: str = ""
 
     def __post_init__(self) -> None:
+        """Check that delays and gains fit each other, rise from 0 and are finite."""
         if self.delays_s.shape != self.gains.shape or self.delays_s.ndim != 1 or not len(self.gains):
             raise DesignError(f"a delay filter takes as many delays as gains, has {self.delays_s.shape} and {self.gains.shape}")
         if (np.diff(self.delays_s) < 0.0).any() or self.delays_s[0] < 0.0:
@@ -38,35 +39,39 @@ class DelayFilter:
 
     @property
     def transient_s(self) -> float:
-        """Time after which nothing new comes out of the taps: L T."""
+        """Duration L T of the transient, after which nothing new comes out of the taps."""
         return float(self.delays_s[-1])
 
     @property
     def largest_gain(self) -> float:
+        """Largest |A_k|."""
         return float(np.abs(self.gains).max())
 
     @property
     def gain_sum(self) -> float:
-        """Sum of |A_k|: without a tail no limit of the reference is exceeded by more than this factor."""
+        """Sum of |A_k|. Without a tail, no limit of the reference is exceeded by more than this factor."""
         return float(np.abs(self.gains).sum())
 
     def response(self, s: np.ndarray | complex) -> np.ndarray:
-        """G at complex s, same shape."""
-        return basis(np.asarray(s, dtype=complex), self.delays_s, self.tail)[0] @ self.gains
+        """Return G at complex s, same shape."""
+        value: np.ndarray = basis(np.asarray(s, dtype=complex), self.delays_s, self.tail)[0] @ self.gains
+        return value
 
     def slope(self, s: np.ndarray | complex) -> np.ndarray:
-        """dG/ds at complex s, same shape."""
-        return basis(np.asarray(s, dtype=complex), self.delays_s, self.tail)[1] @ self.gains
+        """Return dG/ds at complex s, same shape."""
+        value: np.ndarray = basis(np.asarray(s, dtype=complex), self.delays_s, self.tail)[1] @ self.gains
+        return value
 
     def ending(self, poles: np.ndarray) -> np.ndarray:
-        """G(p) exp(p d_n), same shape as `poles`: what a mode holds when the last tap acts, for unit amplitude at the first."""
+        """Return G(p) exp(p d_n), same shape as `poles`: a mode's amplitude when the last tap acts, for unit amplitude at the first."""
         decayed = np.exp(poles[..., None] * (self.delays_s[-1] - self.delays_s))
         if self.tail is not None:
             decayed[..., -1] = decayed[..., -1] * self.tail.response(poles)
-        return decayed @ self.gains
+        amplitude: np.ndarray = decayed @ self.gains
+        return amplitude
 
     def then(self, other: DelayFilter) -> DelayFilter:
-        """Both, one after the other: the zeros of both (multi-mode shapers). Taps at the same instant are joined."""
+        """Return both filters in series, with the zeros of both (multi-mode shapers). Taps at the same instant are joined."""
         if self.tail is not None or other.tail is not None:
             raise DesignError("only delay filters without a tail are convolved")
         delays = (self.delays_s[:, None] + other.delays_s[None, :]).reshape(-1)
@@ -79,7 +84,7 @@ class DelayFilter:
 
 
 def basis(s: np.ndarray, delays_s: np.ndarray, tail: Dynamics | None) -> tuple[np.ndarray, np.ndarray]:
-    """Value and slope (..., n) of what each tap contributes for a gain of 1 at complex s (...)."""
+    """Return value and slope (..., n) of each tap's contribution for a gain of 1 at complex s (...)."""
     values = np.exp(-s[..., None] * delays_s)
     slopes = -delays_s * values
     if tail is not None:

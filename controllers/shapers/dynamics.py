@@ -1,6 +1,6 @@
-"""What a shaper is designed for: one linear path from reference to output, continuous or sampled, spoken of in the s plane.
+"""The plant of a shaper: one linear path from reference to output, continuous or sampled, described in the s plane.
 
-A sampled system is met at z = exp(s h), so a delay of k samples is exp(-s k h) and one set of equations serves both.
+A sampled system is evaluated at z = exp(s h), so a delay of k samples is exp(-s k h) and one set of equations serves both.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import scipy.signal
 from controllers.errors import DesignError
 
 INFINITE_ZERO = 1e7
-"""Zeros of the pencil beyond this multiple of the largest pole are the relative degree, not zeros."""
+"""Generalised eigenvalues beyond this multiple of the largest pole stem from the relative degree and are no zeros."""
 
 FORGOTTEN = 1e-9
-"""A sampled pole with |z| below this is a delay: it forgets everything within a sample and has no place in the s plane."""
+"""A sampled pole with |z| below this is a delay: it decays within a sample and has no place in the s plane."""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A pole of the upper half plane (or a real one) and what it does.
+    """A pole of the upper half plane (or a real one) and its share in the step response.
 
     Attributes
     ----------
@@ -37,6 +37,7 @@ class Mode:
 
     @property
     def frequency_rad_s(self) -> float:
+        """Natural frequency |pole| [rad/s]."""
         return abs(self.pole)
 
     @property
@@ -47,7 +48,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """State space from one input to one output.
+    """A state space from one input to one output.
 
     Attributes
     ----------
@@ -67,12 +68,12 @@ class Dynamics:
     def from_polynomials(
         cls, numerator: np.ndarray | Sequence[float], denominator: np.ndarray | Sequence[float], sample_period_s: float | None = None
     ) -> Dynamics:
-        """From a transfer function's coefficients, highest power first (of z for a sampled system).
+        """Make a system from a transfer function's coefficients, highest power first (of z for a sampled system).
 
         Raises
         ------
         DesignError
-            More zeros than poles: no such system runs forwards in time.
+            There are more zeros than poles, so the system is not causal.
         """
         numerator, denominator = (np.trim_zeros(np.asarray(part, dtype=float), "f") for part in (numerator, denominator))
         if len(numerator) > len(denominator):
@@ -84,37 +85,37 @@ class Dynamics:
 
     @classmethod
     def from_modes(cls, modes: Sequence[tuple[float, float, float]]) -> Dynamics:
-        """Sum of gain w^2 / (s^2 + 2 zeta w s + w^2) over (w [rad/s], zeta, gain): an identified modal model at one pose."""
+        """Make the sum of gain w^2 / (s^2 + 2 zeta w s + w^2) over (w [rad/s], zeta, gain): an identified modal model at one pose."""
         blocks = [np.array([[0.0, 1.0], [-(w**2), -2.0 * zeta * w]]) for w, zeta, _ in modes]
         entering = np.concatenate([[0.0, gain * w**2] for w, _, gain in modes])
         return cls(scipy.linalg.block_diag(*blocks), entering, np.tile([1.0, 0.0], len(modes)), 0.0)
 
     def sampled(self, sample_period_s: float) -> Dynamics:
-        """What the same system makes of a reference held from sample to sample."""
+        """Return the same system sampled, for a reference held from sample to sample."""
         held = (self.a, self.b[:, None], self.c[None, :], np.array([[self.d]]))
         a, b, c, d, _ = scipy.signal.cont2discrete(held, sample_period_s)
         return Dynamics(a, b[:, 0], c[0], float(d[0, 0]), sample_period_s)
 
     def scaled(self, gain: float) -> Dynamics:
-        """The same with its output multiplied."""
+        """Return the same system with its output multiplied by `gain`."""
         return Dynamics(self.a, self.b, gain * self.c, gain * self.d, self.sample_period_s)
 
     def after(self, first: Dynamics) -> Dynamics:
-        """`first` and then this one."""
+        """Return `first` and this system in series."""
         a = np.block([[first.a, np.zeros((len(first.a), len(self.a)))], [np.outer(self.b, first.c), self.a]])
         b = np.concatenate([first.b, self.b * first.d])
         return Dynamics(a, b, np.concatenate([self.d * first.c, self.c]), self.d * first.d, self.sample_period_s)
 
     def variable(self, s: np.ndarray) -> np.ndarray:
-        """s itself, or z = exp(s h)."""
+        """Return s itself, or z = exp(s h) for a sampled system."""
         return s if self.sample_period_s is None else np.exp(s * self.sample_period_s)
 
     def response(self, s: np.ndarray | complex) -> np.ndarray:
-        """Transfer function at complex s, same shape."""
+        """Return the transfer function at complex s, same shape."""
         return self._solved(np.asarray(s, dtype=complex))[0]
 
     def slope(self, s: np.ndarray | complex) -> np.ndarray:
-        """Its derivative dP/ds, same shape."""
+        """Return the derivative dP/ds at complex s, same shape."""
         return self._solved(np.asarray(s, dtype=complex))[1]
 
     def _solved(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,7 +128,7 @@ class Dynamics:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """All poles in the s plane, rad/s; a sampled system's pure delays are none."""
+        """All poles in the s plane [rad/s], without a sampled system's pure delays."""
         return self._in_s(np.linalg.eigvals(self.a))
 
     @cached_property
@@ -139,11 +140,12 @@ class Dynamics:
         alpha, beta = scipy.linalg.eigvals(pencil, mass, homogeneous_eigvals=True)
         scale = np.abs(np.linalg.eigvals(self.a)).max(initial=1.0)
         finite = np.abs(beta) * INFINITE_ZERO * scale > np.abs(alpha)
-        return alpha[finite] / beta[finite]
+        zeros: np.ndarray = alpha[finite] / beta[finite]
+        return zeros
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
-        """Poles with a non-negative imaginary part, largest share of the step response first. Assumes that poles are distinct."""
+        """Poles with a non-negative imaginary part, largest share of the step response first. Poles are assumed to be distinct."""
         if not len(self.a):
             return ()
         values, right = np.linalg.eig(self.a)
@@ -160,7 +162,7 @@ class Dynamics:
         return tuple(sorted(found, key=lambda mode: -mode.step_share))
 
     def check_stable(self) -> None:
-        """Raise DesignError for a pole on or right of the imaginary axis: what grows by itself cannot be shaped away."""
+        """Raise DesignError for a pole on or right of the imaginary axis: no shaper removes a growing motion."""
         unstable = self.poles[self.poles.real >= 0.0]
         if unstable.size:
             worst = unstable[np.argmax(unstable.real)]
@@ -169,4 +171,5 @@ class Dynamics:
     def _in_s(self, values: np.ndarray) -> np.ndarray:
         if self.sample_period_s is None:
             return values.astype(complex)
-        return np.log(values[np.abs(values) > FORGOTTEN].astype(complex)) / self.sample_period_s
+        mapped: np.ndarray = np.log(values[np.abs(values) > FORGOTTEN].astype(complex)) / self.sample_period_s
+        return mapped

@@ -1,7 +1,7 @@
-"""The shaper in the loop: one sample of every axis, switched on and off without a jump.
+"""The shaper as the sample loop runs it: one sample of every axis, switched on and off without a jump.
 
-y = r + sum A_k (r_k - r), r_k the raw reference d_k samples ago, so that at standstill y = r to the last bit: for a sum of gains of 1
-that is the filter itself. A tail stands on the last tap.
+y = r + sum A_k (r_k - r), r_k the raw reference d_k samples ago. At standstill y = r to the last bit; for a sum of gains of 1 this is the
+filter itself. A tail stands on the last tap.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from controllers.shapers.harmonic import UNIT_GAIN
 from controllers.shapers.sampled import AxisShaper
 
 BLEND_S = 0.5
-"""Time over which switching fades between raw and shaped, with zero speed and acceleration of the fading at both ends."""
+"""Duration of the fade between raw and shaped reference; the fade has zero speed and acceleration at both ends."""
 
 
 @exactly_compiled
 def _tap_sample(
     history: np.ndarray, newest: int, delays: np.ndarray, gains: np.ndarray, positions: np.ndarray, at: float, oldest: float
 ) -> float:
-    """One sample of one axis: `history` (rows,) is a ring of raw references, `newest` this sample's row, `oldest` the last tap's value."""
+    """Return one sample of one axis.
+
+    `history` (rows,) is a ring of raw references, `newest` this sample's row in it, `oldest` the last tap's value.
+    """
     rows, last, points = len(history), len(delays) - 1, len(positions)
     lower, share = 0, 0.0
     if points > 1:
@@ -38,23 +41,24 @@ def _tap_sample(
     for k in range(last + 1):
         held = oldest if k == last else history[(newest - delays[k]) % rows]
         moved += ((1.0 - share) * gains[lower, k] + share * gains[upper, k]) * (held - raw)
-    return raw + moved
+    shaped: float = raw + moved
+    return shaped
 
 
 class ReferenceShaper:
-    """Shapers of some of a machine's axes, with their history; axes without one pass through.
+    """Shapers of some of a machine's axes, with their history; the references of other axes pass through.
 
     Parameters
     ----------
     axes : the machine's axes.
     shapers : at most one per axis.
-    limits : of all axes: range and speed are held at every sample, whatever was asked for.
+    limits : of all axes; range and speed are limited at every sample, whatever the reference is.
     sample_rate_Hz : float
 
     Raises
     ------
     DesignError
-        An axis that is not there or twice, or a shaper whose H(0) is not 1.
+        An axis does not exist or appears twice, or a shaper's H(0) is not 1.
     """
 
     def __init__(self, axes: Sequence[str], shapers: Sequence[AxisShaper], limits: Sequence[AxisLimits], sample_rate_Hz: float) -> None:
@@ -83,11 +87,11 @@ class ReferenceShaper:
 
     @property
     def transient_samples(self) -> int:
-        """Samples after the raw reference has come to rest until the shaped one has."""
+        """Samples from the rest of the raw reference to the rest of the shaped one."""
         return self._history.shape[1] - 1
 
     def start(self, pose: np.ndarray, on: bool = True) -> None:
-        """A standstill at `pose` (n_axes,) that has lasted."""
+        """Start from a lasting standstill at `pose` (n_axes,)."""
         self._history[:] = np.asarray(pose, dtype=float)[:, None]
         self._last[:] = pose
         for shaper, column, state in zip(self.shapers, self._columns, self._tail_states, strict=True):
@@ -101,7 +105,7 @@ class ReferenceShaper:
         self._on = on
 
     def step(self, raw: np.ndarray, out: np.ndarray) -> int:
-        """One sample: raw reference (n_axes,) in, shaped into `out` (n_axes,). A raw value that is missing repeats the last one.
+        """Shape one sample: the raw reference (n_axes,) into `out` (n_axes,). A missing raw value repeats the last one.
 
         Returns
         -------
@@ -135,11 +139,12 @@ class ReferenceShaper:
 
 
 def check_passes_mean(shaper: AxisShaper) -> None:
-    """Refuse a shaper that would end a move somewhere else: |H(0) - 1| or, for machines whose loop integrates, |G(0) - 1| above 1e-9.
+    """Refuse a shaper with which a move would end somewhere else.
 
     Raises
     ------
     DesignError
+        |H(0) - 1| or, for machines whose loop integrates, |G(0) - 1| is above 1e-9.
     """
     sums = shaper.gains.sum(axis=1)
     worst = float(sums[np.argmax(np.abs(sums - 1.0))])
@@ -152,5 +157,5 @@ def check_passes_mean(shaper: AxisShaper) -> None:
 
 
 def _smooth(share: float) -> float:
-    """Fading from 0 to 1 with zero slope and curvature at both ends."""
+    """Fade from 0 to 1 with zero slope and curvature at both ends."""
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)

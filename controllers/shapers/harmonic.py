@@ -15,7 +15,7 @@ from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
 
 UNIT_GAIN = 1e-9
-"""|H(0) - 1| beyond which a filter is refused for a reference with a mean: the move would end somewhere else."""
+"""Largest |H(0) - 1| of a filter for a reference with a mean: with more, a move would end somewhere else."""
 
 
 def harmonic_conditions(
@@ -26,20 +26,20 @@ def harmonic_conditions(
     robust_poles: Iterable[complex] = (),
     robust_forcing_rad_s: Iterable[float] = (),
 ) -> list[Condition]:
-    """Design Requirement 1, with slopes where asked for.
+    """Make the conditions of Design Requirement 1, with slopes where asked for.
 
     Parameters
     ----------
     dynamics : Dynamics
     forcing_rad_s : frequencies that are tracked without error; 0 is the mean of the reference.
     cancelled : poles that are cancelled, conjugates once or twice; all of them unless given, none for the second variant of Sec. 7.3.2.
-    robust_poles : those of them whose change shall matter little, (7.35).
-    robust_forcing_rad_s : those of the forcing frequencies whose change shall matter little, (7.36); 0: a ramp is followed without lag.
+    robust_poles : those of them to whose change the filter shall be insensitive, (7.35).
+    robust_forcing_rad_s : forcing frequencies to whose change it shall be insensitive, (7.36); 0: a ramp is followed without lag.
 
     Raises
     ------
     DesignError
-        The plant is not stable, a forcing frequency lies on a pole or twice in the list, or a robust one is not in it.
+        The plant is not stable, a forcing frequency lies on a pole or is listed twice, or a robust one is not listed.
     """
     dynamics.check_stable()
     forcing, flat = [float(frequency) for frequency in forcing_rad_s], [float(frequency) for frequency in robust_forcing_rad_s]
@@ -56,7 +56,7 @@ def harmonic_conditions(
 
 
 def harmonic(conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics | None = None, extra_taps: int = 0) -> DelayFilter:
-    """The filter with taps at k T, as many as there are equations, or more with the least sum of squares.
+    """Return the filter with taps at k T, as many as there are equations, or more with the least sum of squares.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def harmonic(conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics 
 
 
 def tap_count(conditions: Sequence[Condition]) -> int:
-    """Taps that meet the conditions for any delay: one per real equation."""
+    """Return the number of taps that meet the conditions for any delay: one per real equation."""
     return sum(condition.equations for condition in conditions)
 
 
@@ -87,7 +87,7 @@ def check_static_gain(dynamics: Dynamics, shaper: DelayFilter) -> None:
     Raises
     ------
     DesignError
-        Says where a move would end.
+        H(0) is not 1; the message says where a move would end.
     """
     through = complex(dynamics.response(0.0) * shaper.response(0.0)).real
     if abs(through - 1.0) > UNIT_GAIN:

@@ -4,8 +4,8 @@ For a zero of the right half plane (outside the unit circle) the stand-in for 1/
     "dc"     1 / N_u(0)                  right at standstill only, (7.34)
     "zpetc"  N_u(-s) / N_u(0)^2          no phase error at any frequency
     "zmetc"  1 / N_u(-s)                 no magnitude error at any frequency
-and (7.33) becomes (7.25) where there are no zeros. Beyond the transient L T the tail's own poles ring on unless the plant's zeros take them
-away: exactly so for N_s, and not for the mirrored zeros of "zmetc".
+and (7.33) becomes (7.25) where there are no zeros. Beyond the transient L T the tail's own poles ring on unless the plant's zeros cancel
+them: they do so exactly for N_s, and not for the mirrored zeros of "zmetc".
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ METHODS = ("dc", "zpetc", "zmetc")
 
 
 def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | None = None) -> tuple[Dynamics | None, float]:
-    """Tail filter of DC gain 1, and by how much earlier its tap must stand [s] (samples that "zpetc" looks ahead).
+    """Return the tail filter of DC gain 1, and how much earlier its tap must stand [s] (samples that "zpetc" looks ahead).
 
     Parameters
     ----------
     dynamics : Dynamics
     method : "dc", "zpetc" or "zmetc"
-    zeros : those to invert (s plane, or z plane of a sampled system); all that are not of the sampling's making unless given.
+    zeros : those to invert (s plane, or z plane of a sampled system); if not given, all that do not stem from sampling.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | N
 
 
 def invertible(dynamics: Dynamics) -> np.ndarray:
-    """Zeros worth inverting: all of a continuous plant; of a sampled one those of the right half of the z plane.
+    """Return the zeros worth inverting: all of a continuous plant; of a sampled one those in the right half of the z plane.
 
     Sampling adds zeros near z = -1 whose inverse would ring at half the sample rate.
     """
@@ -87,5 +87,5 @@ def invertible(dynamics: Dynamics) -> np.ndarray:
 
 
 def _polynomial(roots: np.ndarray) -> np.ndarray:
-    """Real coefficients, highest power first; 1 for no roots."""
+    """Return real coefficients, highest power first; 1 for no roots."""
     return np.atleast_1d(np.real(np.poly(roots)))

@@ -1,7 +1,9 @@
-"""Point-to-point shapers of the field: ZV, ZVD, EI, two-hump EI, and several modes by convolution. All have DC gain 1 and positive taps.
+"""Point-to-point shapers from the literature: ZV, ZVD, EI, two-hump EI, and several modes by convolution.
+
+All have DC gain 1 and positive taps.
 
 Sources: thesis (7.2), (7.3); Singer and Seering 1990 (ZVD); Singhose, Seering and Singer 1994 (EI); Singhose, Crain and Seering 1997
-(two-hump EI), with the damped taps as Klipper has them: the undamped ones times K^k, K the decay over half a damped period.
+(two-hump EI), with the damped taps as in Klipper: the undamped ones times K^k, K the decay over half a damped period.
 """
 
 from __future__ import annotations
@@ -14,26 +16,26 @@ from controllers.errors import DesignError
 from controllers.shapers.delays import DelayFilter
 
 TOLERATED_VIBRATION = 0.05
-"""Share of the unshaped vibration that EI shapers allow at the modelled frequency, as the literature and Klipper have it."""
+"""Share of the unshaped vibration that EI shapers allow at the modelled frequency, as in the literature and in Klipper."""
 
 
 def zv(frequency_rad_s: float, damping: float) -> DelayFilter:
-    """Zero vibration, thesis (7.2), (7.3): two taps half a damped period apart."""
+    """Return the zero-vibration shaper, thesis (7.2), (7.3): two taps half a damped period apart."""
     return _half_periods(frequency_rad_s, damping, [1.0, 1.0], "ZV")
 
 
 def zvd(frequency_rad_s: float, damping: float) -> DelayFilter:
-    """Zero vibration and zero derivative of it with frequency: three taps."""
+    """Return the shaper with zero vibration and zero derivative of it over frequency: three taps."""
     return _half_periods(frequency_rad_s, damping, [1.0, 2.0, 1.0], "ZVD")
 
 
 def ei(frequency_rad_s: float, damping: float, vibration: float = TOLERATED_VIBRATION) -> DelayFilter:
-    """Extra insensitive: `vibration` is left at the modelled frequency, none at two frequencies beside it."""
+    """Return the extra-insensitive shaper: it leaves `vibration` at the modelled frequency, none at two frequencies beside it."""
     return _half_periods(frequency_rad_s, damping, [0.25 * (1.0 + vibration), 0.5 * (1.0 - vibration), 0.25 * (1.0 + vibration)], "EI")
 
 
 def two_hump_ei(frequency_rad_s: float, damping: float, vibration: float = TOLERATED_VIBRATION) -> DelayFilter:
-    """Extra insensitive with two humps: four taps, half again as wide as EI."""
+    """Return the extra-insensitive shaper with two humps: four taps, one and a half times as long as EI."""
     v2 = vibration**2
     x = np.cbrt(v2 * (np.sqrt(1.0 - v2) + 1.0))
     first = (3.0 * x**2 + 2.0 * x + 3.0 * v2) / (16.0 * x)
@@ -41,7 +43,7 @@ def two_hump_ei(frequency_rad_s: float, damping: float, vibration: float = TOLER
 
 
 def multi_mode(shaper: Callable[[float, float], DelayFilter], modes: Sequence[tuple[float, float]]) -> DelayFilter:
-    """One shaper per mode (frequency [rad/s], damping ratio), one after the other."""
+    """Return one shaper per mode (frequency [rad/s], damping ratio), in series."""
     if not modes:
         raise DesignError("a shaper needs at least one mode")
     joined = shaper(*modes[0])

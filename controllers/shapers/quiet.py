@@ -1,7 +1,7 @@
-"""Harmonic filters with a tap at every sample, that meet their conditions exactly and pass least in a band.
+"""Harmonic filters with a tap at every sample that meet their conditions exactly and pass as little as possible in a band.
 
-The linear method leaves taps over when the filter is longer than its conditions ask for. Here they keep a whole band quiet, so that a
-mode which moves within it with the pose stays unexcited, and gains stay small. The gains minimise the mean of |G|^2 over the band plus a
+A filter longer than its conditions require has spare taps. Here they suppress a whole band, so that a mode which moves within it with
+the pose is not excited, and gains stay small. The gains minimise the mean of |G|^2 over the band plus a
 share of the mean over all frequencies, under the conditions: one symmetric linear system.
 """
 
@@ -21,7 +21,7 @@ EVERYWHERE = 1e-3
 
 
 def quiet(conditions: Sequence[Condition], sample_period_s: float, transient_s: float, band_Hz: tuple[float, float]) -> DelayFilter:
-    """Taps at every sample from 0 to `transient_s`.
+    """Return the filter with taps at every sample from 0 to `transient_s`.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def quiet(conditions: Sequence[Condition], sample_period_s: float, transient_s: 
 
 
 def check_band(band_Hz: tuple[float, float], sample_period_s: float) -> None:
-    """Refuse a band that is empty or beyond half the sample rate: DesignError."""
+    """Raise DesignError for a band that is empty or beyond half the sample rate."""
     low, high = band_Hz
     if not 0.0 <= low < high <= 0.5 / sample_period_s:
         raise DesignError(f"quiet band {low:g} to {high:g} Hz: takes 0 <= low < high <= {0.5 / sample_period_s:g} Hz")

@@ -16,7 +16,7 @@ from controllers.shapers.dynamics import Dynamics
 
 @dataclass(frozen=True)
 class AxisShaper:
-    """One axis's shaper as the loop runs it.
+    """The shaper of one axis as the sample loop runs it.
 
     Attributes
     ----------
@@ -25,13 +25,13 @@ class AxisShaper:
     gains : (p, n) array
         A row per scheduling position; interpolated between them.
     positions : (p,) array
-        Of the scheduling axis [rad or m], rising; anything of length 1 where nothing is scheduled.
+        Positions of the scheduling axis [rad or m], rising; any single value where nothing is scheduled.
     schedule_axis : str
-        Whose raw reference chooses the row; "" where there is one row.
+        Axis whose raw reference chooses the row; "" where there is one row.
     tail : (k, 6) array
-        Sections on the last tap, none for (0, 6).
+        Sections on the last tap; none for (0, 6).
     static_gain : float
-        H(0): what becomes of a mean.
+        H(0), the gain for a mean.
     name : str
     """
 
@@ -45,6 +45,7 @@ class AxisShaper:
     name: str = ""
 
     def __post_init__(self) -> None:
+        """Check that shapes fit each other, delays and positions rise, and all numbers are finite."""
         if self.delays.ndim != 1 or self.gains.shape != (len(self.positions), len(self.delays)) or not self.gains.size:
             raise DesignError(
                 f"shaper of {self.axis}: gains {self.gains.shape} do not fit {len(self.positions)} positions and {len(self.delays)} delays"
@@ -60,6 +61,7 @@ class AxisShaper:
 
     @property
     def transient_samples(self) -> int:
+        """Samples from the first tap's input to the last tap's output."""
         return int(self.delays[-1])
 
     @property
@@ -76,12 +78,12 @@ def axis_shaper(
     schedule_axis: str = "",
     static_gain: float = 1.0,
 ) -> AxisShaper:
-    """From filters with the same delays, one per scheduling position.
+    """Make a shaper from filters with the same delays, one per scheduling position.
 
     Raises
     ------
     DesignError
-        Delays that are no whole numbers of samples or differ between positions; a tail that differs or is continuous.
+        Delays are not whole numbers of samples or differ between positions, or a tail differs or is continuous.
     """
     samples = filters[0].delays_s * sample_rate_Hz
     if np.abs(samples - np.round(samples)).max() > 1e-6:
@@ -104,7 +106,7 @@ def axis_shaper(
 
 
 def sections_of(system: Dynamics) -> np.ndarray:
-    """A sampled system as second-order sections (k, 6)."""
+    """Return a sampled system as second-order sections (k, 6)."""
     if system.sample_period_s is None:
         raise DesignError("a continuous tail cannot run in the loop: design at the sample rate")
     zeros, poles = system.zeros, np.linalg.eigvals(system.a)
@@ -114,9 +116,9 @@ def sections_of(system: Dynamics) -> np.ndarray:
 
 
 def on_samples(shaper: DelayFilter, conditions: Sequence[Condition], sample_period_s: float) -> DelayFilter:
-    """A filter whose delays are no whole samples, moved onto their neighbours and corrected so that the conditions hold exactly again.
+    """Move a filter's taps onto whole samples and correct its gains so that the conditions hold exactly again.
 
-    Each tap is shared between the sample before and the one after; what the rounding broke is repaired by the smallest change of gains.
+    Each tap is shared between the sample before and the one after; the smallest change of gains then repairs the rounding.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Closed form of the harmonic filter for a second-order plant and one forcing frequency, (7.4)-(7.14)."""
+"""Harmonic filter in closed form for a second-order plant and one forcing frequency, (7.4)-(7.14)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from controllers.shapers.delays import DelayFilter
 
 
 def second_order(natural_rad_s: float, damping: float, forcing_rad_s: float, half_periods: int = 1) -> DelayFilter:
-    """Three taps n half damped periods apart, for P = w^2 / (s^2 + 2 zeta w s + w^2).
+    """Return three taps n half damped periods apart, for P = w^2 / (s^2 + 2 zeta w s + w^2).
 
     Corrections: Phi_1 = -numerator/denominator of (7.11), the underbrace includes the minus sign, and A_1 = Phi_1 A_2; the sign of A_2 is
     the one that makes Re(G P) > 0 at the forcing frequency, on either side of the resonance.

@@ -1,6 +1,6 @@
-"""The shortest delay T of a harmonic filter with one tap fewer than equations, (7.27)-(7.30), without a starting guess.
+"""The shortest delay T of a harmonic filter with one tap fewer than equations, (7.27)-(7.30), without an initial guess.
 
-With as many gains as equations less one, the conditions Phi(T) A = b have a solution only where the bordered matrix [Phi(T) b] is
+With one gain fewer than equations, the conditions Phi(T) A = b have a solution only where the bordered matrix [Phi(T) b] is
 singular: its determinant is a real function of T alone. All its roots in a range are bracketed on a grid finer than its fastest term and
 polished, touching ones by their minima, and each is kept if gains exist there.
 """
@@ -42,13 +42,13 @@ def shortest_delays(
     tail: Dynamics | None = None,
     gain_sum_limit: float = np.inf,
 ) -> list[DelayFilter]:
-    """Every filter with L = N_p + 2 N_w - 2 whose delay is at most `longest_s`, shortest first.
+    """Return every filter with L = N_p + 2 N_w - 2 whose delay is at most `longest_s`, shortest first.
 
     Parameters
     ----------
     conditions : from `harmonic_conditions`.
     longest_s : end of the range of T that is searched.
-    gain_sum_limit : solutions with a larger sum of |A_k| are left out: as T goes to zero the gains go to infinity.
+    gain_sum_limit : solutions with a larger sum of |A_k| are dropped, because the gains go to infinity as T goes to zero.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def shortest_delays(
 
 
 def _polished(conditions: Sequence[Condition], delay_s: float, taps: int, tail: Dynamics | None) -> DelayFilter:
-    """Gains and delay together, from a delay that is nearly right: a root that touches zero is found to half the digits only."""
+    """Solve for gains and delay together, from a delay that is nearly right: a touching root is found to half the digits only."""
     try:
         return solve(conditions, delay_s * np.arange(taps), tail, NAME)
     except DesignError:
@@ -89,17 +89,18 @@ def _polished(conditions: Sequence[Condition], delay_s: float, taps: int, tail: 
 
     def missed(unknown: np.ndarray) -> np.ndarray:
         matrix, right = equations(conditions, unknown[-1] * np.arange(taps), tail)
-        return matrix @ unknown[:-1] - right
+        residual: np.ndarray = matrix @ unknown[:-1] - right
+        return residual
 
     best = scipy.optimize.least_squares(missed, start, jac="3-point", method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     return solve(conditions, best[-1] * np.arange(taps), tail, NAME)
 
 
 def _candidates(function: Callable[[float], float], grid: np.ndarray) -> list[float]:
-    """Roots of a function on a grid, and minima of its size that may be roots that only touch zero, in rising order."""
+    """Return roots of a function on a grid, and minima of its size that may be roots that only touch zero, in rising order."""
     values = np.array([function(delay) for delay in grid])
     size = np.abs(values)
-    told = size > ROUNDING * size.max()  # as T goes to zero all taps become one and the determinant drowns in rounding
+    told = size > ROUNDING * size.max()  # as T goes to zero all taps become one and the determinant is lost in rounding
     crossing = np.flatnonzero((np.sign(values[:-1]) * np.sign(values[1:]) < 0.0) & told[:-1] & told[1:])
     roots = [_root(function, grid[k], grid[k + 1]) for k in crossing]
     roots += [float(grid[k]) for k in np.flatnonzero(values == 0.0)]

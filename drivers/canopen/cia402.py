@@ -1,6 +1,6 @@
 """The drive's state machine of CiA 402 (IEC 61800-7-201), as tables and pure functions: no bus, no time.
 
-Statuswords are decoded by mask, never by name; the controlword that leads on is read from one table.
+Statuswords are decoded by mask, never by name; the next controlword is read from one table.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ DISABLE_OPERATION = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 HOMING_START = 1 << 4
-HOMING_AT_PRESENT_POSITION = frozenset({35, 37})  # methods that take any place for zero
+HOMING_AT_PRESENT_POSITION = frozenset({35, 37})  # methods that take the present position as zero
 
-# goal -> state -> controlword that leads one transition on (or holds). States that are absent have no way but time or a fault reset.
+# goal -> state -> controlword that leads one transition on (or holds). States that are absent are left only by time or a fault reset.
 _PATHS: dict[State, dict[State, int]] = {
     State.SWITCH_ON_DISABLED: {
         State.NOT_READY_TO_SWITCH_ON: DISABLE_VOLTAGE,
@@ -124,7 +124,7 @@ _HOMING = {
 
 
 def decode_state(statusword: int) -> State:
-    """State of a statusword (object 6041h) by the standard's mask table."""
+    """Return the state of a statusword (object 6041h) by the standard's mask table."""
     for mask, value, state in STATE_CODING:
         if statusword & mask == value:
             return state
@@ -132,21 +132,21 @@ def decode_state(statusword: int) -> State:
 
 
 def next_controlword(state: State, goal: State) -> int | None:
-    """Controlword that leads from `state` one transition towards `goal`, or holds it there; None when no controlword does.
+    """Return the controlword that leads from `state` one transition towards `goal`, or holds it there; None when none does.
 
-    Faults are not left by this table: a fault is reset deliberately (`FAULT_RESET`, rising edge) and checked, or not at all.
+    This table never leaves a fault: a fault is reset deliberately (`FAULT_RESET`, rising edge) and checked.
     """
     return _PATHS[goal].get(state)
 
 
 def decode_homing(statusword: int) -> Homing:
-    """Progress of a homing procedure; both error and attained set at once counts as an error."""
+    """Return the progress of a homing procedure; error and attained set at once count as an error."""
     error, attained, reached = statusword >> 13 & 1, statusword >> 12 & 1, statusword >> 10 & 1
     return _HOMING[(error, 0 if error else attained, reached)]
 
 
 def describe_statusword(statusword: int) -> str:
-    """E.g. `operation enabled, internal limit active (1A37h)`."""
+    """Return a statusword in words, e.g. `operation enabled, internal limit active (1A37h)`."""
     words = [decode_state(statusword).value]
     words += ["warning"] if statusword & WARNING else []
     words += ["internal limit active"] if statusword & INTERNAL_LIMIT_ACTIVE else []

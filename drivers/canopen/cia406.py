@@ -13,17 +13,17 @@ _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 
 
 def signed_counts(raw: int, zero: int) -> int:
-    """Counts from the joint's zero, of a 32-bit position value (6004h) that may have passed its end."""
+    """Return counts from the joint's zero, for a 32-bit position value (6004h) that may have wrapped."""
     return (raw - zero + _HALF_RANGE) % _RANGE - _HALF_RANGE
 
 
 def check_alarms(node: SdoNode) -> None:
-    """Refuse an encoder that says of itself that its position is wrong.
+    """Refuse an encoder that reports its position as wrong.
 
     Raises
     ------
     DeviceFaultError
-        Every alarm in words.
+        The encoder has an alarm; the message gives each in words.
     """
     if not node.knows(ALARMS):
         return

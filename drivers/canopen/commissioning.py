@@ -1,4 +1,4 @@
-"""A machine's first careful motion, axis by axis: a gentle push that must move it the right way, homing, encoder agreement."""
+"""A machine's first careful motion, axis by axis: a gentle push that must move it in the right direction, homing, encoder agreement."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
 DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
-RAMP_SHARE = 0.5  # of the direction check's time-out in which the effort rises
+RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
-AVERAGING_S = 0.5  # after a brake has closed a flexible structure still swings: the mean over some of its periods is where it stands
+AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
 
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 
 def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float, *, push: bool) -> list[str]:
-    """First-move check (if `push`), homing, encoder agreement of one axis, all others braked and without voltage.
+    """Check the first move (if `push`), home and check encoder agreement of one axis, all others braked and without voltage.
 
     Parameters
     ----------
@@ -30,14 +30,14 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
     holding : (n_axes,) array
         Effort that holds this axis where it is; zero for the others.
     windup : float
-        By how much the gear's deflection puts the link ahead of the motor side, brake closed [rad or m].
+        How far the gear's deflection puts the link ahead of the motor side, brake closed [rad or m].
     push : bool
         Whether the axis is moved a little first.
 
     Returns
     -------
     list of str
-        What was checked and seen, a line each.
+        The checks and their findings, a line each.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
 def check_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> str:
     """Push an enabled axis, brake open, gently in the positive direction: it must move that way, and its link with it.
 
-    The effort rises from the holding effort to `direction_check_effort` above it and is taken back once `direction_check_travel` is seen.
+    The effort rises from the holding effort to `direction_check_effort` above it, and falls back once `direction_check_travel` is reached.
 
     Returns
     -------
@@ -118,16 +118,16 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
 
 
 def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float = 0.0) -> None:
-    """Run the drive's own homing and take its counter's zero, or the absolute link encoder's, as the joint's.
+    """Run the drive's own homing and take its counter's zero, or that of the absolute link encoder, as the joint's.
 
-    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: there the link
-    encoder, less the gear's windup, says where the motor side is. Methods that move open the brake for as long as they last; their
-    home offset (607Ch) is the machine file's affair.
+    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: the link encoder, less the
+    gear's windup, then gives the motor side's position. Methods that move open the brake while they run; their home offset (607Ch) is set
+    in the machine file.
 
     Raises
     ------
     MotionRefusedError
-        Homing error or time-out.
+        The drive reports a homing error, or homing took too long.
     """
     moves = settings.method not in HOMING_AT_PRESENT_POSITION
     motion.set_mode(machine, axis, Mode.HOMING)
@@ -156,7 +156,7 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
 
 
 def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray, windup: float = 0.0) -> str:
-    """Motor side and link encoder must tell the same position, the gear's windup between them taken off.
+    """Check that motor side and link encoder give the same position, after subtracting the gear's windup.
 
     Returns
     -------
@@ -197,14 +197,14 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
 
 
 def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
-    """The same, averaged at a standstill in which the structure may still swing."""
+    """Return motor-side position and link position, averaged at a standstill in which the structure may still swing."""
     rows = [_positions(machine, axis, command) for _ in range(motion.ticks_in(machine, AVERAGING_S))]
     position, link = np.mean(rows, axis=0)
     return float(position), float(link)
 
 
 def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: bool) -> None:
-    """Method, and for those that move speeds and acceleration, in counts per second as the standard's default units have it."""
+    """Write the homing method, and for methods that move, speeds and acceleration in the standard's default units, counts per second."""
     sdo = machine.sdo(axis)
     sdo.write_checked(HOMING_METHOD, 0, settings.method)
     if not moves:

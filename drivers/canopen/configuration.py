@@ -1,6 +1,7 @@
-"""A node set up from the machine file, every write read back: SYNC, heartbeats, PDOs, option codes, scaling.
+"""Configuration of a node from the machine file, every write read back: SYNC, heartbeats, PDOs, option codes, scaling.
 
-Nothing is assumed of the node's stored parameters: what matters to the loop is written, and what the node sends unasked is switched off.
+Nothing is assumed about the node's stored parameters: all that matters to the loop is written, and all other transmissions are switched
+off.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ OPTION_CODES = (
     (0x605C, 1),  # disable operation: slow down on the slow down ramp
     (0x605E, 2),  # fault reaction: slow down on the quick stop ramp
 )
-"""How a drive stops by itself. Written where the drive has the object and the machine file's own `writes` do not name it."""
+"""Option codes for stops by the drive itself, written where the drive has the object and the machine file's `writes` do not name it."""
 
 
 def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: AxisScaling | None = None) -> tuple[str, ...]:
@@ -90,7 +91,7 @@ def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:
 
 
 def _configure_pdos(sdo: SdoNode, node: Node) -> None:
-    """The machine file's PDOs on, all others off: a PDO nobody asked for costs bus time in every tick."""
+    """Switch the machine file's PDOs on and all others off, because an unused PDO costs bus time in every tick."""
     for communication, pdos in ((RPDO_COMMUNICATION, node.rpdos), (TPDO_COMMUNICATION, node.tpdos)):
         used = {communication + pdo.number - 1 for pdo in pdos}
         for index in range(communication, communication + PDO_COUNT):
@@ -116,7 +117,7 @@ def _mapping_words(entries: Iterable[int]) -> str:
 
 
 def _watch_bench(sdo: SdoNode, settings: BusSettings) -> bool:
-    """Let the node watch the bench's heartbeat; False when it cannot or the bench sends none."""
+    """Let the node watch the bench's heartbeat; return False when it cannot or the bench sends none."""
     if not (settings.master_heartbeat_period_s > 0.0 and sdo.may_write(CONSUMER_HEARTBEAT, 1)):
         return False
     milliseconds = round(HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s * 1000)
@@ -125,7 +126,7 @@ def _watch_bench(sdo: SdoNode, settings: BusSettings) -> bool:
 
 
 def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[int]:
-    """Write what the drive has; return what it lacks of the two that matter when nobody is there any more."""
+    """Write the option codes that the drive has; return which it lacks of the two that act when the bench is gone."""
     for index, code in OPTION_CODES:
         if sdo.may_write(index) and (index, 0) not in own_writes:
             sdo.write_checked(index, 0, code)
@@ -133,7 +134,7 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
 
 
 def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple[int, int]]) -> None:
-    """Rated values the per mille refer to, and the drive's own limits, which are per mille of them."""
+    """Write the rated values to which per mille refer, and the drive's own limits, which are per mille of them."""
     for index, value, what in (
         (RATED_CURRENT, scaling.rated_current_mA, "rated current in mA"),
         (RATED_TORQUE, scaling.rated_torque_mNm, "rated torque in mNm"),

@@ -1,6 +1,6 @@
-"""The frames of one tick: RPDOs out, heartbeat when due, SYNC, TPDOs in. Runs hundreds of times a second: all is looked up beforehand.
+"""The frames of one tick: RPDOs out, heartbeat when due, SYNC, TPDOs in. It runs hundreds of times a second.
 
-Raw frames and one dictionary by COB-ID; no object of the `canopen` library is touched in a tick.
+All look-ups are made beforehand: a tick handles raw frames and one dictionary by COB-ID, and touches no object of the `canopen` library.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 INT16_MAX = 32767
 ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
-"""Frames read at most outside the answer time: a device that babbles must not keep the loop from its tick."""
+"""Most frames read outside the answer time: a device that floods the bus must not keep the loop from its tick."""
 NOTHING = bytes(8)  # a frame of zeros
 ANSWER_SPREAD = 0.1
-"""Of a period: so near to its usual time after SYNC a TPDO comes that answers it. One of an earlier SYNC comes whenever it is done."""
+"""Share of a period within which a TPDO that answers a SYNC comes about its usual time; one of an earlier SYNC comes at any time."""
 USUAL_OVER = 16
-"""Answers over which that usual time is averaged."""
+"""Number of answers over which the usual time is averaged."""
 
 
 class AxisInput:
-    """What arrives of one axis, and how counts and per mille become SI.
+    """The values received of one axis, and their conversion from counts and per mille to SI.
 
-    position = sign * counts * resolution + offset, over as many wraps of the 32-bit counter as the axis has seen.
+    position = sign * counts * resolution + offset, continued over wraps of the 32-bit counter.
     """
 
     def __init__(self, scaling: AxisScaling) -> None:
@@ -49,7 +49,7 @@ class AxisInput:
         self._turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
-        """Joint position [rad or m] of a position actual value (6064h)."""
+        """Return the joint position [rad or m] of a position actual value (6064h)."""
         if self._last_raw is not None:
             step = raw - self._last_raw
             if step >= _HALF_RANGE:
@@ -60,15 +60,15 @@ class AxisInput:
         return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
 
     def effort(self, permille: int) -> float:
-        """Measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
+        """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
         return self._effort_scale * permille
 
     def link_position(self, raw: int) -> float:
-        """Position of the absolute link encoder [rad or m]."""
+        """Return the position of the absolute link encoder [rad or m]."""
         return signed_counts(raw, self.scaling.link_zero_counts) * self.scaling.link_resolution
 
     def counter_was_set(self) -> None:
-        """The drive's counter is about to jump (homing): forget where it was."""
+        """Forget the counter's last value, because the drive has set its counter (homing)."""
         self._last_raw = None
         self._turns = 0
 
@@ -96,11 +96,12 @@ class AxisOutput:
             raise ConfigurationRefusedError(f"{node.name}: its RPDOs must map controlword and target_torque")
 
     def permille(self, effort: float) -> int:
-        """Target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
+        """Return the target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
         value = round(effort * self._permille)
         return self._limit if value > self._limit else -self._limit if value < -self._limit else value
 
     def send(self, bus: can.BusABC, target: int) -> None:
+        """Send the drive's RPDOs with the controlword and this target torque."""
         for message, pack_into, has_controlword, controlword_first in self.frames:
             if not has_controlword:
                 pack_into(message.data, target)
@@ -114,7 +115,7 @@ class AxisOutput:
 
 
 class _Tpdo:
-    """One TPDO of one node: where its values go."""
+    """One TPDO of one node, and the destination of its values."""
 
     def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
         self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
@@ -145,7 +146,7 @@ class _Tpdo:
             sample.link_position[axis] = source.link_position(values[self.link])
 
     def forget(self, sample: Sample) -> None:
-        """Leave no value of its frames in the sample."""
+        """Remove the values of its frames from the sample."""
         if self.statusword >= 0:
             sample.statusword[self.axis] = -1
         for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
@@ -197,16 +198,16 @@ class CyclicExchange:
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
         self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
         self._alone_s = [nan] * len(self._tpdos)  # when the last one came that may be of an earlier SYNC
-        self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # some buses can
+        self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # only some buses have it
         self._awake_s = network.clock.awake_s
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
         self._fault = ""
-        self.late_frames = 0  # process data that came after its tick had been closed
-        self.syncs = 0  # sent since whoever owns this set it to 0
+        self.late_frames = 0  # process data that came after the end of its tick
+        self.syncs = 0  # SYNCs sent since the owner set this to 0
 
     def run(self, efforts: Sequence[float], sample: Sample, before_sync: Callable[[], object] | None = None) -> float:
-        """One tick: send, wait for the tick, SYNC, receive.
+        """Make one tick: send, wait for the tick, SYNC, receive.
 
         Parameters
         ----------
@@ -255,7 +256,7 @@ class CyclicExchange:
         return overdue_s
 
     def rehearse(self) -> None:
-        """Go through the motions of a tick shortly before it, as far as they change nothing; see `drivers.udp_bus.UdpBus.rehearse`."""
+        """Execute those parts of a tick that change nothing, shortly before it; see `drivers.udp_bus.UdpBus.rehearse`."""
         if self._rehearse_bus is not None:
             self._rehearse_bus()
         for tpdo in self._tpdos:
@@ -263,7 +264,7 @@ class CyclicExchange:
 
     @property
     def missing(self) -> list[str]:
-        """Which TPDOs did not answer the last SYNC, in words."""
+        """TPDOs that did not answer the last SYNC, in words."""
         return [tpdo.who for bit, tpdo in enumerate(self._tpdos) if self._outstanding >> bit & 1]
 
     def _clear(self, sample: Sample) -> None:
@@ -275,10 +276,11 @@ class CyclicExchange:
     def _receive(self, sample: Sample, overdue_s: float) -> int:
         """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.
 
-        Whoever has left earlier SYNCs unanswered may still answer them: the last of so many answers is this SYNC's. Were the first taken
-        for it, every row from then on would show an earlier one. When fewer come, either answers were lost and the newest is this SYNC's,
-        or this one's is late, too. Nothing in a frame tells; its time does: it is this SYNC's if it came when this TPDO usually comes. A
-        TPDO that was never in time owes nothing, since its node may not have been running: answers that lag from the first on are not seen.
+        A node that has left earlier SYNCs unanswered may still answer them, so the last of its answers belongs to this SYNC. If the first
+        were taken, every row from then on would show an earlier sample. When fewer answers come than are owed, either some were lost and
+        the newest belongs to this SYNC, or this SYNC's answer is late, too. A frame does not tell, but its time does: it belongs to this
+        SYNC if it came at the TPDO's usual time. A TPDO that was never in time owes nothing, because its node may not have been running;
+        answers that lag from the first one on are therefore not detected.
         """
         outstanding = self._expected
         remaining = timeout_s = self._answer_timeout_s
@@ -286,7 +288,7 @@ class CyclicExchange:
         bus, by_cob_id, now, owed = self._bus, self._by_cob_id, self._clock.now, self._owed
         in_debt = any(owed)
         awake = self._awake_s > 0.0
-        asleep_at = max(0.0, timeout_s - self._awake_s)  # when so much remains
+        asleep_at = max(0.0, timeout_s - self._awake_s)  # remaining time at which polling without sleep ends
         while outstanding:
             message = receive_frame(bus, 0.0 if awake else remaining)
             if message is None and not awake:
@@ -321,7 +323,7 @@ class CyclicExchange:
         return self._in_doubt(outstanding, came, sample) if outstanding else 0
 
     def _in_doubt(self, outstanding: int, came: int, sample: Sample) -> int:
-        """Book what is owed now; return `outstanding` without those whose answer came. What may be an earlier SYNC's is no sample."""
+        """Update the count of owed answers; return `outstanding` without those that came. An answer to an earlier SYNC is no sample."""
         for bit, tpdo in enumerate(self._tpdos):
             if not outstanding >> bit & 1:
                 continue
@@ -335,7 +337,7 @@ class CyclicExchange:
         return outstanding
 
     def _drop_stale(self, sample: Sample) -> None:
-        """Take off what came too late for the last tick: it must not be mistaken for the answer to the next SYNC."""
+        """Drop frames that came too late for the last tick, so that they are not mistaken for answers to the next SYNC."""
         for _ in range(STALE_FRAMES_MAX):
             message = receive_frame(self._bus, 0.0)
             if message is None:
@@ -374,12 +376,12 @@ class CyclicExchange:
 
 
 def drives(settings: BusSettings) -> list[Node]:
-    """The drive of each axis, in axis order.
+    """Return the drive of each axis, in axis order.
 
     Raises
     ------
     ConfigurationRefusedError
-        An axis has none, or more than one.
+        An axis has no drive, or more than one.
     """
     found = []
     for scaling in settings.scalings:

@@ -1,7 +1,7 @@
-"""Electronic data sheets (CiA 306) as vendors really write them, read into an object dictionary of the `canopen` library.
+"""Reader of electronic data sheets (CiA 306) as vendors write them, into an object dictionary of the `canopen` library.
 
-The library's reader stops at what real files contain: integers left empty, bytes of a Windows code page, comments behind values, octal
-numbers, negative defaults written as unsigned hex, sections in any case and order. So the text is put right first and the library reads
+The library's reader fails on the contents of real files: empty integers, bytes of a Windows code page, comments behind values, octal
+numbers, negative defaults written as unsigned hex, sections in any case and order. So the text is normalised first and the library reads
 clean text.
 """
 
@@ -63,7 +63,7 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
     Raises
     ------
     ProtocolError
-        In one line: the file, the section and what is wrong with it.
+        The file cannot be used; one line names the file, the section and the fault.
     """
     path = Path(path)
     try:
@@ -76,17 +76,19 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
 
 
 def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "EDS") -> canopen.ObjectDictionary:
-    """The same from text; `name` stands before every complaint."""
+    """Read the text of an EDS or DCF file like `load_object_dictionary`; `name` precedes every error message."""
     try:
         sections = _sections(text)
         if node_id is None:
             node_id = _own_node_id(sections)
         clean = _clean(sections, node_id)
-        dictionary = canopen.objectdictionary.eds.import_eds(io.StringIO(clean), node_id)
+        dictionary: canopen.ObjectDictionary = canopen.objectdictionary.eds.import_eds(  # type: ignore[no-untyped-call]
+            io.StringIO(clean), node_id
+        )
         dictionary.node_id = node_id
     except ProtocolError as error:
         raise ProtocolError(f"{name}: {error}") from None
-    except Exception as error:  # whatever the library trips over in a broken file is one thing to the user: a broken file
+    except Exception as error:  # whatever error the library raises, the user needs to know one thing: the file is broken
         raise ProtocolError(f"{name}: not a usable EDS or DCF file: {type(error).__name__}: {error}".replace("\n", " ")) from error
     if not any(index >= 0x1000 for index in dictionary):
         raise ProtocolError(f"{name}: no object from 1000h on: not an EDS or DCF file")
@@ -103,7 +105,7 @@ def _decode(raw: bytes) -> str:
 
 
 def _sections(text: str) -> Sections:
-    """Every section once, keys in the standard's spelling, comments gone; the last of two equal keys counts."""
+    """Return every section once, keys in the standard's spelling, without comments; the last of two equal keys counts."""
     sections: Sections = {}
     current: dict[str, str] | None = None
     for line in text.replace("\x00", "").splitlines():
@@ -128,7 +130,7 @@ def _own_node_id(sections: Sections) -> int | None:
 
 
 def _clean(sections: Sections, node_id: int | None) -> str:
-    """The text the library can read: parents before children, numbers plain, what it does not need left out."""
+    """Return text that the library can read: parents before children, plain numbers, nothing that it does not need."""
     out = io.StringIO()
     _resolve_own_types(sections)
     _emit(out, "DeviceInfo", _plain_numbers(sections.get("DeviceInfo", {}), "DeviceInfo"))
@@ -146,7 +148,7 @@ def _clean(sections: Sections, node_id: int | None) -> str:
 
 
 def _resolve_own_types(sections: Sections) -> None:
-    """Types beyond the basic ones: one that the file defines itself ([A0sub1], as CANFestival does) is its basic type, others are bytes."""
+    """Replace types beyond the basic ones: those defined in the file ([A0sub1], as by CANFestival) by their basic type, others by bytes."""
     for head, keys in sections.items():
         text = keys.get("DataType", "")
         if not text or not _OBJECT.match(head):
@@ -169,7 +171,7 @@ def _emit_dummies(out: io.StringIO, given: dict[str, str]) -> None:
 
 
 def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_id: int | None) -> None:
-    """A compact array written out: every element has the array's type, and a name and a value of its own where the file lists them."""
+    """Write out a compact array: every element has the array's type, and its own name and value where the file lists them."""
     keys = sections[index]
     count = _integer(keys["CompactSubObj"], None, f"[{index}] CompactSubObj")
     if not 0 <= count <= 254:
@@ -186,7 +188,7 @@ def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_i
 
 
 def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
-    """Number-like keys as plain decimals; empty or unreadable ones of the file's own description left out."""
+    """Return number-like keys as plain decimals, without empty or unreadable ones of the file's own description."""
     plain = {}
     for key, value in keys.items():
         if key in _TEXT_KEYS:
@@ -195,12 +197,12 @@ def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
             try:
                 plain[key] = str(_integer(value, None, f"[{head}] {key}"))
             except ProtocolError:
-                continue  # [DeviceInfo] is for reading by people; nothing here depends on it
+                continue  # [DeviceInfo] is for human readers; nothing here depends on it
     return plain
 
 
 def _object_keys(keys: dict[str, str], head: str, node_id: int | None) -> dict[str, str]:
-    """One object's or subindex's keys, complete and with plain numbers."""
+    """Return the keys of one object or subindex, complete and with plain numbers."""
     clean = {"ParameterName": keys.get("ParameterName") or f"Object {head}"}
     object_type = _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
     clean["ObjectType"] = str(object_type)
@@ -212,7 +214,7 @@ def _object_keys(keys: dict[str, str], head: str, node_id: int | None) -> dict[s
 
 
 def _variable_keys(keys: dict[str, str], head: str, object_type: int, node_id: int | None) -> dict[str, str]:
-    """What makes a variable: type, access, mapping, and its values as the type has them."""
+    """Return the keys of a variable: type, access, mapping, and its values in the form of its type."""
     if not keys.get("DataType") and object_type != _DOMAIN_OBJECT:
         raise ProtocolError(f"[{head}]: DataType is missing")
     data_type = _integer(keys.get("DataType") or "0xF", None, f"[{head}] DataType")
@@ -228,7 +230,7 @@ def _variable_keys(keys: dict[str, str], head: str, object_type: int, node_id: i
 
 
 def _typed(value: str, data_type: int, node_id: int | None, where: str) -> str:
-    """A value as the library reads it: integers plain, in the range of their type, negative where the type is signed."""
+    """Return a value in the library's form: plain integers in the range of their type, negative where the type is signed."""
     if data_type not in _FIXED_BITS:
         return value
     if "$NODEID" in value.upper() and node_id is None:
@@ -246,7 +248,7 @@ def _typed(value: str, data_type: int, node_id: int | None, where: str) -> str:
 
 
 def _integer(text: str, node_id: int | None, where: str) -> int:
-    """CiA 306 numbers: decimal, hex after 0x, octal after a leading 0, and sums with ``$NODEID``."""
+    """Read a CiA 306 number: decimal, hex after 0x, octal after a leading 0, and sums with ``$NODEID``."""
     total = 0
     for raw in text.replace(" ", "").upper().split("+"):
         if raw == "$NODEID" and node_id is not None:

@@ -190,23 +190,23 @@ class Emergency:
 
     @property
     def is_reset(self) -> bool:
-        """Class 00xxh: the error is gone."""
+        """Whether the code is of class 00xxh: the error is gone."""
         return self.code & 0xFF00 == 0
 
     def describe(self, vendor_id: int | None = None) -> str:
-        """E.g. `EMCY 8130h: life guard or heartbeat error (communication)`."""
+        """Return the message in words, e.g. `EMCY 8130h: life guard or heartbeat error (communication)`."""
         vendor = f", vendor bytes {self.vendor_bytes.hex(' ')}" if any(self.vendor_bytes) else ""
         register = describe_register(self.register)
         return f"EMCY {self.code:04X}h: {describe_code(self.code, vendor_id)}{f' ({register})' if register else ''}{vendor}"
 
 
 def decode_emergency(data: bytes | bytearray) -> Emergency:
-    """Read the payload of an EMCY frame; short frames are filled with zeros, as some devices cut them."""
+    """Read the payload of an EMCY frame; short frames, which some devices send, are filled with zeros."""
     return Emergency(*_LAYOUT.unpack(bytes(data[:8]).ljust(8, b"\0")))
 
 
 def describe_code(code: int, vendor_id: int | None = None) -> str:
-    """An error code (EMCY or object 603Fh) in words; vendor tables go first when the vendor is known."""
+    """Return an error code (EMCY or object 603Fh) in words; vendor tables go first when the vendor is known."""
     if code & 0xFF00 == 0:
         return "no error"
     if vendor_id == MAXON_VENDOR_ID and code in MAXON_CODES:
@@ -220,6 +220,6 @@ def describe_code(code: int, vendor_id: int | None = None) -> str:
 
 
 def describe_register(register: int) -> str:
-    """The bits of the error register 1001h in words; the generic bit is left out when another says more."""
+    """Return the bits of the error register 1001h in words, without the generic bit when another says more."""
     words = [name for bit, name in enumerate(REGISTER_BITS) if register >> bit & 1]
     return ", ".join(words[1:] if len(words) > 1 and words[0] == "generic" else words)

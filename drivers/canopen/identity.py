@@ -1,4 +1,4 @@
-"""What a node is: device type 1000h in words, identity object 1018h, and whether both are what the machine file says."""
+"""Identity of a node: device type 1000h in words, identity object 1018h, and their comparison with the machine file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FIELDS = (("vendor_id", 1), ("product_code", 2), ("revision_number", 3), ("seri
 
 
 def describe_device_type(device_type: int) -> str:
-    """E.g. `servo drive (CiA 402)` for 00020192h."""
+    """Return a device type in words, e.g. `servo drive (CiA 402)` for 00020192h."""
     profile = device_type & 0xFFFF
     if profile == 402 and (kind := DRIVE_KINDS.get(device_type >> 16 & 0xFF)):
         return f"{kind} (CiA 402)"
@@ -35,7 +35,7 @@ def describe_device_type(device_type: int) -> str:
 
 
 def read_identity(node: SdoNode) -> Identity:
-    """Object 1018h; what the node does not have is None."""
+    """Read object 1018h; entries that the node does not have are None."""
     values: dict[str, int | None] = {}
     for name, subindex in _FIELDS:
         data = node.read_if_present(0x1018, subindex)

@@ -1,4 +1,4 @@
-"""What happens to drives between "powered" and "in the loop", tick by tick: states, fault reset, modes, brakes.
+"""Procedures that take drives from "powered" to "in the loop", tick by tick: states, fault reset, modes, brakes.
 
 Every procedure runs on the same ticks as the sample loop, so SYNC, heartbeats and supervision never pause; each has a time-out and each
 refuses in words. The bench's methods in `drivers.machine_link` string them together and stop the motors when one refuses.
@@ -33,11 +33,11 @@ SETTLED_TICKS = 2  # after a controlword goes out its effect is in the statuswor
 MODES_OF_OPERATION, MODES_DISPLAY, ERROR_CODE = 0x6060, 0x6061, 0x603F
 
 Hold = Callable[[Sample], np.ndarray]
-"""Which command holds the axes, given the newest sample: a constant effort, or the loop's feedback."""
+"""Command that holds the axes, as a function of the newest sample: a constant effort, or the loop's feedback."""
 
 
 class Machine(Protocol):
-    """What the procedures need of the machine: its ticks, its drives by axis number, its brakes."""
+    """The interface of a machine for these procedures: its ticks, its drives by axis number, its brakes."""
 
     clock: Clock
     period_s: float  # of the ticks
@@ -50,28 +50,28 @@ class Machine(Protocol):
     watch: MotionWatch
 
     def exchange(self, command: np.ndarray) -> Sample:
-        """One tick; raises on faults of armed drives."""
+        """Make one tick; raises on faults of armed drives."""
 
     def set_controlword(self, axis: int, controlword: int) -> None:
-        """Controlword from the next tick on."""
+        """Set the controlword of the next tick and all later ones."""
 
     def arm(self, axis: int, armed: bool) -> None:
-        """An armed drive that leaves operation enabled is a fault."""
+        """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
 
     def command_brakes(self, open_: dict[str, bool]) -> None:
         """Ask for brakes to open or close."""
 
     def has_brake(self, axis: int) -> bool:
-        """Whether the I/O commands a brake of this axis."""
+        """Return whether the I/O commands a brake of this axis."""
 
     def refusal(self) -> str:
-        """Why nothing may move by the newest state of hold-to-run, door and I/O; '' when it may."""
+        """Return in words why hold-to-run, door or I/O forbid motion; '' when they permit it."""
 
     def sdo(self, axis: int) -> SdoNode:
-        """Object dictionary of the axis' drive."""
+        """Return the object dictionary of the axis' drive."""
 
     def resume_ticks(self) -> None:
-        """Ticks start anew after something else took time."""
+        """Start the ticks again after something else took time."""
 
 
 def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> None:
@@ -140,7 +140,7 @@ def reset_fault(machine: Machine, axis: int) -> None:
 
 
 def fault_words(machine: Machine, axis: int) -> str:
-    """State, error code and newest EMCY of a drive that is in fault."""
+    """Return state, error code and newest EMCY of a drive that is in fault."""
     node = machine.drives[axis]
     words = [f"{node.name} (node {node.node_id}): {cia402.describe_statusword(machine.inputs[axis].statusword)}"]
     emergency = machine.supervision.last_emergency(node.node_id)
@@ -192,26 +192,26 @@ def close_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
 
 
 def run_for(machine: Machine, seconds: float, hold: Hold) -> None:
-    """Tick for that long under a holding command."""
+    """Tick for this long under a holding command."""
     for _ in range(ticks_in(machine, seconds)):
         tick(machine, hold(machine.sample))
 
 
 def ticks_in(machine: Machine, seconds: float) -> int:
-    """Whole ticks, counted and not timed, so that a procedure is the same frame by frame on every bus."""
+    """Return whole ticks of a duration, so that a procedure is the same frame by frame on every bus."""
     return max(1, math.ceil(seconds / machine.period_s))
 
 
 def tick(machine: Machine, command: np.ndarray) -> Sample:
-    """One exchange in which no device may report a fault, nobody may take back the permission to move, and no axis leave its bounds.
+    """Exchange once; no device may report a fault, the permission to move must stand, and no axis may leave its bounds.
 
     Raises
     ------
     DeviceFaultError
-        Whatever any node reported, in words.
+        A node reported a fault; the message gives it in words.
     MotionRefusedError
-        Hold-to-run was released, the door opened, or the I/O that would tell has gone silent; an axis moves as it may not, or nobody
-        knows how it moves.
+        Hold-to-run was released, the door was opened, or the I/O has gone silent; an axis moves beyond its bounds, or its position is
+        unknown.
     """
     sample = machine.exchange(command)
     if sample.fault:

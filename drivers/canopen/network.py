@@ -1,7 +1,7 @@
-"""A CANopen network without a receiving thread: whoever waits, receives.
+"""A CANopen network without a receiving thread: the code that waits for an answer also receives.
 
-The `canopen` library reads the bus in a thread of its own. A second thread in the loop's process costs milliseconds of wake-up time, and an
-in-process bus has nobody to wait for; so here the waiting itself takes frames off the bus and hands them to their subscribers.
+The `canopen` library reads the bus in a separate thread. A second thread in the loop's process costs milliseconds of wake-up time, and an
+in-process bus has no other party to wait for. So here the waiting itself takes frames off the bus and hands them to their subscribers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SEND_PATIENCE_S = 0.002
 """How long a full transmit queue (ENOBUFS) may last: 15 frames at 1 Mbit/s. python-can's own send time-out does not cover this errno."""
 
 HEARTBEAT_PATIENCE = 1.5
-"""Periods after which waiting sends the bench's heartbeat itself: later than the sample loop would, sooner than a node misses it."""
+"""Periods after which waiting code sends the bench's heartbeat: later than the sample loop would, sooner than a node misses it."""
 
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET_NODE, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 
@@ -29,12 +29,12 @@ SDO_REQUEST, SDO_RESPONSE, HEARTBEAT, EMERGENCY = 0x600, 0x580, 0x700, 0x080  # 
 
 
 class PolledNetwork(canopen.Network):
-    """canopen's network, pumped by whoever waits for an answer.
+    """canopen's network, pumped by the code that waits for an answer.
 
     Parameters
     ----------
     bus : can.BusABC
-        Open bus; it stays the caller's and is not shut down here.
+        Open bus, which remains the caller's and is not shut down here.
     clock : Clock
         Wall time on a bench, virtual time in lockstep.
     """
@@ -62,12 +62,12 @@ class PolledNetwork(canopen.Network):
         self.send_message(0x000, bytes((command, node_id)))
 
     def pump(self, timeout_s: float) -> bool:
-        """Take one frame off the bus and hand it to its subscribers; False when none came in time.
+        """Take one frame off the bus and hand it to its subscribers; return False when none came in time.
 
         Raises
         ------
         BusError
-            The bus cannot be read any more.
+            The bus cannot be read.
         """
         if self._heartbeat is not None and self.clock.now() >= self._heartbeat_due_s:
             self.send_heartbeat()
@@ -79,19 +79,19 @@ class PolledNetwork(canopen.Network):
         return True
 
     def pump_for(self, duration_s: float) -> None:
-        """Receive for that long."""
+        """Receive for this long."""
         deadline = self.clock.now() + duration_s
         while (remaining := deadline - self.clock.now()) > 0.0 and self.pump(remaining):
             pass
 
     def start_heartbeat(self, node_id: int, period_s: float) -> None:
-        """The bench's own heartbeat from now on: the sample loop sends it by tick count, long waits in between by time."""
+        """Start the bench's own heartbeat: the sample loop sends it by tick count, long waits in between by time."""
         self._heartbeat = can.Message(arbitration_id=HEARTBEAT + node_id, is_extended_id=False, data=bytearray(b"\x05"))
         self._heartbeat_patience_s = HEARTBEAT_PATIENCE * period_s
         self._heartbeat_due_s = self.clock.now()
 
     def stop_heartbeat(self) -> None:
-        """Fall silent: nodes that watch this heartbeat stop their motors."""
+        """Stop the bench's heartbeat; nodes that watch it stop their motors."""
         self._heartbeat = None
 
     def send_heartbeat(self) -> None:
@@ -102,7 +102,7 @@ class PolledNetwork(canopen.Network):
 
 
 def send_frame(bus: can.BusABC, message: can.Message) -> None:
-    """Send a frame, bridging a transmit queue that is full for a moment.
+    """Send a frame; retry while the transmit queue is full for a moment.
 
     Raises
     ------
@@ -127,12 +127,12 @@ def send_frame(bus: can.BusABC, message: can.Message) -> None:
 
 
 def receive_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
-    """Next frame, or None after the time-out.
+    """Return the next frame, or None after the time-out.
 
     Raises
     ------
     BusError
-        The bus cannot be read any more, e.g. its interface went down.
+        The bus cannot be read, e.g. because its interface went down.
     """
     try:
         return bus.recv(timeout_s)

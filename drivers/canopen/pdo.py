@@ -1,4 +1,4 @@
-"""Process data objects to integers and back, precomputed for use in every tick.
+"""Conversion of process data objects to integers and back, precomputed for use in every tick.
 
 CiA 301 packs mapped objects one after the other, least significant bit first, little endian; at most 64 bits. Mappings of whole 8, 16, 32
 and 64-bit objects go through one precompiled `struct`, any other widths through shifts of one 64-bit integer.
@@ -32,7 +32,7 @@ SIGNED_OBJECTS = frozenset(
 
 @dataclass(frozen=True)
 class PdoCodec:
-    """One mapping, ready to use.
+    """The codec of one mapping.
 
     Parameters
     ----------
@@ -48,6 +48,7 @@ class PdoCodec:
     _struct: struct.Struct | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        """Check the widths and precompile the layout."""
         if not self.bits or any(width < 1 for width in self.bits) or sum(self.bits) > MAX_BITS:
             raise ProtocolError(f"a PDO maps 1 to {MAX_BITS} bits in objects of at least 1 bit; this one maps {list(self.bits)}")
         formats = [_FORMATS.get(key) for key in zip(self.bits, self.signed, strict=True)]
@@ -57,11 +58,11 @@ class PdoCodec:
 
     @classmethod
     def of(cls, entries: Sequence[tuple[int, int, int]]) -> PdoCodec:
-        """Codec of mapping entries (index, subindex, bits), signs by `SIGNED_OBJECTS`."""
+        """Make the codec of mapping entries (index, subindex, bits), signs by `SIGNED_OBJECTS`."""
         return cls(tuple(bits for _, _, bits in entries), tuple(index in SIGNED_OBJECTS for index, _, _ in entries))
 
     def unpack(self, data: bytes | bytearray) -> tuple[int, ...]:
-        """Mapped values of a frame's data; bytes beyond the mapping are ignored, as CiA 301 allows.
+        """Return the mapped values of a frame's data; bytes beyond the mapping are ignored, as CiA 301 allows.
 
         Raises
         ------
@@ -104,7 +105,7 @@ class PdoCodec:
         data[: self.size] = word.to_bytes(self.size, "little")
 
     def pack(self, *values: int) -> bytes:
-        """The mapped values as frame data."""
+        """Return the mapped values as frame data."""
         data = bytearray(self.size)
         self.pack_into(data, *values)
         return bytes(data)

@@ -1,4 +1,4 @@
-"""Which nodes are on a bus, what they are and in which state, without disturbing them: listen, then ask each id for its device type."""
+"""Scan of a bus for its nodes, their identity and state, without disturbing them: listen, then ask each id for its device type."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ class FoundNode:
     name: str  # object 1008h, '' when it has none
 
     def __str__(self) -> str:
+        """Return one line for an operator."""
         fields = (("vendor", self.identity.vendor_id), ("product", self.identity.product_code), ("revision", self.identity.revision_number))
         identity = "".join(f", {name} {value:08X}h" for name, value in fields if value is not None)
         return f"node {self.node_id}: {self.name or 'unnamed'}, {self.description}, {self.nmt_state}{identity}"
@@ -109,7 +110,10 @@ def _look_at(network: PolledNetwork, node_id: int, answers: list[bytes], state: 
 
 
 def _beats_too_often(network: PolledNetwork, node_id: int, beats: int, listen_s: float) -> bool:
-    """More heartbeats than one device's producer time 1017h explains: two of a kind, whose equal answers merge on a real bus."""
+    """Return whether there are more heartbeats than one device's producer time 1017h explains.
+
+    That reveals two devices of one type, whose equal answers merge on a real bus.
+    """
     node = SdoNode(network, node_id, "")
     try:
         period_s = int.from_bytes(node.read_if_present(0x1017) or b"", "little") / 1000.0

@@ -1,4 +1,4 @@
-"""Objects of one node read and written over SDO: typed by the data sheet, verified by read-back, every failure in words."""
+"""Access to the objects of one node over SDO: typed by the data sheet, verified by read-back, every failure in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections import deque
 
 import canopen
 from canopen.objectdictionary import datatypes
-from canopen.sdo import SdoAbortedError, SdoClient, SdoCommunicationError
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.network import SDO_REQUEST, SDO_RESPONSE, PolledNetwork
 from drivers.errors import ConfigurationRefusedError, DuplicateNodeError, NodeAbsentError
@@ -22,12 +23,12 @@ Address = tuple[int, int]
 
 
 class PolledSdoClient(SdoClient):
-    """canopen's SDO client; its waiting pumps the network, and a second answer to one request is noticed."""
+    """canopen's SDO client with two changes: its waiting pumps the network, and a second answer to one request is detected."""
 
     network: PolledNetwork
 
     def __init__(self, network: PolledNetwork, node_id: int, dictionary: canopen.ObjectDictionary, who: str) -> None:
-        super().__init__(SDO_REQUEST + node_id, SDO_RESPONSE + node_id, dictionary)
+        super().__init__(SDO_REQUEST + node_id, SDO_RESPONSE + node_id, dictionary)  # type: ignore[no-untyped-call]
         self.network = network
         self._who = who
         self._answers: deque[bytes] = deque()
@@ -35,11 +36,11 @@ class PolledSdoClient(SdoClient):
         network.subscribe(self.tx_cobid, self.on_response)
 
     def close(self) -> None:
-        """Hear no more answers."""
+        """Stop receiving answers."""
         self.network.unsubscribe(self.tx_cobid, self.on_response)
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Keep an answer until somebody asks for it."""
+        """Keep an answer until it is read."""
         self._answers.append(bytes(data).ljust(8, b"\0"))
 
     def read_response(self) -> bytes:
@@ -57,12 +58,12 @@ class PolledSdoClient(SdoClient):
         return response
 
     def request_response(self, sdo_request: bytes) -> bytes:
-        """Send a request and wait; a lost frame is bridged by asking again."""
+        """Send a request and wait for its answer; a lost frame is handled by asking again."""
         self._expect_silence()
         tries = TRIES if sdo_request[0] & 0xE0 in _INITIATES else 1
         for _ in range(tries):
             self._answers_owed += 1
-            self.send_request(sdo_request)
+            self.send_request(sdo_request)  # type: ignore[no-untyped-call]
             try:
                 return self.read_response()
             except SdoCommunicationError:
@@ -72,7 +73,7 @@ class PolledSdoClient(SdoClient):
 
     def abort(self, abort_code: int = 0x0800_0000) -> None:
         """Tell the server that this transfer is over."""
-        self.send_request(struct.pack("<BHBI", 0x80, 0, 0, abort_code))
+        self.send_request(struct.pack("<BHBI", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call]
 
     def _expect_silence(self) -> None:
         while self.network.pump(0.0):
@@ -93,7 +94,7 @@ class SdoNode:
     network : PolledNetwork
     node_id : int
     name : str
-        How the machine file calls it; stands before every complaint.
+        Name in the machine file; precedes every error message.
     dictionary : canopen.ObjectDictionary, optional
         From the node's EDS; without one, integers are unsigned and as long as the device sends them.
     """
@@ -102,7 +103,7 @@ class SdoNode:
         self.network = network
         self.node_id = node_id
         self.who = f"{name} (node {node_id})" if name else f"node {node_id}"
-        self.dictionary = dictionary if dictionary is not None else canopen.ObjectDictionary()
+        self.dictionary = dictionary if dictionary is not None else canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
         self._client = PolledSdoClient(network, node_id, self.dictionary, self.who)
 
     def close(self) -> None:
@@ -110,21 +111,21 @@ class SdoNode:
         self._client.close()
 
     def knows(self, index: int, subindex: int = 0) -> bool:
-        """Whether the data sheet has this object."""
+        """Return whether the data sheet has this object."""
         return self.dictionary.get_variable(index, subindex) is not None
 
     def may_write(self, index: int, subindex: int = 0) -> bool:
-        """Whether the data sheet has this object and lets it be written."""
+        """Return whether the data sheet has this object and allows writing it."""
         variable = self.dictionary.get_variable(index, subindex)
         return variable is not None and variable.writable
 
     def read(self, index: int, subindex: int = 0) -> bytes:
-        """Raw value of an object.
+        """Read the raw value of an object.
 
         Raises
         ------
         ConfigurationRefusedError
-            The node aborted; the abort code in words.
+            The node aborted; the message gives the abort code in words.
         NodeAbsentError
             It does not answer.
         """
@@ -138,7 +139,7 @@ class SdoNode:
             raise NodeAbsentError(f"{self.who}: reading {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
     def read_if_present(self, index: int, subindex: int = 0) -> bytes | None:
-        """Raw value, or None when the node has no such object."""
+        """Read the raw value, or return None when the node has no such object."""
         try:
             return self.read(index, subindex)
         except ConfigurationRefusedError as error:
@@ -147,11 +148,11 @@ class SdoNode:
             raise
 
     def read_integer(self, index: int, subindex: int = 0) -> int:
-        """Value of an integer object, signed where the data sheet says so."""
+        """Read the value of an integer object, signed where the data sheet says so."""
         return self._to_integer(index, subindex, self.read(index, subindex))
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Text of a visible string, '' when the node has none."""
+        """Read the text of a visible string; '' when the node has none."""
         return (self.read_if_present(index, subindex) or b"").decode("ascii", "replace").strip("\0 ")
 
     def write_integer(self, index: int, subindex: int, value: int) -> None:
@@ -217,7 +218,7 @@ class SdoNode:
 
 
 def abort_in_words(error: SdoAbortedError) -> str:
-    """E.g. `object cannot be mapped to the PDO (abort 06040041h)`."""
+    """Return an abort in words, e.g. `object cannot be mapped to the PDO (abort 06040041h)`."""
     words = SdoAbortedError.CODES.get(error.code, "unknown abort code")
     return (
         f"{words[0].lower()}{words[1:]} (abort {error.code:08X}h)" if not words.startswith("SDO") else f"{words} (abort {error.code:08X}h)"

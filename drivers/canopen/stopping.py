@@ -1,4 +1,4 @@
-"""Bringing drives to rest from any state: quick stop, brakes, voltage off. Every step is tried, whatever the one before ran into."""
+"""Stop of the drives from any state: quick stop, brakes, voltage off. Every step is tried, even when the one before failed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.interface import Clock
 
 QUICK_STOP_PATIENCE_S = 0.6  # for slowing down, and for the brakes to close
 DISABLE_PATIENCE_S = 0.2
-STANDSTILL_S = 0.05  # an axis whose position has not changed for so long stands
+STANDSTILL_S = 0.05  # an axis whose position has not changed for this long stands still
 STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
 POWERED = frozenset(
     {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
@@ -22,7 +22,7 @@ POWERED = frozenset(
 
 
 class Attempts:
-    """Runs steps one after the other and remembers what each ran into; never raises."""
+    """Runs steps one after the other and collects their errors; never raises."""
 
     def __init__(self) -> None:
         self.trouble: list[str] = []
@@ -31,12 +31,12 @@ class Attempts:
         """Try one step."""
         try:
             action(*arguments)
-        except Exception as error:  # stopping goes on whatever one step runs into
+        except Exception as error:  # stopping continues after any error
             self.trouble.append(f"{step}: {error}")
 
 
 class Standstill:
-    """Watches, tick by tick, which axes have stood still for `STANDSTILL_S`; a position that is missing is not known to stand.
+    """Determines, tick by tick, which axes have stood still for `STANDSTILL_S`; with a missing position an axis does not count as still.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Standstill:
         self._anchor = np.where(still, self._anchor, position)
 
     def of(self, axis: int) -> bool:
-        """Whether that axis stands."""
+        """Return whether this axis stands still."""
         return bool(self._ticks[axis] >= self._needed)
 
 
@@ -72,7 +72,7 @@ def bring_to_rest(
     close_brakes: Callable[[], object],
     at_rest: Callable[[int, bool], bool],
 ) -> None:
-    """Quick stop at once, brakes at once; voltage off only when every axis is at rest or its patience is over, so that nothing falls.
+    """Quick stop and close the brakes at once; switch voltage off only when every axis is at rest or time is up, so that nothing falls.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ def bring_to_rest(
     tick : callable
         One SYNC with zero targets, raising nothing but a dead bus.
     close_brakes : callable
-        Command.
+        Commands all brakes to close.
     at_rest : callable
-        Takes an axis and whether its drive is powered. Whether nothing happens any more when the voltage goes: its brake has closed, or,
-        where the bench works none, its drive has brought it to a standstill.
+        Takes an axis and whether its drive is powered. Returns whether the voltage may be switched off: its brake has closed or, where the
+        bench commands none, its drive has brought it to a standstill.
     """
 
     def tick_until(patience_s: float, done: Callable[[], bool]) -> None:

@@ -1,7 +1,7 @@
-"""Which nodes are alive: boot-up with a time-out of its own, heartbeats with ages, NMT states, and the emergencies they send.
+"""Supervision of the nodes: boot-up with its own time-out, ages of heartbeats, NMT states, and emergencies.
 
-CiA 301 monitoring of a heartbeat starts with the first one received: a node that never boots is never missed. So boot-up is waited for, and
-heartbeats are watched from then on.
+CiA 301 monitoring of a heartbeat starts with the first one received: a node that never boots is never missed. So boot-up is awaited first,
+and heartbeats are watched afterwards.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from drivers.errors import BusTimeoutError, DeviceFaultError, DuplicateNodeError
 from drivers.settings import Node
 
 HEARTBEAT_TOLERANCE = 2.5
-"""A heartbeat may be missing for so many of its periods: one lost frame and half a period of jitter."""
+"""Periods for which a heartbeat may be missing: one lost frame and half a period of jitter."""
 
-STALE_FRAMES = 256  # read away before a reset: a boot-up from before it is not its answer
+STALE_FRAMES = 256  # frames dropped before a reset: a boot-up message from before it is not its answer
 BOOT_SETTLE_S = 0.05
-"""How long to listen on after the last node booted, for a second device of one id: equal devices boot in equal time."""
+"""Time to listen after the last node booted for a second device with one id: equal devices boot in equal time."""
 
 OPERATIONAL = 0x05
 BOOT_UP = 0x00
@@ -28,7 +28,7 @@ BOOT_UP = 0x00
 
 @dataclass
 class _Watched:
-    """What was last heard from one node."""
+    """The last messages of one node."""
 
     name: str
     node_id: int
@@ -45,7 +45,7 @@ class _Watched:
 
 
 class Supervision:
-    """Hears every configured node's heartbeats and emergencies.
+    """Receives the heartbeats and emergencies of every configured node.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ class Supervision:
         }
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
-        self._running = False  # nodes were started: from now on leaving operational is a fault
-        self.left_operational = ""  # what a node did that was started and runs no more, in words; '' while all run
+        self._running = False  # nodes were started, so leaving operational is a fault
+        self.left_operational = ""  # which started node has left operational, in words; '' while all run
         for node_id in self._nodes:
             network.subscribe(HEARTBEAT + node_id, lambda can_id, data, _: self.heartbeat(can_id - HEARTBEAT, data))
             network.subscribe(EMERGENCY + node_id, lambda can_id, data, _: self.emergency(can_id - EMERGENCY, data))
@@ -93,21 +93,21 @@ class Supervision:
         self._fresh_fault = self._fresh_fault or words
 
     def take_fault(self) -> str:
-        """First fault noted since the last call, in words; '' when none."""
+        """Return the first fault noted since the last call, in words; '' when there is none."""
         words, self._fresh_fault = self._fresh_fault, ""
         return words
 
     def last_emergency(self, node_id: int) -> str:
-        """Newest EMCY of a node that was not reset, in words, or ''."""
+        """Return the newest EMCY of a node that was not reset, in words, or ''."""
         watched = self._nodes[node_id]
         return watched.emergency.describe(watched.vendor_id) if watched.emergency else ""
 
     def nmt_state(self, node_id: int) -> str:
-        """NMT state as last heard, in words."""
+        """Return the last NMT state received, in words."""
         return NMT_STATES.get(self._nodes[node_id].state, "never heard")
 
     def check_one(self, now_s: float) -> None:
-        """Check the next node's heartbeat, one per call: the sample loop asks every tick and comes round in a few of them.
+        """Check the next node's heartbeat, one per call: the sample loop calls it every tick and so checks all nodes within a few ticks.
 
         Raises
         ------
@@ -151,9 +151,9 @@ class Supervision:
         self._fresh_fault = ""
 
     def reset(self, node: Node, patience_s: float) -> bool:
-        """Reset one node's communication and wait for its boot-up message; whether it came in time.
+        """Reset one node's communication and wait for its boot-up message; return whether it came in time.
 
-        One node after the other: the order of frames on the bus then depends on no race.
+        Nodes are reset one after the other, so that the order of frames on the bus depends on no race.
         """
         clock, watched = self._network.clock, self._nodes[node.node_id]
         watched.boots = 0
@@ -178,7 +178,7 @@ class Supervision:
             sdo.close()
 
     def await_operational(self, nodes: Sequence[Node]) -> None:
-        """Wait until every started node's heartbeat says operational; from then on leaving it is a fault.
+        """Wait until every started node's heartbeat says operational; leaving it afterwards is a fault.
 
         Raises
         ------
@@ -204,12 +204,12 @@ class Supervision:
         self._running = True
 
     def stand_down(self) -> None:
-        """Nodes are being stopped on purpose: leaving operational is no fault any more."""
+        """Allow nodes to leave operational, because they are being stopped on purpose."""
         self._running = False
 
 
 def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_period_s: float) -> None:
-    """Listen for somebody who already sends the bench's heartbeat: two masters on one bus would move the same motors.
+    """Listen for another master that sends the bench's heartbeat: two masters on one bus would move the same motors.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_peri
     def listen(can_id: int, data: bytearray, stamp: float) -> None:
         heard.append(can_id)
 
-    while network.pump(0.0):  # what is older than this start
+    while network.pump(0.0):  # frames older than this start
         pass
     network.subscribe(HEARTBEAT + own_node_id, listen)
     network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)

@@ -1,7 +1,7 @@
-"""What an axis may do while a brake is open or a drive powered: held, pushed, homed, led, each within stated bounds.
+"""Bounds on the motion of an axis while a brake is open or a drive powered: held, pushed, homed or led by the sample loop.
 
-Both encoders of an axis are watched, each from where it stood when the phase began: a motor-side encoder that is frozen, lost or counts the
-wrong way shows in the link's, and the other way round. An axis with one encoder that is frozen cannot be seen to fall.
+Both encoders of an axis are watched, each from its position at the start of the phase: a motor-side encoder that is frozen, lost or counts
+the wrong way is detected by the link encoder, and vice versa. With a single encoder that is frozen, a falling axis is not detected.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from drivers.interface import Clock, Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 
 STANDING_SHARE = 0.1
-"""Of the tracking error that stops a run: so far may an axis move that is held, not led, 5 mrad on the C-arm. The first move takes 0.5."""
+"""Share of the tracking error that stops a run by which a held axis may move: 5 mrad on the C-arm, where the first move takes 0.5."""
 
 HOMING_SPEED_MARGIN = 2.0
-"""Times its homing speed the motor side may move: a drive's velocity loop overshoots, a wrong-signed one runs away through this. The link
-swings behind its gear when the drive starts, and is held to the axis' speed limit alone."""
+"""Multiple of its homing speed that the motor side may reach: a drive's velocity loop overshoots, one of wrong sign runs away and exceeds
+this. The link swings behind its gear when the drive starts, so only the axis' speed limit applies to it."""
 
 LED_SPEED_MARGIN = 1.5
-"""Times its speed limit an axis may move while the sample loop leads it: the reference keeps to the limit, the excitation comes on top."""
+"""Multiple of its speed limit that an axis may reach under the sample loop: the reference keeps to the limit, excitation adds to it."""
 
 STILL_S = 0.5
-"""So long may the motor side show no motion while its drive homes: turning round at a switch takes half of it, a frozen encoder all."""
+"""Longest time without motion of the motor side while its drive homes: turning round at a switch takes half of it."""
 
 COUNTS = 1.5
 """Encoder counts by which a position may flicker."""
 
 
 class _Track:
-    """One encoder's way since a phase began."""
+    """The path of one encoder since a phase began."""
 
     def __init__(self, name: str, resolution: float) -> None:
         self.name = name
@@ -65,7 +65,7 @@ class _Track:
 
 
 class _AxisWatch:
-    """The bounds of one axis and its two encoders' ways."""
+    """The bounds of one axis and the paths of its two encoders."""
 
     def __init__(self, limits: MotionLimits, scaling: AxisScaling, period_s: float) -> None:
         self.limits = limits
@@ -77,19 +77,19 @@ class _AxisWatch:
         self.stand()
 
     def stand(self, share: float = STANDING_SHARE, *, sets_counter: bool = False) -> None:
-        """It is held where it is."""
+        """Begin a phase in which the axis is held in place."""
         self._begin(share * self.limits.tracking_error, self.limits.speed, sets_counter=sets_counter)
         self._doing = "while it should stand"
 
     def lead(self) -> None:
-        """The sample loop leads it, and holds it to range and tracking error; a gear of another ratio is no reason to stop."""
+        """Begin a phase in which the sample loop leads the axis and checks range and tracking error; the gear's ratio is not checked."""
         self._begin(inf, LED_SPEED_MARGIN * self.limits.speed, sets_counter=False)
         self._apart = self.limits.tracking_error
         self._link_may_be_silent = True
         self._doing = "while it was led"
 
     def home(self, settings: HomingSettings) -> None:
-        """Its drive moves it to find its zero."""
+        """Begin a phase in which the drive moves the axis to find its zero."""
         self._begin(settings.travel_limit, HOMING_SPEED_MARGIN * settings.speed, sets_counter=True)
         self._still_ticks = STILL_S / self._period_s
         self._in_range = False
@@ -105,7 +105,7 @@ class _AxisWatch:
             self._link.begin()
 
     def check(self, position: float, link: float, ticks: int) -> str:
-        """What is wrong with this tick, in words; '' when nothing is."""
+        """Return what is wrong with this tick, in words; '' when nothing is."""
         return (
             self._bounds(self._motor, position, ticks, self._speed)
             or (self._bounds(self._link, link, ticks, self._link_speed) if self._link is not None else "")
@@ -128,7 +128,7 @@ class _AxisWatch:
         return f"{limits.axis}: {track.name}: {what}"
 
     def _stillness(self, ticks: int) -> str:
-        # over however many ticks it takes: a slow axis gives a count now and then
+        # over as many ticks as it takes: a slow axis gives a count only from time to time
         if abs(self._motor.moved - self._still_at) > self._motor.flicker:
             self._still, self._still_at = 0, self._motor.moved
         else:
@@ -154,7 +154,7 @@ class _AxisWatch:
         limits = self.limits
         for value, name, known, slack in (
             (position, "position", self.homed, 0.0),
-            (link, "link position", True, limits.tracking_error),  # wound up by what hangs on the gear
+            (link, "link position", True, limits.tracking_error),  # wound up by the load on the gear
         ):
             if known and isfinite(value) and not limits.lower - slack <= value <= limits.upper + slack:
                 return f"{limits.axis}: {name} {value:.4f} {self.unit} is outside {limits.lower:.4f} to {limits.upper:.4f} {self.unit}"
@@ -162,7 +162,7 @@ class _AxisWatch:
 
 
 class MotionWatch:
-    """Watches every axis, tick by tick, from the phase that was begun last.
+    """Watches every axis, tick by tick, within the bounds of the current phase.
 
     Parameters
     ----------
@@ -180,39 +180,39 @@ class MotionWatch:
         self._missed = 0
 
     def forget(self) -> None:
-        """Counters start anew: no axis is homed."""
+        """Mark every axis as not homed, because the counters start again."""
         for axis in self._axes:
             axis.homed = False
 
     def homed(self, axis: int) -> None:
-        """This axis' motor-side position is the joint's from now on."""
+        """Mark an axis as homed: its motor-side position is the joint's."""
         self._axes[axis].homed = True
 
     def stand(self, *, sets_counter: int | None = None) -> None:
-        """Every axis is held where it is; the drive of `sets_counter` takes this place for its zero, moving nothing."""
+        """Hold every axis in place; the drive of `sets_counter` takes its position as zero without moving."""
         self._missed = self._clock.missed
         for index, axis in enumerate(self._axes):
             axis.stand(sets_counter=index == sets_counter)
 
     def settle(self) -> None:
-        """Every axis comes to rest after a run: it may swing as far as the run let it."""
+        """Let every axis come to rest after a run; it may swing as far as the run allowed."""
         self._missed = self._clock.missed
         for axis in self._axes:
             axis.stand(1.0)
 
     def lead(self) -> None:
-        """The sample loop leads every axis."""
+        """Let the sample loop lead every axis."""
         self._missed = self._clock.missed
         for axis in self._axes:
             axis.lead()
 
     def home(self, axis: int, settings: HomingSettings) -> None:
-        """The drive of one axis moves it to find its zero; all others stay."""
+        """Let the drive of one axis move it to find its zero; all others are held."""
         self.stand()
         self._axes[axis].home(settings)
 
     def check(self, sample: Sample) -> str:
-        """What is wrong with this tick, in words; '' when nothing is."""
+        """Return what is wrong with this tick, in words; '' when nothing is."""
         missed = self._clock.missed
         ticks = 1 + max(0, missed - self._missed)
         self._missed = missed

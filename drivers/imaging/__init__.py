@@ -1,4 +1,4 @@
-"""Frames of an X-ray panel as they come: a spool folder or a network line, and the panel's clock against the loop's."""
+"""Frames of an X-ray panel from a spool folder or the network, and the panel's clock in loop time."""
 
 from drivers.imaging.clock import ClocksDisagreeError, PanelClock
 from drivers.imaging.panel_link import PanelError, PanelLink

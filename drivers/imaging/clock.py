@@ -1,9 +1,9 @@
-"""The panel's clock against the loop's, from the exposures' pulses.
+"""The panel's clock in loop time, from the exposures' pulses.
 
-A pulse is seen at the next tick of the loop, so it says that the exposure began within the period before. The line that passes all those
-periods nearest to their middles is the panel's clock in loop time: frames do not divide ticks, so N exposures leave it some N-th of a
-period to either side, where least squares would leave the root of that. Its rate is that of two crystals. A rate far from 1, or a line that
-misses a period, means that the stamps belong to other exposures.
+A pulse is seen at the next tick of the loop, so the exposure began within the period before it. The line with the smallest largest distance
+from the middles of these periods is the panel's clock in loop time. The frame period is no multiple of the loop's, so N exposures leave an
+error of about 1/N of a period, where least squares would leave 1/sqrt(N). The line's rate is the ratio of two quartz clocks. A rate far
+from 1, or a line that misses a period, means that the time stamps belong to other exposures.
 """
 
 from __future__ import annotations
@@ -14,51 +14,51 @@ from scipy.optimize import linprog
 from drivers.errors import DriverError
 
 RATE_TRUST = 100e-6
-"""Two quartz clocks are within this of each other; beyond, by more than the pulses leave in doubt, one of them is no clock."""
+"""Largest relative difference of two quartz clocks; a larger one, beyond the uncertainty of the pulses, is refused."""
 
 SLACK = 0.25
-"""Of a period: how far outside of its period a pulse may seem to lie, by the line's own error."""
+"""Share of a period by which a pulse may appear to lie outside of its period because of the line's own error."""
 
 FEWEST = 3
 
 
 class ClocksDisagreeError(DriverError):
-    """A panel's stamps and the loop's pulses tell different times.
+    """A panel's time stamps and the loop's pulses do not agree.
 
     Example scenarios
     -----------------
-    - The panel's clock was set during the run, or runs at another rate than it says.
-    - Frames were lost without their numbers, so that stamps and pulses are of different exposures.
+    - The panel's clock was set during the run, or runs at another rate than stated.
+    - Frames were lost without their numbers, so that stamps and pulses belong to different exposures.
     """
 
 
 class PanelClock:
-    """Line from the panel's time to the loop's.
+    """The line from the panel's time to the loop's.
 
     Parameters
     ----------
     panel_s, pulse_s : (N,) arrays
         Starts by the panel's clock; ticks of the loop at which they were first seen.
     period_s : float
-        Of the loop.
+        Period of the loop.
     exposure_id : (N,) array of int, optional
-        What exposures are called in errors; counted from 0 without.
+        Numbers of the exposures in error messages; without it they are counted from 0.
 
     Attributes
     ----------
     rate : float
-        Loop seconds in a second of the panel's.
+        Loop seconds per second of the panel.
     rate_doubt : float
-        Four standard deviations of a rate from so many pulses; twice `RATE_TRUST` where they say less than that.
+        Four standard deviations of a rate from this number of pulses, at most twice `RATE_TRUST`.
     residual_s : float
         Root mean square of the pulses about the line; period / sqrt(12) where they agree.
     doubt_s : float
-        Standard deviation of a time: so far the line could be shifted either way before a pulse lay outside of its period, over sqrt(3).
+        Standard deviation of a time: the shift of the line that would put a pulse outside of its period, over sqrt(3).
 
     Raises
     ------
     ClocksDisagreeError
-        Too few pulses, or they do not lie on a line of this rate.
+        There are too few pulses, or they do not lie on a line with a rate near 1.
     """
 
     def __init__(self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float, exposure_id: np.ndarray | None = None) -> None:
@@ -101,11 +101,12 @@ class PanelClock:
         self.doubt_s = max(0.0, 0.5 * period_s - abs(float(error[worst]))) / np.sqrt(3.0)
 
     def to_loop(self, panel_s: np.ndarray) -> np.ndarray:
-        """Loop times of panel times."""
-        return self._at + self.rate * (np.asarray(panel_s, float) - self._origin)
+        """Return loop times of panel times."""
+        loop_s: np.ndarray = self._at + self.rate * (np.asarray(panel_s, float) - self._origin)
+        return loop_s
 
 
 def _rate(along: np.ndarray, middles: np.ndarray, period_s: float) -> tuple[float, float]:
-    """Four standard deviations of a rate by least squares through pulses spread evenly over their periods, and that rate."""
+    """Return four standard deviations of a least-squares rate, for pulses spread evenly over their periods, and that rate."""
     spread = float(along @ along)
     return 4.0 * period_s / np.sqrt(12.0 * spread), float(along @ (middles - middles.mean())) / spread

@@ -1,8 +1,8 @@
-"""Frames of a panel over TCP: told when to expose, it sends each as it is read out, stamped with the SYNC at which its pulse was seen.
+"""Frames of a panel over TCP: the panel sends each frame as it is read out, stamped with the SYNC at which its pulse was seen.
 
-The panel hears the CAN bus and counts SYNCs from the last NMT start on, and so does who sends them: the count is the loop's time on both
-sides, with no clock besides. Both ends of the wire are here: what the host says is a line of text, what the panel says a header and pixels.
-A panel has one host at a time and greets it; a second one that connects meanwhile hears nothing until its turn comes.
+The panel listens to the CAN bus and counts SYNCs from the last NMT start, and so does the sender of the SYNCs: the count is the loop's time
+on both sides, without another clock. This module holds both ends of the line: the host sends lines of text, the panel sends headers and
+pixels. A panel serves one host at a time and greets it; a second host that connects meanwhile receives nothing until its turn.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ from drivers.tcp_url import parse_tcp_url, why_not_reached
 HEADER = struct.Struct("<4sIHHQdd")
 """Mark, number, rows, columns, SYNC count at the pulse, start and width by the panel's clock; then rows x columns pixels of 16 bits.
 
-No rows and no columns: all exposures have been sent, as many as the number says. So it greets, too: none yet."""
+Without rows and columns: all exposures have been sent, and the number is their count. The greeting is such a header with a count of 0."""
 
 MARK = b"IXF1"
 CONNECT_TIMEOUT_S = 2.0
 GREETING_TIMEOUT_S = 5.0
-"""A panel may still make an image for the host before, who is gone."""
+"""Generous, because a panel may still be making an image for a previous host that is gone."""
 
 READ_BYTES = 1 << 20
 
 
 class PanelError(DriverError):
-    """A panel on the network does not do what it was told.
+    """A panel on the network does not follow the protocol.
 
     Example scenarios
     -----------------
-    - It hung up during a scan, or what it sends are no frames.
-    - It does not say that it has ended, long after it was told to stop.
+    - It hung up during a scan, or sends something else than frames.
+    - It does not report the end long after it was told to stop.
     """
 
 
 def expose_command(rate_Hz: float, binning: int) -> bytes:
-    """Expose from now on, so many times a second by the panel's clock; `binning` x `binning` pixels are read as one."""
+    """Return the command to expose at a rate by the panel's clock; `binning` x `binning` pixels are read as one."""
     return f"expose {rate_Hz!r} {binning}\n".encode()
 
 
 STOP_COMMAND = b"stop\n"
-"""Expose no more; what was exposed is sent, then the end."""
+"""Ends the exposures; the panel sends what was exposed, then the end."""
 
 
 def read_command(line: bytes) -> tuple[float, int] | None:
-    """The panel's end: rate [1/s] and binning of `expose_command`, None of `STOP_COMMAND`.
+    """Return rate [1/s] and binning of `expose_command`, None of `STOP_COMMAND`; for the panel's end.
 
     Raises
     ------
     PanelError
-        It is neither.
+        The line is neither.
     """
     if line + b"\n" == STOP_COMMAND:
         return None
@@ -71,35 +71,35 @@ def read_command(line: bytes) -> tuple[float, int] | None:
 
 
 def frame_bytes(exposure_id: int, sync: int, panel_s: float, width_s: float, image: np.ndarray) -> bytes:
-    """The panel's end: one frame."""
+    """Return the bytes of one frame; for the panel's end."""
     rows, columns = image.shape
     return HEADER.pack(MARK, exposure_id, rows, columns, sync, panel_s, width_s) + image.astype("<u2").tobytes()
 
 
 def end_bytes(exposures: int) -> bytes:
-    """The panel's end: all of its exposures have been sent; of none, its greeting."""
+    """Return the bytes that end a series of exposures, or greet when there are none yet; for the panel's end."""
     return HEADER.pack(MARK, exposures, 0, 0, 0, 0.0, 0.0)
 
 
 class PanelLink:
-    """The host's end.
+    """The host's end of the line.
 
     Parameters
     ----------
     url : str
         `tcp:HOST:PORT`.
     period_s : float
-        Of SYNC.
+        Period of SYNC.
 
     Attributes
     ----------
     exposures : int or None
-        How many there were, told with the end.
+        Number of exposures, known with the end of a series.
 
     Raises
     ------
     BusUnavailableError
-        No such address, nobody listens there, or who does is no panel or another host's.
+        The address is invalid, nobody listens there, or the listener is no panel or serves another host.
     """
 
     def __init__(self, url: str, period_s: float) -> None:
@@ -120,25 +120,25 @@ class PanelLink:
             raise
 
     def expose(self, rate_Hz: float, binning: int, first_sync: int) -> None:
-        """Begin; times are counted from the SYNC of this count."""
+        """Begin to expose; times are counted from the SYNC with this count."""
         self._first, self.exposures = first_sync, None
         self._say(expose_command(rate_Hz, binning))
 
     def stop(self) -> None:
-        """Expose no more; what was exposed still comes, then `exposures` is known."""
+        """End the exposures; what was exposed still comes, and then `exposures` is known."""
         self._say(STOP_COMMAND)
 
     def wait(self, seconds: float) -> None:
-        """Until something comes, so long at most."""
+        """Wait until data come, at most this long."""
         select.select([self._socket], [], [], seconds)
 
     def poll(self) -> list[Frame]:
-        """Frames that have come since, in their order; pulses in periods of SYNC since the first.
+        """Return the frames that have come since the last call, in order; pulses are in periods of SYNC since the first.
 
         Raises
         ------
         PanelError
-            The panel has hung up, or what came is no frame.
+            The panel has hung up, or sent something else than a frame.
         """
         gone = self._read()
         frames = []
@@ -163,7 +163,7 @@ class PanelLink:
         self.exposures = None
 
     def _read(self) -> str:
-        """Take what has come; why nothing comes any more, or ''."""
+        """Read the data that have come; return why the connection has ended, or ''."""
         while True:
             try:
                 data = self._socket.recv(READ_BYTES)

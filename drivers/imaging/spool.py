@@ -1,7 +1,7 @@
-"""A panel leaves its frames in a folder, one file each; the bench takes them as they appear.
+"""Frames in a folder, one file each: a panel writes them there and the bench reads them as they appear.
 
-A file is written under another name and renamed when it is whole, so that nobody reads half a frame. Any detector whose software can write
-a file per frame fits here; what it must say is in `Frame`.
+A file is written under another name and renamed when it is complete, so that nobody reads half a frame. Any detector whose software can
+write a file per frame can be used; `Frame` lists what the file must hold.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ PATTERN = "frame_*.npz"
 
 
 class SpoolError(DriverError):
-    """A panel's folder does not hold what frames are made of.
+    """The folder of a panel does not hold valid frames.
 
     Example scenarios
     -----------------
     - The folder does not exist, or cannot be read.
-    - A file in it is named like a frame and is none, or two frames have one number.
+    - A file in it is named like a frame but is none, or two frames have one number.
     """
 
 
@@ -36,12 +36,11 @@ class Frame:
     Attributes
     ----------
     exposure_id : int
-        Counts up by one.
+        Number of the exposure; counts up by one.
     panel_s, width_s : float
         Start and length by the panel's clock.
     pulse_s : float
-        The tick of the loop at which the exposure's pulse was first seen, in the loop's time; of a panel that counts SYNCs, in periods
-        of SYNC since row 0.
+        Loop time of the tick at which the exposure's pulse was first seen; for a panel that counts SYNCs, in periods of SYNC since row 0.
     image : (rows, columns) uint16 array
     """
 
@@ -53,7 +52,7 @@ class Frame:
 
 
 def write_frame(folder: Path, frame: Frame) -> None:
-    """What a panel does."""
+    """Write a frame into a folder, as a panel does."""
     whole = folder / f"frame_{frame.exposure_id:06d}.npz"
     partial = whole.with_suffix(".partial")
     with partial.open("wb") as file:
@@ -63,7 +62,7 @@ def write_frame(folder: Path, frame: Frame) -> None:
 
 
 class FrameSpool:
-    """A panel's folder, read from its first frame on; a number that is skipped is a frame that was lost.
+    """The folder of a panel, read from its first frame; a skipped number is a lost frame.
 
     Parameters
     ----------
@@ -78,12 +77,12 @@ class FrameSpool:
         self._next: int | None = None
 
     def poll(self) -> list[Frame]:
-        """Frames that have appeared since, in their order.
+        """Return the frames that have appeared since the last call, in order.
 
         Raises
         ------
         SpoolError
-            A frame that cannot be read, or whose number has been.
+            A frame cannot be read, or its number has been used.
         """
         fresh = sorted(set(self.folder.glob(PATTERN)) - self._seen)
         frames = [self._read(path) for path in fresh]

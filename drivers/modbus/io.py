@@ -1,4 +1,4 @@
-"""The I/O device as the loop sees it: brakes, hold-to-run, door contact and temperatures."""
+"""The I/O device in the sample loop: brakes, hold-to-run, door contact and temperatures."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from drivers.settings import IoMap
 
 
 class Io(Protocol):
-    """What the machine link needs of the I/O device. Nothing here waits."""
+    """The interface of the I/O device to the machine link. No method waits."""
 
     def poll_due(self, now_s: float) -> None:
-        """Give the device its turn when a poll is due at `now_s`; nothing to do where another process polls."""
+        """Poll the device when a poll is due at `now_s`; do nothing where another process polls."""
 
     def update(self, sample: Sample) -> None:
         """Copy the newest state into the sample."""
@@ -41,7 +41,7 @@ class IoState:
         self.time_s = -math.inf  # when it was read
 
     def copy_to(self, sample: Sample, now_s: float, stale_after_s: float) -> None:
-        """Fill the sample. A state that is too old reads as the safe one: switch released, door open, no brake known to be open."""
+        """Fill the sample. A state that is too old reads as the safe one: switch released, door open, no brake reported open."""
         age_s = now_s - self.time_s
         sample.io_age_s = age_s
         if age_s > stale_after_s:
@@ -57,14 +57,14 @@ class IoState:
 
 
 class IoDriver:
-    """Polls the device through a transport: two requests a poll, and one more when brakes are commanded.
+    """Polls the device through a transport: two requests per poll, and one more when brakes are commanded.
 
     Parameters
     ----------
     io_map : IoMap
-        Where everything lives.
+        Addresses of the inputs and outputs.
     transport : Transport
-        An `InProcessTransport` in lockstep; a `ClientTransport` waits and belongs into another process (`drivers.modbus.io_process`).
+        An `InProcessTransport` in lockstep; a `ClientTransport` waits and belongs in another process (`drivers.modbus.io_process`).
     axes : tuple of str
         Order of the axes in arrays.
     """
@@ -84,7 +84,7 @@ class IoDriver:
         self._registers = _block("input registers", registers, MAX_READ_REGISTERS) if registers else None
 
     def poll_once(self, now_s: float) -> None:
-        """Write the brakes if commanded, read all inputs and registers.
+        """Write the brakes if commanded, then read all inputs and registers.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class IoDriver:
         state.time_s = now_s
 
     def poll_due(self, now_s: float) -> None:
-        """Poll when the period is over or a brake command waits. Errors as `poll_once`."""
+        """Poll when the period is over or a brake command is pending. Errors as in `poll_once`."""
         self._now_s = now_s
         if now_s >= self._next_poll_s or self._commanded:
             self._next_poll_s = now_s + self._map.poll_period_s
@@ -127,7 +127,7 @@ class IoDriver:
         self._commanded = True
 
     def write_brakes(self) -> None:
-        """Write the brakes as they were last commanded, and read nothing. Errors as `poll_once`; the command stays pending then."""
+        """Write the brakes as last commanded, and read nothing. Errors as in `poll_once`; the command then stays pending."""
         for address, bits in _runs({self._map.brake_coils[axis]: is_open for axis, is_open in self._open.items()}):
             self._transport.request(WriteMultipleCoilsRequest(address=address, bits=bits, dev_id=self._map.unit_id))
         self._commanded = False
@@ -143,12 +143,12 @@ class IoDriver:
 
 
 def brake_requests(io_map: IoMap) -> int:
-    """How many requests it takes to write all brakes: one for each run of neighbouring coils."""
+    """Return the number of requests that write all brakes: one for each run of neighbouring coils."""
     return len(_runs(dict.fromkeys(io_map.brake_coils.values(), False)))
 
 
 def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:
-    """(first address, count) of the one read that covers all addresses."""
+    """Return (first address, count) of the one read that covers all addresses."""
     start, count = min(addresses), max(addresses) - min(addresses) + 1
     if count > most:
         raise ProtocolError(f"io: {what} {start} to {start + count - 1} do not fit one request of {most}; wire them closer together")
@@ -156,7 +156,7 @@ def _block(what: str, addresses: tuple[int, ...], most: int) -> tuple[int, int]:
 
 
 def _runs(coils: dict[int, bool]) -> list[tuple[int, list[bool]]]:
-    """Coils as (first address, values) of neighbours, so that no coil in between is touched."""
+    """Return coils as (first address, values) of neighbours, so that no coil in between is written."""
     runs: list[tuple[int, list[bool]]] = []
     for address in sorted(coils):
         if runs and address == runs[-1][0] + len(runs[-1][1]):

@@ -1,8 +1,7 @@
-"""Polls the I/O device from a process of its own, because a Modbus client waits and the loop must not.
+"""Polls the I/O device from a separate process, because a Modbus client waits and the loop must not.
 
-State and brake commands pass through shared memory, and each side writes its own block only. When the loop's process dies or stands still,
-the brakes are closed: the polling process is in a session of its own, so that what ends the loop (a lost terminal, Ctrl-\\) does not end
-it, too.
+State and brake commands pass through shared memory, and each side writes only its own block. When the loop's process dies or stands still,
+the brakes are closed. The polling process has its own session, so that a lost terminal or a quit key, which end the loop, do not end it.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ from drivers.settings import IoMap
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
 START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
 LOOP_STILL_S = 0.5
-"""So long the loop may stand still with a brake open: over a hundred ticks, which no busy processor explains. A loop that is stopped,
-swapped out or in a debugger does not close its brakes, and without its SYNC and heartbeat the drives hold nothing."""
+"""Longest pause of the loop with a brake open: over a hundred ticks, more than a busy processor explains. A loop that is stopped, swapped
+out or in a debugger does not close its brakes, and without its SYNC and heartbeat the drives hold nothing."""
 
 CLOSE_ATTEMPTS = 5  # of closing the brakes on the way out
-CLOSE_PAUSE_S = 0.2  # between them: a refused connection is refused within microseconds, a device that restarts its server takes longer
+CLOSE_PAUSE_S = 0.2  # between attempts: a connection is refused within microseconds, while a device that restarts its server takes longer
 EXIT_S = 1.0  # a Python process that ends, on a loaded machine
 READ_REQUESTS = 2  # of a poll that may be under way
 
@@ -46,16 +45,16 @@ def _command_values(axes: int) -> int:
     return axes + 2  # brake orders, then:
 
 
-_TICKS, _END = -2, -1  # how often the loop has asked for the state; whether polling shall end
+_TICKS, _END = -2, -1  # number of times that the loop has asked for the state; whether polling shall end
 
 
 class IoProcess:
-    """The I/O device behind a process of its own, with the face of `drivers.modbus.io.Io`.
+    """The I/O device behind a separate process, with the interface of `drivers.modbus.io.Io`.
 
     Parameters
     ----------
     io_map : IoMap
-        Where everything lives; its `url` says how to reach the device.
+        Addresses of the inputs and outputs; its `url` says how to reach the device.
     axes : tuple of str
         Order of the axes in arrays.
 
@@ -79,7 +78,7 @@ class IoProcess:
         self._closed = False
         self._memory = SharedMemory(create=True, size=Block.bytes(len(self._values)) + Block.bytes(len(self._told)))
         self._published, self._command = _blocks(self._memory, len(axes))
-        # A fresh interpreter: a forked one would inherit the loop's memory, locked and all, and what its threads hold.
+        # A fresh interpreter: a forked one would inherit the loop's locked memory and the locks of its threads.
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(
             target=_poll_until_told, args=(io_map, axes, self._memory.name, os.getpid()), name="isocenter-io", daemon=True
@@ -91,7 +90,7 @@ class IoProcess:
         Raises
         ------
         BusUnavailableError, BusTimeoutError, ConfigurationRefusedError, ProtocolError
-            The first poll failed; the process is gone then.
+            The first poll failed; the process has then ended.
         """
         self._process.start()
         give_up = time.monotonic() + START_TIMEOUT_S
@@ -111,10 +110,10 @@ class IoProcess:
         return self._published.text
 
     def poll_due(self, now_s: float) -> None:
-        """Nothing to do: the other process polls by itself."""
+        """Do nothing: the other process polls by itself."""
 
     def update(self, sample: Sample) -> None:
-        """Copy the newest state into the sample; for every tick: without ticks the other process closes the brakes (`LOOP_STILL_S`)."""
+        """Copy the newest state into the sample; call it every tick, or the other process closes the brakes (`LOOP_STILL_S`)."""
         self._told[_TICKS] += 1.0
         self._command.write(self._told)
         if self._published.sequence != self._seen:
@@ -122,7 +121,7 @@ class IoProcess:
         self._state.copy_to(sample, time.monotonic(), self._map.stale_after_s)
 
     def command_brakes(self, brakes: Mapping[str, bool]) -> None:
-        """Open (True) or close the brakes of the named axes; noticed by the other process within a hundredth of a second."""
+        """Open (True) or close the brakes of the named axes; the other process notices within a hundredth of a second."""
         self._orders += 1
         for index, axis in enumerate(self._axes):
             if axis in brakes:
@@ -131,7 +130,7 @@ class IoProcess:
         self._command.write(self._told)
 
     def close(self) -> None:
-        """Close the brakes, if any was ever opened, and end the process; what went wrong is in `trouble`. Never raises."""
+        """Close the brakes, if any was ever opened, and end the process; errors are in `trouble`. Never raises."""
         if self._closed:
             return
         self._closed = True
@@ -176,7 +175,7 @@ class IoProcess:
 
 
 def _blocks(memory: SharedMemory, axes: int) -> tuple[Block, Block]:
-    """The state, written by the polling process, and the command, written by the loop's."""
+    """Return the blocks of the state, written by the polling process, and of the command, written by the loop's process."""
     values = _state_values(axes)
     split = Block.bytes(values)
     buffer = memory.buf
@@ -185,14 +184,14 @@ def _blocks(memory: SharedMemory, axes: int) -> tuple[Block, Block]:
 
 
 def close_at_most_s(io_map: IoMap) -> float:
-    """How long the polling process may take to close the brakes and end [s]: the poll under way, and every attempt, at its longest."""
+    """Return the longest time [s] of the polling process to close the brakes and end: the current poll and every attempt at its longest."""
     writes = brake_requests(io_map)
     requests = writes + READ_REQUESTS + CLOSE_ATTEMPTS * writes
     return requests * REQUEST_AT_MOST_S + (CLOSE_ATTEMPTS - 1) * CLOSE_PAUSE_S + EXIT_S
 
 
 def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, parent: int) -> None:
-    """The polling process: until it is told to end, asked to by a signal, or left alone."""
+    """Run the polling process until it is told to end, receives a signal, or the loop's process is gone."""
     _leave_session()
     _leave_real_time()
     memory = SharedMemory(name=memory_name)
@@ -213,7 +212,7 @@ def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, par
 
 
 def _close_brakes(driver: IoDriver, axes: tuple[str, ...]) -> str:
-    """Try to, some times; why it could not be done, or ''."""
+    """Try several times to close the brakes; return why it failed, or ''."""
     trouble = ""
     driver.command_brakes(dict.fromkeys(axes, False))
     for attempt in range(CLOSE_ATTEMPTS):
@@ -222,13 +221,13 @@ def _close_brakes(driver: IoDriver, axes: tuple[str, ...]) -> str:
         try:
             driver.write_brakes()
             return ""
-        except Exception as error:  # the next attempt is made whatever this one ran into
+        except Exception as error:  # the next attempt follows any error
             trouble = f"{error}; the brakes could not be closed in {CLOSE_ATTEMPTS} attempts and may be open"
     return trouble
 
 
 def _leave_session() -> None:
-    """What the loop's terminal sends to everybody in front of it must not reach the one who closes the brakes."""
+    """Leave the terminal's session, so that its signals to the foreground do not reach the process that closes the brakes."""
     if hasattr(os, "setsid"):
         with contextlib.suppress(OSError):
             os.setsid()
@@ -238,14 +237,14 @@ def _leave_session() -> None:
 
 
 def _leave_real_time() -> None:
-    """A child inherits the loop's scheduler, and must not compete with it."""
+    """Leave the real-time scheduler that a child inherits from the loop, so that it does not compete with it."""
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 class _Poller:
-    """Polls, publishes, obeys."""
+    """Polls the device, publishes its state and executes commands."""
 
     def __init__(self, io_map: IoMap, axes: tuple[str, ...], driver: IoDriver, published: Block, command: Block, parent: int) -> None:
         self.opened = False  # whether it was ever told to open a brake
@@ -265,7 +264,7 @@ class _Poller:
         self._asked_to_end = False
 
     def run(self) -> None:
-        """Until told to end, or the loop's process is gone."""
+        """Poll until told to end, or the loop's process is gone."""
         while not self._asked_to_end and not self.orphaned():
             self._heed()
             if self._wanted[_END]:
@@ -274,7 +273,7 @@ class _Poller:
             self._rest()
 
     def ask_to_end(self, *_: object) -> None:
-        """Signal handler: end after the poll under way."""
+        """End after the current poll; a signal handler."""
         self._asked_to_end = True
 
     def say(self, text: str) -> None:
@@ -284,9 +283,10 @@ class _Poller:
         self._published.write(values, text)
 
     def orphaned(self, timeout_s: float = 0.0) -> bool:
-        """Whether the loop's process is gone; waits for that at most so long.
+        """Return whether the loop's process is gone; wait for that at most this long.
 
-        The sentinel tells at once but can be held open by another child of the loop's process; the parent's number tells where it exists.
+        The sentinel reports it at once but can be held open by another child of the loop's process; the parent's process id, where it
+        exists, cannot.
         """
         loop = multiprocessing.parent_process()
         gone = loop is not None and bool(wait([loop.sentinel], timeout_s))
@@ -299,11 +299,11 @@ class _Poller:
         except DriverError as error:
             failure = f"{type(error).__name__}: {error}"
             if time.monotonic() - self._driver.state.time_s > self._map.stale_after_s:
-                self._close_until_told()  # after a long silence nobody knows what the machine did
+                self._close_until_told()  # after a long silence the machine's state is unknown
         self.say(failure)
 
     def _heed(self) -> bool:
-        """Take over what the loop's process says; whether the brakes must be written for it."""
+        """Take over the command of the loop's process; return whether the brakes must be written for it."""
         if self._command.sequence != self._read_sequence:
             sequence = self._command.read(self._reading)
             if sequence >= 0:
@@ -328,7 +328,7 @@ class _Poller:
         self._driver.command_brakes({self._axes[index]: bool(self._open[index]) for index in np.flatnonzero(new)})
 
     def _close_until_told(self) -> bool:
-        """Close the brakes that are open, until they are commanded anew; whether any was."""
+        """Close the open brakes until they are commanded again; return whether any was open."""
         if not self._open.any():
             return False
         self._open[:] = False
@@ -336,7 +336,7 @@ class _Poller:
         return True
 
     def _rest(self) -> None:
-        """Until the next poll is due, brakes must be written, or polling is to end."""
+        """Rest until the next poll is due, brakes must be written, or polling shall end."""
         until = time.monotonic() + self._map.poll_period_s
         while (left := until - time.monotonic()) > 0.0:
             if self._asked_to_end or self._heed() or self._wanted[_END] or self.orphaned(min(left, SLICE_S)):

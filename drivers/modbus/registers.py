@@ -1,4 +1,4 @@
-"""What both ends of the Modbus line agree on: function and exception codes, and how a temperature lies in a register.
+"""Definitions that both ends of the Modbus line share: function and exception codes, and temperatures in registers.
 
 Source: Modbus Application Protocol Specification V1.1b3, secs. 6 and 7.
 """
@@ -22,7 +22,7 @@ class FunctionCode(IntEnum):
 
 
 class ExceptionCode(IntEnum):
-    """Why a device refused."""
+    """Reasons for which a device refuses a request."""
 
     ILLEGAL_FUNCTION = 0x01
     ILLEGAL_DATA_ADDRESS = 0x02
@@ -42,12 +42,12 @@ NO_TEMPERATURE = 0x8000  # int16 -32768: sensor broken or not connected
 
 
 def temperature_to_register(temperature_degC: float) -> int:
-    """A temperature as int16 in 0.1 degC; NaN as the code for a broken sensor.
+    """Return a temperature as int16 in 0.1 degC; NaN as the code for a broken sensor.
 
     Raises
     ------
     ProtocolError
-        Outside -3276.7 to 3276.7 degC.
+        The temperature is outside -3276.7 to 3276.7 degC.
     """
     if math.isnan(temperature_degC):
         return NO_TEMPERATURE
@@ -57,7 +57,7 @@ def temperature_to_register(temperature_degC: float) -> int:
 
 
 def register_to_temperature(register: int) -> float:
-    """The inverse of `temperature_to_register` [degC]; NaN for a broken sensor."""
+    """Return the temperature [degC] of a register, the inverse of `temperature_to_register`; NaN for a broken sensor."""
     if register == NO_TEMPERATURE:
         return math.nan
     signed = register - 0x10000 if register & 0x8000 else register

@@ -22,12 +22,12 @@ class Block:
 
     @staticmethod
     def bytes(values: int) -> int:
-        """Size in memory."""
+        """Return the size in memory."""
         return 8 + 8 * values + ERROR_BYTES
 
     @property
     def sequence(self) -> int:
-        """Even: nobody writes. It grows with every write."""
+        """Sequence number, which grows with every write; it is even while nobody writes."""
         return int(self._sequence[0])
 
     def write(self, values: np.ndarray, text: str = "") -> None:
@@ -42,7 +42,7 @@ class Block:
         self._sequence[0] += 1
 
     def read(self, into: np.ndarray) -> int:
-        """Copy the values; return the sequence number they belong to, or -1 when the writer was always in the way."""
+        """Copy the values; return their sequence number, or -1 when the writer was active at every attempt."""
         for _ in range(READ_ATTEMPTS):
             before = self.sequence
             into[:] = self._values
@@ -61,5 +61,5 @@ class Block:
         return ""
 
     def release(self) -> None:
-        """Let go of the memory, so that it can be closed."""
+        """Release the memory, so that it can be closed."""
         del self._sequence, self._values, self._text

@@ -1,4 +1,4 @@
-"""Carries one Modbus request to the I/O device and its answer back: over TCP, over a serial line, or to a device in this process."""
+"""Transports that carry a Modbus request to the I/O device and its answer back: over TCP, a serial line, or in this process."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from drivers.tcp_url import parse_tcp_url, why_not_reached
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
-REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, of which a dribbling answer doubles the time
+REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, whose time an answer in pieces doubles
 MBAP_UNIT_OFFSET = 6
 
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # faults leave this module as exceptions, not on standard error
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # faults are raised as exceptions, not written to standard error
 
 
 class Transport(Protocol):
-    """One line to one Modbus device."""
+    """A line to one Modbus device."""
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer.
@@ -45,11 +45,11 @@ class Transport(Protocol):
         """
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
 
 
 class InProcessTransport:
-    """To a device in this process, every message encoded to bytes and decoded from bytes.
+    """Transport to a device in this process, every message encoded to bytes and decoded from bytes.
 
     Parameters
     ----------
@@ -72,11 +72,11 @@ class InProcessTransport:
         return _without_exception("io", pdu, answer)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there is nothing to release."""
 
 
 class ClientTransport:
-    """To a device on TCP or on a serial line, through pymodbus. Waits for the answer: never use it in the loop's process.
+    """Transport to a device on TCP or a serial line, through pymodbus. It waits for answers, so never use it in the loop's process.
 
     Parameters
     ----------
@@ -113,16 +113,16 @@ class ClientTransport:
 
     def close(self) -> None:
         """Close the connection; the next request opens it again."""
-        self._client.close()
+        self._client.close()  # type: ignore[no-untyped-call]
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """What pymodbus has received so far: it tells a silent device from one that answers wrongly."""
+        """Keep what pymodbus has received, which distinguishes a silent device from one that answers wrongly."""
         if not sending:
             self._received = data
         return data
 
     def _why_not(self) -> str:
-        """pymodbus logs the reason and returns False: ask the system again."""
+        """Ask the system again why connecting failed, because pymodbus logs the reason and returns False."""
         try:
             self._open()
         except OSError as error:
@@ -155,12 +155,12 @@ def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> Modb
 
 
 def parse_io_url(url: str) -> tuple[str, str, int]:
-    """`tcp:HOST:PORT` or `rtu:DEVICE@BAUD` as ("tcp", host, port) or ("rtu", device, baud).
+    """Split `tcp:HOST:PORT` or `rtu:DEVICE@BAUD` into ("tcp", host, port) or ("rtu", device, baud).
 
     Raises
     ------
     BusUnavailableError
-        Neither of them.
+        The URL is neither of them.
     """
     if address := parse_tcp_url(url):
         return "tcp", *address

@@ -1,4 +1,4 @@
-"""The detector's IMU: configuration dialogue, and one reading per tick without waiting."""
+"""Driver of the detector's IMU: configuration dialogue, and one reading per tick without waiting."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SEND_LATEST_ON_SYNC = SyncSetting(
 
 @dataclass(frozen=True)
 class ImuIdentity:
-    """Who answered."""
+    """Identity of the device that answered."""
 
     device_id: int
     product_code: str
@@ -61,7 +61,7 @@ class ImuIdentity:
 
 
 class ImuDriver:
-    """Reads specific force and angular rate from a Xsens tracker.
+    """Reads specific force and angular rate from an Xsens tracker.
 
     Parameters
     ----------
@@ -73,9 +73,9 @@ class ImuDriver:
     Attributes
     ----------
     lost_packets : int
-        Packets the counter says were sent and that never arrived.
+        Packets that never arrived, by the packet counter.
     late_packets : int
-        Packets that arrived after their tick's sample was closed, and so are in no row.
+        Packets that arrived after the end of their tick, and so are in no row.
     checksum_errors : int
     """
 
@@ -95,11 +95,11 @@ class ImuDriver:
 
     @property
     def checksum_errors(self) -> int:
-        """Damaged messages so far."""
+        """Number of damaged messages."""
         return self._parser.checksum_errors
 
     def configure(self, wait: Callable[[float], None] = time.sleep) -> ImuIdentity:
-        """Identify the device, set what it sends and when, and start it. Every step is acknowledged.
+        """Identify the device, configure what it sends and when, and start it. Every step is acknowledged.
 
         Parameters
         ----------
@@ -109,11 +109,11 @@ class ImuDriver:
         Raises
         ------
         NodeAbsentError
-            No answer.
+            The device does not answer.
         ConfigurationRefusedError
             The device reports an error, or grants something else than was asked.
         ProtocolError
-            An answer of the wrong size.
+            An answer has the wrong size.
         """
         self._go_to_config(wait)
         self.identity = self._identify(wait)
@@ -127,21 +127,21 @@ class ImuDriver:
         return self.identity
 
     def before_sync(self) -> None:
-        """Call right before a SYNC goes out: what is still in the line answers an earlier SYNC and must not be taken for the next one's."""
+        """Drop what is still in the line, which answers an earlier SYNC; call this right before a SYNC goes out."""
         if self.port.triggered_by_sync:
             for reading in self._receive():
                 self._count(reading)
                 self.late_packets += 1
 
     def rehearse(self) -> None:
-        """Read a message that nobody sent: shortly before one that matters, so that it is read the faster."""
+        """Decode a stored message shortly before a real one, so that the real one is decoded faster."""
         for message in self._rehearsal.feed(REHEARSED):
             decode_reading(message.data)
 
     def poll(self, sample: Sample) -> bool:
-        """Take the newest reading that has arrived since the last call into `sample`; NaN and -1 when there is none. Never waits.
+        """Copy the newest reading since the last call into `sample`; NaN and -1 when there is none. Never waits.
 
-        A device error, a failed self-test or a port that is gone stands in `sample.imu_fault` from then on.
+        After a device error, a failed self-test or the loss of the port, `sample.imu_fault` holds the reason.
 
         Returns
         -------
@@ -169,7 +169,7 @@ class ImuDriver:
         return True
 
     def _receive(self) -> list[Reading]:
-        """Complete readings that have arrived."""
+        """Return the complete readings that have arrived."""
         try:
             data = self._stream.read()
         except BusUnavailableError as error:
@@ -200,7 +200,8 @@ class ImuDriver:
 
     def _count(self, reading: Reading) -> None:
         """Unwrap the packet counter and the sample time."""
-        assert reading.counter is not None and reading.time_ticks is not None
+        assert reading.counter is not None
+        assert reading.time_ticks is not None
         if self._counter < 0:
             self._counter, self._time_ticks = reading.counter, reading.time_ticks
             return
@@ -234,7 +235,7 @@ class ImuDriver:
         )
 
     def _set_output(self, wait: Callable[[float], None]) -> None:
-        """Ask for counter, time, specific force, rate of turn and status; check what was granted."""
+        """Request counter, time, specific force, rate of turn and status; check what was granted."""
         rate = MAX_RATE if self.port.triggered_by_sync else round(self.port.rate_Hz)
         wanted: list[tuple[int, int]] = [(identifier, MAX_RATE) for identifier in ACCOMPANYING]
         wanted += [(identifier, rate) for identifier in INERTIAL]
@@ -261,7 +262,7 @@ class ImuDriver:
                 )
 
     def _ask(self, command: MessageId, data: bytes, wait: Callable[[float], None]) -> bytes:
-        """Send a command and return the data of its acknowledge; measurement data on the way are dropped."""
+        """Send a command and return the data of its acknowledge; measurement data in between are dropped."""
         self._stream.write(encode(command, data))
         steps = round(ANSWER_TIMEOUT_S / ANSWER_STEP_S)
         for step in range(steps + 1):

@@ -1,4 +1,4 @@
-"""Byte streams that never wait: what the IMU driver reads from and writes to."""
+"""Byte streams that never wait, for the IMU driver."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class ByteStream(Protocol):
     """One end of a serial line. Neither method waits."""
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none."""
+        """Return all bytes that have arrived, or none."""
 
     def write(self, data: bytes) -> None:
-        """Send; what does not fit the buffer is lost, as on a UART without handshake."""
+        """Send bytes; those that do not fit the buffer are lost, as on a UART without handshake."""
 
 
 def open_stream(device: str, baud: int) -> SerialStream | TcpStream:
-    """The line to a serial device: a port of this computer, or `tcp:HOST:PORT` of a device server.
+    """Open the line to a serial device: a port of this computer, or `tcp:HOST:PORT` of a device server.
 
     Raises
     ------
     BusUnavailableError
-        It is not there, or in use, or no such address.
+        The device does not exist, is in use, or its address is invalid.
     """
     if not device.startswith("tcp:"):
         return SerialStream(device, baud)
@@ -69,7 +69,7 @@ class SerialStream:
             _tell_silence_from_hang_up(self._descriptor)
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none.
+        """Return all bytes that have arrived, or none.
 
         Raises
         ------
@@ -91,10 +91,10 @@ class SerialStream:
         return data
 
     def _is_silent(self) -> bool:
-        """Nothing is there, as a process of real-time priority asks.
+        """Return whether no bytes have arrived; checked only in a process of real-time priority.
 
-        Linux lets whoever reads an empty line wait for a worker of ordinary priority to have passed on what came. For an ordinary process
-        that is over at once; one of real-time priority would wait for milliseconds on a loaded computer, and has a tick to keep.
+        On Linux a read of an empty line waits until a kernel worker of ordinary priority has passed on what came. For an ordinary process
+        that takes no time; one of real-time priority would wait for milliseconds on a loaded computer and miss its tick.
         """
         if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) == os.SCHED_OTHER:
             return False
@@ -119,12 +119,12 @@ class SerialStream:
             raise BusUnavailableError(f"serial port {self.device} is gone: {error.strerror or error}") from error
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._port.close()
 
 
 def _tell_silence_from_hang_up(descriptor: int) -> None:
-    """Without this a read of nothing returns no bytes in both cases; with it, silence is an error of its own."""
+    """Make silence distinguishable from a hang-up: by default an empty read returns no bytes in both cases."""
     import termios  # not on Windows
 
     attributes = termios.tcgetattr(descriptor)

@@ -12,7 +12,7 @@ CONNECT_TIMEOUT_S = 2.0  # a device server on the same network answers within mi
 
 
 class TcpStream:
-    """Bytes to and from `tcp:HOST:PORT`, with the face of `drivers.serial.stream.ByteStream`.
+    """Bytes to and from `tcp:HOST:PORT`, with the interface of `drivers.serial.stream.ByteStream`.
 
     Raises
     ------
@@ -31,7 +31,7 @@ class TcpStream:
         self._socket.setblocking(False)
 
     def read(self) -> bytes:
-        """All bytes that have arrived, or none.
+        """Return all bytes that have arrived, or none.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Xbus: how a Xsens motion tracker frames messages and packs its readings.
+"""Xbus, the protocol by which an Xsens motion tracker frames messages and packs its readings.
 
 A message is `FA BID MID LEN DATA CS`; LEN 0xFF announces two further length bytes. All bytes but the preamble sum to zero modulo 256.
 An MTData2 message holds packets `identifier (2 bytes), size (1 byte), value`, big endian throughout.
@@ -110,7 +110,7 @@ NO_SYNC = SyncSetting(0, 0, 0, 0, 0, 0, 0, 0)  # clears the list: SetSyncSetting
 
 
 class Reading(NamedTuple):
-    """What the bench reads from one MTData2 message. None: the message does not hold it."""
+    """Values of one MTData2 message that the bench uses. None: the message does not hold the value."""
 
     counter: int | None  # 16 bit, wraps
     time_ticks: int | None  # 32 bit at 10 kHz, wraps
@@ -120,12 +120,12 @@ class Reading(NamedTuple):
 
 
 def encode(message_id: int, data: bytes = b"") -> bytes:
-    """The bytes of one message to or from a tracker that stands alone.
+    """Return the bytes of one message to or from a stand-alone tracker.
 
     Raises
     ------
     ProtocolError
-        More than 2048 data bytes.
+        There are more than 2048 data bytes.
     """
     size = len(data)
     if size > MAX_DATA_BYTES:
@@ -136,9 +136,9 @@ def encode(message_id: int, data: bytes = b"") -> bytes:
 
 
 class StreamParser:
-    """Finds messages in a stream of bytes that may start anywhere, hold garbage and arrive in pieces.
+    """Finds messages in a stream of bytes that may start anywhere, contain invalid bytes and arrive in pieces.
 
-    After a wrong checksum only the preamble is skipped: a good message inside a damaged one is still found.
+    After a wrong checksum only the preamble is skipped, so that a good message inside a damaged one is still found.
     """
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ class StreamParser:
         self.skipped_bytes = 0
 
     def feed(self, data: bytes) -> list[Message]:
-        """Add received bytes; return the messages that are complete now, in order."""
+        """Add received bytes; return the messages that they complete, in order."""
         buffer = self._buffer
         buffer += data
         available = len(buffer)
@@ -176,7 +176,7 @@ class StreamParser:
         return messages
 
     def give_up(self) -> list[Message]:
-        """Nothing more will come: return the messages behind a false start that still waits for its end."""
+        """Return the messages behind a false start that still waits for its end; call this when nothing more will come."""
         messages: list[Message] = []
         while self._buffer:
             del self._buffer[0]
@@ -185,7 +185,7 @@ class StreamParser:
         return messages
 
     def _end(self, start: int, available: int) -> int:
-        """Index after the message that starts here; beyond `available` when that cannot be told yet; -1 when none can start here."""
+        """Return the index after the message that starts here; beyond `available` when it is incomplete; -1 when none can start here."""
         buffer = self._buffer
         if start + 1 < available and buffer[start + 1] not in BUS_IDS:
             return -1
@@ -201,7 +201,7 @@ class StreamParser:
 
 
 def pack_reals(values: tuple[float, ...], precision: int) -> bytes:
-    """Real numbers in one of the four formats; fixed point rounds to nearest and must be in range."""
+    """Pack real numbers in one of the four formats; fixed point rounds to nearest and must be in range."""
     if precision == Precision.FLOAT32:
         return struct.pack(f">{len(values)}f", *values)
     if precision == Precision.FLOAT64:
@@ -222,12 +222,12 @@ REAL_BYTES = {Precision.FLOAT32: 4, Precision.FIXED_12_20: 4, Precision.FIXED_16
 
 
 def unpack_reals(data: bytes, precision: int) -> tuple[float, ...]:
-    """The inverse of `pack_reals`.
+    """Unpack real numbers, the inverse of `pack_reals`.
 
     Raises
     ------
     ProtocolError
-        The size is no multiple of one number's.
+        The size is not a multiple of one number's.
     """
     count, rest = divmod(len(data), REAL_BYTES[Precision(precision)])
     if rest:
@@ -242,12 +242,12 @@ def unpack_reals(data: bytes, precision: int) -> tuple[float, ...]:
 
 
 def encode_mtdata2(packets: list[tuple[int, bytes]]) -> bytes:
-    """An MTData2 message of (identifier, value) packets, in order."""
+    """Return an MTData2 message of (identifier, value) packets, in order."""
     return encode(MessageId.MTDATA2, b"".join(struct.pack(">HB", identifier, len(value)) + value for identifier, value in packets))
 
 
 def decode_mtdata2(data: bytes) -> list[tuple[int, bytes]]:
-    """The (identifier, value) packets of an MTData2 message's data.
+    """Return the (identifier, value) packets of an MTData2 message's data.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def decode_mtdata2(data: bytes) -> list[tuple[int, bytes]]:
     return packets
 
 
-# The one layout this bench configures, all fields in float32, goes through one struct: a message each way passes in every tick.
+# The layout that this bench configures, all fields in float32, has its own struct, because one message passes in every tick.
 _STANDARD = struct.Struct(">HBHHBIHB3fHB3fHBI")
 _STANDARD_HEADS = (
     *(DataId.PACKET_COUNTER, 2, DataId.SAMPLE_TIME_FINE, 4),
@@ -276,10 +276,11 @@ _HEAD_FIELDS = itemgetter(0, 1, 3, 4, 6, 7, 11, 12, 16, 17)
 
 
 def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -> bytes:
-    """An MTData2 message with what the reading holds, in the order of its fields."""
+    """Return an MTData2 message with the values of a reading, in the order of its fields."""
     if precision == Precision.FLOAT32 and None not in reading:
         counter, time_ticks, acceleration, rate, status = reading
-        assert acceleration is not None and rate is not None
+        assert acceleration is not None
+        assert rate is not None
         head = _STANDARD_HEADS
         return encode(
             MessageId.MTDATA2,
@@ -300,7 +301,7 @@ def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -
 
 
 def decode_reading(data: bytes) -> Reading:
-    """Read the data of an MTData2 message; packets the bench has no use for are skipped, as the protocol asks.
+    """Read the data of an MTData2 message; packets that the bench does not use are skipped, as the protocol requires.
 
     Raises
     ------
@@ -340,12 +341,12 @@ def _vector(identifier: int, value: bytes) -> tuple[float, ...]:
 
 
 def encode_output_configuration(entries: list[tuple[int, int]]) -> bytes:
-    """Data of SetOutputConfiguration: (identifier, output rate in Hz) each."""
+    """Return the data of SetOutputConfiguration: (identifier, output rate in Hz) each."""
     return b"".join(struct.pack(">HH", *entry) for entry in entries)
 
 
 def decode_output_configuration(data: bytes) -> list[tuple[int, int]]:
-    """The inverse of `encode_output_configuration`."""
+    """Read the data of SetOutputConfiguration, the inverse of `encode_output_configuration`."""
     if len(data) % 4:
         raise ProtocolError(f"xbus: an output configuration of {len(data)} bytes: 4 per entry belong")
     return [(identifier, rate) for identifier, rate in struct.iter_unpack(">HH", data)]
@@ -355,12 +356,12 @@ _SYNC_SETTING = struct.Struct(">BBBBHHHH")
 
 
 def encode_sync_settings(settings: list[SyncSetting]) -> bytes:
-    """Data of SetSyncSettings: 12 bytes per setting."""
+    """Return the data of SetSyncSettings: 12 bytes per setting."""
     return b"".join(_SYNC_SETTING.pack(*setting) for setting in settings)
 
 
 def decode_sync_settings(data: bytes) -> list[SyncSetting]:
-    """The inverse of `encode_sync_settings`."""
+    """Read the data of SetSyncSettings, the inverse of `encode_sync_settings`."""
     if len(data) % _SYNC_SETTING.size:
         raise ProtocolError(f"xbus: sync settings of {len(data)} bytes: {_SYNC_SETTING.size} per setting belong")
     return [SyncSetting(*fields) for fields in _SYNC_SETTING.iter_unpack(data)]

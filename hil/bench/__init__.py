@@ -1,1 +1,1 @@
-"""The bench: who runs a machine on a bus, in closed loop at the sample rate."""
+"""The bench, which runs a machine on a bus in closed loop at the sample rate."""

@@ -34,59 +34,60 @@ if TYPE_CHECKING:
     from hil.observing.live import LiveObserver
 
 SETTLE_S = 4
-"""Whole seconds of standstill before row 0, in which what the way there has set swinging dies out."""
+"""Whole seconds of standstill before row 0, in which vibrations of the preceding motion decay."""
 
 SETTLE_AT_MOST_S = 16
-"""It goes on while the integrators still bring the machine closer, on the C-arm by e in 1.6 s; an axis that hunts about its stiction never
-stands."""
+"""Longest settling [s]: it continues while the integrators still bring the machine closer, on the C-arm with a time constant of 1.6 s. An
+axis that hunts about its stiction never stands still."""
 
 STANDING_COUNTS = 2.0
-"""So near to its pose an axis stands there: encoder counts."""
+"""Encoder counts from its pose within which an axis counts as standing there."""
 
 ARRIVED_COUNTS = 20.0
-"""Closer than so many encoder counts to a pose no move is made to reach it: two tenths of a milliradian on the C-arm."""
+"""Encoder counts from a pose within which no move is made to reach it: two tenths of a milliradian on the C-arm."""
 
 BRIDGE_S = 1.0
 BRIDGED_SHARE = 0.05
-"""Of the tracking error that stops the motors: commissioning moves an axis by half a milliradian, a twentieth is 2.6 on the C-arm."""
+"""Share of the tracking error that stops the motors: 2.6 mrad on the C-arm, where commissioning moves an axis by half a milliradian."""
 
 
 Beside = contextlib.AbstractContextManager[None]
 
 
 class Rows(Protocol):
-    """Who wants to know which SYNCs a recording's rows are: counts since the nodes were started."""
+    """An object that is told which SYNCs a recording's rows are, as counts since the nodes were started."""
 
     def begin(self, syncs: int) -> None:
-        """Row 0 is the next, after so many."""
+        """Take note that row 0 follows after this many SYNCs."""
 
     def end(self, syncs: int) -> None:
-        """The last row was the last of so many."""
+        """Take note that the last row was the last of this many SYNCs."""
 
 
 @dataclass
 class Bench:
     """A machine at rest: drives disabled, brakes closed, nodes reset and silent; made by `open_bench`.
 
-    Every recording is a session of its own: boot, configuration, homing, hold, way, plan, brakes. Whatever takes time (planning, starting a
-    recorder, writing a file) is done between sessions, when nobody waits for a heartbeat.
+    Every recording is a separate session: boot, configuration, homing, hold, way, plan, brakes. Work that takes time (planning, starting a
+    recorder, writing a file) is done between sessions, when no node waits for a heartbeat.
     """
 
     machine: Machine
     options: BenchOptions
     wiring: Wiring
     loop: SampleLoop
-    model: Physics  # of the machine file: what holds it where
+    model: Physics  # of the machine file, for holding efforts
     scheduling: Scheduling
     pose: np.ndarray  # (n_axes,) where the machine stands
     commissioning: tuple[str, ...] = ()
     observer: LiveObserver | None = None
 
     def __post_init__(self) -> None:
+        """Prepare the command of zero effort."""
         self._still = np.zeros(len(self.machine.axes))
 
     def commission(self) -> tuple[str, ...]:
-        """Boot, first-move check, homing and encoder agreement of every axis; what was found, a line each.
+        """Boot, then check the first move, home and check encoder agreement of every axis; return the findings, a line each.
 
         Raises
         ------
@@ -112,19 +113,21 @@ class Bench:
         plan : Plan
         path : Path
         progress : callable, optional
-            Told the row now and then, in the loop's own process.
+            Called from time to time with the row, in the loop's own process.
         beside : callable, optional
-            On the wall clock, what is done in another process from before the session to its end; it is given the recorder.
+            On the wall clock, work in another process from before the session to its end; it is given the recorder.
         rows : Rows, optional
             Told when the plan begins and when it has ended.
-
-        The way is planned from where the machine stood before the session; the first-move check pushes each axis a little, and a second's
-        smooth bridge leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
 
         Raises
         ------
         LoopAborted, DriverError
-            The motors were stopped; the rows up to then are in `path`.
+            The motors were stopped; the rows recorded before are in `path`.
+
+        Notes
+        -----
+        The way is planned from the machine's position before the session. The first-move check pushes each axis a little, and a smooth
+        bridge of one second leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
         """
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
@@ -164,7 +167,7 @@ class Bench:
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:
-        """Commissioned nodes, drives disabled, brakes closed; stopped and reset on the way out, whatever happens."""
+        """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
         link = self.wiring.link
         with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
             self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
@@ -182,9 +185,9 @@ class Bench:
                 raise
 
     def _take_hold(self) -> None:
-        """Let the feedback hold where the machine stands, enable the drives under it, open the brakes.
+        """Let the feedback hold the machine in place, enable the drives, open the brakes.
 
-        A drive that works its own brake opens it when it is enabled: from then on the axis hangs on the command.
+        A drive that works its own brake opens it when it is enabled: from then on only the command holds the axis.
         """
         link = self.wiring.link
         self._see_pose()
@@ -195,17 +198,17 @@ class Bench:
         link.release_brakes(self._holding())
 
     def _see_pose(self) -> None:
-        """Where the homed machine stands."""
+        """Read the position of the homed machine."""
         measured = self.wiring.link.exchange(self._still).position
         self.pose = np.where(np.isfinite(measured), measured, self.pose)
 
     def _bridge_to(self, first: Plan) -> Plan:
-        """A second from where the machine stands to where its way was planned from: half a cosine, slow enough for any axis.
+        """Return a plan of one second from the present position to the start of the way: half a cosine, slow enough for any axis.
 
         Raises
         ------
         MotionRefusedError
-            It has moved further than commissioning moves it.
+            The machine has moved further than commissioning moves it.
         """
         for axis, limit in enumerate(self.machine.limits):
             stands, begins = self.pose[axis], first.reference[0, axis]
@@ -222,7 +225,7 @@ class Bench:
         return Plan(first.axes, reference, reference, np.zeros_like(reference), feedforward, self.pose.copy(), first.metadata)
 
     def _holding(self) -> Callable[[Sample], np.ndarray]:
-        """From a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
+        """Return the function from a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
         loop, pose, feedforward = self.loop, self.pose.copy(), self._feedforward()
         position = pose.copy()
 
@@ -235,19 +238,19 @@ class Bench:
         return hold
 
     def _feedforward(self) -> np.ndarray:
-        """What gravity feedforward brings at the present pose (n_axes,), zero where no axis asks for it."""
+        """Return the gravity feedforward at the present pose (n_axes,), zero where no axis has one."""
         brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
         return np.zeros(len(self.pose)) if brought is None else brought[0]
 
     def _settle(self, stay: Plan) -> tuple[dict[str, list[float]], tuple[str, ...]]:
-        """Hold still until every axis stands where it should, or it takes too long.
+        """Hold still until every axis stands at its pose, or `SETTLE_AT_MOST_S` have passed.
 
         Returns
         -------
         dict
             In axis order, `deviation` from the pose at the end [rad or m] and mean `speed` over the last second [rad/s or m/s].
         tuple of str
-            A line for every axis that does not stand.
+            A line for every axis that does not stand still.
         """
         link = self.wiring.link
         near = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in link.scalings])
@@ -267,7 +270,7 @@ class Bench:
         return {"deviation": deviation.tolist(), "speed": speed.tolist()}, notes
 
     def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
-        """From where the machine stands to `pose`, within the limits, and a second of standstill there."""
+        """Return plans from the present position to `pose`, within the limits, and a plan of one second of standstill there."""
         axes = self.machine.axes
         start = dict(zip(axes, map(float, self.pose), strict=True))
         goal = dict(zip(axes, map(float, pose), strict=True))
@@ -277,7 +280,7 @@ class Bench:
         return legs, stay
 
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
-        """Where the plan's rows go, ready to take them."""
+        """Return the sink of the plan's rows, ready to take them."""
         observer = None if self.observer is None else self.observer.metadata
         metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer)
         return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)

@@ -1,4 +1,4 @@
-"""Two clocks, one loop: wall time with absolute ticks, and lockstep, where the emulated machine moves only when it is told to."""
+"""The two clocks of the sample loop: wall time with absolute ticks, and lockstep, in which waiting advances the emulated machine."""
 
 from __future__ import annotations
 
@@ -7,53 +7,53 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 SPIN_S = 400e-6
-"""The last stretch before a tick is spent spinning, not sleeping: it brings wake-up lateness from tens of microseconds to none
+"""Time before a tick in which the loop spins instead of sleeping, which removes the wake-up lateness of tens of microseconds
 (measured 46/61/84 us p50/p99/max with SCHED_FIFO asleep, 0/0/62 us with a spin of 150 us). The rehearsals take the rest."""
 
 ANSWERS_AWAKE_S = 1e-3
-"""So long after a SYNC its answers are looked for, not slept for: on CAN at 1 Mbit/s six of them take 0.8 ms. A sleeper costs whoever wakes
-it as much time as it takes itself to wake, tens of microseconds for every frame."""
+"""Time after a SYNC in which its answers are polled without sleeping: on CAN at 1 Mbit/s six of them take 0.8 ms. A sleeping process costs
+the process that wakes it as much time as its own wake-up, tens of microseconds for every frame."""
 
 
 class WallClock:
-    """Absolute ticks of `time.perf_counter`: sleep until shortly before each, spin the rest.
+    """Absolute ticks of `time.perf_counter`: sleep until shortly before each, then spin.
 
-    A tick that is already past when the loop comes to wait for it is served at once, and its lateness says how late it was. When a whole
-    period or more was lost, the lost ticks are skipped (a SYNC that comes in a burst would be worse than one that is missing) and counted.
+    A tick that is already past when the loop waits for it is served at once, with its lateness. When a whole period or more was lost, the
+    lost ticks are skipped and counted, because SYNCs in a burst would be worse than missing ones.
 
     Parameters
     ----------
     spin_s : float
     waits : bool
-        Lose no tick: all later ones come as much later. Time then is no longer the wall's, here too: it stood still while ticks were
-        waited for, as the emulated machine's did, and every sample of the plan is sent.
+        Lose no tick: all later ones are delayed by as much, and every sample of the plan is sent. The clock then differs from wall time,
+        because it stands still while ticks are delayed, as the emulated machine's does.
     awake_s : float
         See `drivers.interface.Clock`; 0 without a real-time scheduler.
     """
 
     def __init__(self, spin_s: float = SPIN_S, waits: bool = False, awake_s: float = 0.0) -> None:
         self.awake_s = awake_s
-        self.rehearsals: list[Callable[[], None]] = []  # done after the sleep: what the tick will have to do at once
+        self.rehearsals: list[Callable[[], None]] = []  # called after the sleep, to warm up the code of the tick
         self._spin_s = spin_s
         self._waits = waits
         self._period_s = 0.0
         self._start_s = 0.0
         self._tick = 0
         self._missed = 0
-        self._waited_s = 0.0  # that ticks were put off
-        self.idle_began_s = 0.0  # when the loop last came to wait: its work was done
-        self.tick_began_s = 0.0  # when the present tick was let go
+        self._waited_s = 0.0  # by which ticks were delayed
+        self.idle_began_s = 0.0  # when the loop last began to wait, its work being done
+        self.tick_began_s = 0.0  # when the present tick began
 
     def now(self) -> float:
-        """Seconds of the performance counter, less what ticks were put off."""
+        """Return seconds of the performance counter, less the delay of ticks."""
         return time.perf_counter() - self._waited_s
 
     def wait(self, seconds: float) -> None:
-        """Sleep."""
+        """Sleep for this many seconds."""
         time.sleep(seconds)
 
     def start_ticks(self, period_s: float) -> None:
-        """The first tick comes one period from now."""
+        """Start the ticks; the first comes after one period."""
         self._period_s = period_s
         self._start_s = time.perf_counter()
         self._tick = 0
@@ -92,12 +92,12 @@ class WallClock:
 
 @dataclass
 class LockstepClock:
-    """Virtual time: it passes when the loop waits, and the emulated machine moves on by exactly as much.
+    """Virtual time, which passes when the loop waits; the emulated machine advances by exactly as much.
 
     Parameters
     ----------
     advance : callable
-        Lets that many seconds pass on the emulated machine without a SYNC (heartbeats run, time-outs expire).
+        Lets this many seconds pass on the emulated machine without a SYNC (heartbeats run, time-outs expire).
     machine_time : callable
         The emulated machine's own time [s].
     """
@@ -110,18 +110,18 @@ class LockstepClock:
     awake_s: float = 0.0
 
     def now(self) -> float:
-        """Virtual seconds."""
+        """Return virtual seconds."""
         return self.machine_time()
 
     def wait(self, seconds: float) -> None:
-        """Let the emulated machine live that long."""
+        """Advance the emulated machine by this many seconds."""
         self.advance(seconds)
 
     def start_ticks(self, period_s: float) -> None:
-        """Nothing to align: a SYNC moves the machine by one period."""
+        """Do nothing: a SYNC advances the machine by one period, so ticks need no alignment."""
 
     def wait_tick(self) -> float:
-        """The next tick is now; in lockstep nothing is ever late."""
+        """Begin the next tick at once and return a lateness of 0, since nothing is late in lockstep."""
         self.idle_began_s = time.perf_counter()
         self.tick_began_s = self.idle_began_s
         return 0.0

@@ -1,7 +1,7 @@
-"""The sample loop: one row per SYNC, feedback and excitation from precomputed plans, limits held, motors stopped on the way out.
+"""The sample loop: one row per SYNC, feedback and excitation from precomputed plans, limits checked, motors stopped on every error.
 
-Nothing in a tick allocates what grows, logs, prints or waits for anything but the next tick and the devices' answers; rows leave through
-a sink that only copies.
+A tick does not allocate growing memory, log or print, and waits only for the next tick and the devices' answers. Rows leave through a sink
+that only copies.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from hil.bench.timing import LoopTiming
 from hil.errors import LoopAborted
 
 PROGRESS_TICKS = 128
-"""How often the progress callback is told: twice a second at 256 Hz."""
+"""Ticks between calls of the progress callback: twice a second at 256 Hz."""
 
 
 class Sink(Protocol):
-    """Where rows go."""
+    """A destination of rows."""
 
     def put(self, row: np.ndarray) -> None:
         """Copy one row; never blocks."""
 
 
 class TickClock(Protocol):
-    """What the loop asks a clock beside `drivers.interface.Clock`: when the last tick's work was done, and how many ticks were lost."""
+    """Interface of a clock beyond `drivers.interface.Clock`: when the last tick's work was done, and how many ticks were lost."""
 
     idle_began_s: float
     tick_began_s: float
 
     @property
     def missed(self) -> int:
-        """Ticks skipped so far."""
+        """Number of ticks skipped."""
 
 
 class Observer(Protocol):
-    """What watches every recorded row, and may add to the command (`hil.observing.live.LiveObserver`)."""
+    """An observer that sees every recorded row and may add to the command (`hil.observing.live.LiveObserver`)."""
 
     estimate: np.ndarray  # (channels,) overwritten by every step; goes into the row
     effort: np.ndarray  # (n_axes,) overwritten by every step; is added to the command before saturation
 
     def restart(self, rows: int) -> None:
-        """Row 0 of a plan of this many ticks follows."""
+        """Restart before row 0 of a plan of this many ticks."""
 
     def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
-        """One row: what was latched, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
+        """Take one row: the latched sample, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
 
 
 _UNTIMED = (0.0, math.nan, math.nan)
@@ -73,21 +73,21 @@ class SampleLoop:
     feedback : Feedback
         All axes' controllers.
     limits : sequence of AxisLimits
-        Held against every sample.
+        Every sample is checked against these.
     layout : RowLayout
-        Which value goes to which column.
+        The column of each value.
     guard_io : bool
-        Hold-to-run, door and the age of the I/O are watched (False for a machine without I/O).
+        Whether hold-to-run, door and the age of the I/O are watched (False for a machine without I/O).
     io_stale_s : float
         Age of the I/O's state at which the motors are stopped.
     overrun_ticks, stale_ticks : int
-        Ticks lost at once, and ticks in a row without a position, that are bridged; more stop the motors.
+        Ticks lost at once, and ticks in a row without a position, that are tolerated; more stop the motors.
     braked : sequence of bool
-        Which axes have a brake that the I/O reports: open throughout a run.
+        Which axes have a brake that the I/O reports; it must be open throughout a run.
     timed : bool
         False in lockstep: work and answer times are those of the host, and are left out of the rows so that runs repeat bit for bit.
     watch : callable, optional
-        What the link's own watch over its encoders finds wrong with a sample, in words; '' when nothing is.
+        Returns in words what the link's own watch over its encoders finds wrong with a sample; '' when nothing is wrong.
     observer : Observer, optional
         Steps once per recorded row, between the sample and the feedback; runs without a sink are not watched.
     """
@@ -108,26 +108,27 @@ class SampleLoop:
     observer: Observer | None = None
 
     def __post_init__(self) -> None:
+        """Allocate everything that a tick needs."""
         axes = len(self.limits)
         self.command = np.zeros(axes)
-        self._position = np.full(axes, np.nan)  # the newest there is; none yet
-        self._stale = [0] * axes  # ticks since
+        self._position = np.full(axes, np.nan)  # the newest of each axis
+        self._stale = [0] * axes  # ticks since then
         self._row = np.full(self.layout.width, np.nan)
         self._zeros = np.zeros(axes)
         self._added = np.zeros(axes)  # excitation and what the observer adds
 
     def run(self, plan: Signals, sink: Sink | None = None, progress: Callable[[int], None] | None = None) -> LoopTiming:
-        """Walk through a plan, a row per tick; what it holds for ticks that are lost is left out.
+        """Run a plan, a row per tick; rows of lost ticks are skipped.
 
         Raises
         ------
         LoopAborted
-            A limit, a stale position, the I/O, an overrun or a stop request ended the run; the motors are stopped before it leaves.
+            A limit, a stale position, the I/O, an overrun or a stop request ended the run; the motors were stopped first.
         DriverError
             The link lost a device; it has stopped the motors.
         """
         rows = len(plan.reference)
-        k = -1  # tick of the plan: those that are lost are lost to it, too
+        k = -1  # tick of the plan; lost ticks count
         observer = self.observer if sink is not None else None
         if observer is not None:
             observer.restart(rows)
@@ -145,7 +146,7 @@ class SampleLoop:
                 overrun = ""
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
-                if k >= rows:  # the plan ended within what was lost; what happened meanwhile is looked at all the same
+                if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
                     self._see(sample)
                     if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
                         raise LoopAborted(_in_words(f"after row {done - 1}", reason, done, sink))
@@ -187,7 +188,7 @@ class SampleLoop:
         return self.stop_request.reason or self._violation(sample, reference)
 
     def _see(self, sample: Sample) -> None:
-        """Take over the positions there are, count the ticks without."""
+        """Take over the positions that have arrived, count the ticks without one."""
         for axis, position in enumerate(sample.position.tolist()):
             if position == position:
                 self._position[axis] = position
@@ -198,12 +199,12 @@ class SampleLoop:
     def _violation(self, sample: Sample, reference: np.ndarray) -> str:
         if sample.fault:
             return sample.fault
-        if sample.imu_fault and self.observer is None:  # an observer goes on without
+        if sample.imu_fault and self.observer is None:  # an observer continues without the IMU
             return sample.imu_fault
         for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
             if stale > self.stale_ticks:
                 return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
-            if position != position:  # bridged from the first tick on: the feedback holds its last command
+            if position != position:  # missing from the first tick: the feedback holds its last command
                 continue
             if not limit.lower <= position <= limit.upper:
                 return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"

@@ -1,4 +1,4 @@
-"""The composition root: from a machine and a bus URL to a bench at rest."""
+"""Assembly of the bench: from a machine and a bus URL to a bench at rest."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from virtual_bus.physics import Physics
 def open_bench(
     machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, observer: LiveObserver | None = None
 ) -> Iterator[Bench]:
-    """A machine found on its bus, at rest.
+    """Open the bench: find a machine on its bus, at rest.
 
     Parameters
     ----------
     machine : Machine
     options : BenchOptions
     start_pose : (n_axes,) array, optional
-        In lockstep, where the emulated machine stands when it is switched on.
+        In lockstep, the pose of the emulated machine when it is switched on.
     observer : LiveObserver, optional
         Watches every recorded row.
 
@@ -84,12 +84,12 @@ def open_bench(
         if observer is not None and isinstance(wiring.clock, WallClock):
             if options.real_time:
                 wiring.clock.rehearsals.append(observer.rehearse)
-            stack.enter_context(observer.shown(options.bus_url))  # only now: a second bench has been refused
+            stack.enter_context(observer.shown(options.bus_url))  # not before a second bench has been refused
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
 
 
 def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
-    """Where the machine stands (n_axes,), before anything is planned: the nodes are started, asked, and reset."""
+    """Return the machine's position (n_axes,) before anything is planned: start the nodes, read them, and reset them."""
     try:
         wiring.link.start()
         return standing(machine, model, wiring.link.exchange(np.zeros(len(machine.axes))))[0]
@@ -98,7 +98,7 @@ def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
 
 
 def _warm(feedback: Feedback) -> Feedback:
-    """The feedback compiled: the first step of a machine must not wait for that."""
+    """Compile the feedback by a first step, so that a machine's first tick does not wait for it."""
     nothing = np.zeros(len(feedback.controllers))
     feedback.step(nothing, nothing, nothing, nothing, nothing.copy())
     feedback.reset()
@@ -106,7 +106,7 @@ def _warm(feedback: Feedback) -> Feedback:
 
 
 def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> RowLayout:
-    """Columns of this machine's recordings, and of an observer's."""
+    """Return the columns of this machine's recordings, with those of an observer."""
     plant = machine.plant
     return RowLayout(
         [AxisColumns(units.axis, units.position, units.effort) for units in machine.units],
@@ -119,7 +119,7 @@ def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> Ro
 
 
 def recording_paths(out: Path, plans: Sequence[Plan]) -> list[Path]:
-    """One path per plan: `out` itself for one, `<stem>_r1_e2<suffix>` by realisation and experiment for more (counted from 1)."""
+    """Return one path per plan: `out` for one, `<stem>_r1_e2<suffix>` by realisation and experiment for more (counted from 1)."""
     if len(plans) == 1:
         return [out]
     return [

@@ -1,4 +1,4 @@
-"""How to reach a machine."""
+"""Options of the bench: how to reach a machine."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from hil.machine import Machine
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """How to reach a machine.
+    """Options of the bench: how to reach a machine.
 
     Parameters
     ----------
     bus_url : str
     imu_device, io_url : str
-        Where the IMU and the I/O are, if neither the machine file nor an emulator on this host says so.
+        Addresses of the IMU and the I/O, if neither the machine file nor an emulator on this host gives them.
     seed : int
-        In lockstep, of the emulated sensors' noise.
+        In lockstep, seed of the emulated sensors' noise.
     noise : bool
-        In lockstep, whether they have any.
+        In lockstep, whether the emulated sensors have noise.
     frame_log : Path, optional
-        Every CAN frame, as candump writes them.
+        File for every CAN frame, in the format of candump.
     truth : Path, optional
-        In lockstep, what only the emulator knows.
+        In lockstep, file for the values that only the emulator knows.
     emulated : Machine, optional
-        In lockstep, the machine that is really there, where it differs from its file.
+        In lockstep, the machine that is emulated, where it differs from the machine file.
     real_time : bool
-        On a bus, ask for real-time scheduling; not where loop and emulator have to share one processor.
+        On a bus, request real-time scheduling; not where loop and emulator have to share one processor.
     """
 
     bus_url: str

@@ -1,4 +1,4 @@
-"""Which value of a tick goes to which column of a recording: names and units fixed before the loop starts, filling a matter of slices."""
+"""Layout of a recording's rows: names and units are fixed before the loop starts, so that a tick only fills slices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.recording.channels import imu_channels
 
 @dataclass(frozen=True)
 class AxisColumns:
-    """What an axis is called and measured in."""
+    """Name and units of an axis."""
 
     name: str
     position_unit: str  # "rad" or "m"
@@ -22,7 +22,7 @@ class AxisColumns:
 
     @property
     def effort_channel(self) -> str:
-        """`current_<axis>` where the drive is commanded in ampere, `effort_<axis>` otherwise."""
+        """Channel of the effort: `current_<axis>` where the drive is commanded in ampere, `effort_<axis>` otherwise."""
         return f"{'current' if self.effort_unit == 'A' else 'effort'}_{self.name}"
 
 
@@ -39,7 +39,7 @@ class RowLayout:
     link, temperature : bool
         Which other optional sensors the machine has.
     observed : sequence of (name, unit)
-        What an observer adds: the last columns, at `RowLayout.observed`.
+        Columns of an observer: the last ones, at `RowLayout.observed`.
     """
 
     def __init__(
@@ -96,8 +96,8 @@ class RowLayout:
     ) -> None:
         """Write tick k into `row` (width,). Missing values are NaN.
 
-        `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it that was
-        spent waiting for the devices' answers.
+        `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it in which the
+        loop waited for the devices' answers.
         """
         groups = self._groups
         row[0] = k * self.period_s

@@ -1,4 +1,4 @@
-"""What the sample loop is given: the rows of a plan, and a request to stop."""
+"""Inputs of the sample loop: the rows of a plan, and a request to stop."""
 
 from __future__ import annotations
 
@@ -9,21 +9,28 @@ import numpy as np
 
 
 class Signals(Protocol):
-    """What a plan holds, row by row, for all axes: arrays of shape (N, n_axes)."""
+    """The signals of a plan, row by row, for all axes: arrays of shape (N, n_axes)."""
 
     @property
-    def reference(self) -> np.ndarray: ...
+    def reference(self) -> np.ndarray:
+        """Reference after any shaper [rad or m]."""
+
     @property
-    def reference_raw(self) -> np.ndarray: ...
+    def reference_raw(self) -> np.ndarray:
+        """Reference before any shaper [rad or m]."""
+
     @property
-    def excitation(self) -> np.ndarray: ...
+    def excitation(self) -> np.ndarray:
+        """Excitation w in the drives' units."""
+
     @property
-    def feedforward(self) -> np.ndarray | None: ...
+    def feedforward(self) -> np.ndarray | None:
+        """Feedforward in the drives' units; None where no axis has one."""
 
 
 @dataclass
 class StopRequest:
-    """Set from a signal handler or another thread; the loop looks at it once per tick."""
+    """A request to stop, set from a signal handler or another thread; the loop checks it once per tick."""
 
     reason: str = ""
 

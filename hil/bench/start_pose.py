@@ -1,4 +1,4 @@
-"""Where a braked machine stands that has not been homed: link encoders, less the windup of their gears."""
+"""Position of a braked machine before homing: link encoders, less the windup of their gears."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from virtual_bus.physics import Physics
 
 
 def standing(machine: Machine, model: Physics, sample: Sample) -> tuple[np.ndarray, np.ndarray]:
-    """Where a braked machine stands before it has been homed: motor-side positions and gear windups, (n_axes,) each [rad or m].
+    """Return motor-side positions and gear windups of a braked machine before homing, (n_axes,) each [rad or m].
 
-    A link encoder sees the joint behind its gear, and the gear is wound up by what hangs on it: the machine file says by how much. Axes
-    without a link encoder are taken to stand where their motor side says, from zero at power-on.
+    A link encoder measures the joint behind its gear, and the load winds the gear up by an amount that follows from the machine file. Axes
+    without a link encoder are assumed to stand at their motor side's position, which is zero at power-on.
     """
     link = sample.link_position
     pose = np.where(np.isfinite(link), link, np.nan_to_num(sample.position))
@@ -22,7 +22,7 @@ def standing(machine: Machine, model: Physics, sample: Sample) -> tuple[np.ndarr
 
 
 def _windup(machine: Machine, model: Physics, pose: np.ndarray) -> np.ndarray:
-    """How far each link encoder is ahead of its motor side with the motor sides braked at `pose`, (n_axes,)."""
+    """Return how far each link encoder is ahead of its motor side with the motor sides braked at `pose`, (n_axes,)."""
     model.place(pose)
     deflection = model.truth()["joint_position"]
     tree = machine.plant.tree

@@ -14,8 +14,11 @@ from hil.errors import LoopAborted
 
 @contextlib.contextmanager
 def stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> Iterator[None]:
-    """SIGINT, SIGTERM, SIGHUP and SIGQUIT end the run at the next tick, motors stopped; a second one at once, unless the motors are being
-    stopped already: a stop that is broken off may take the voltage from a drive before its brake has closed."""
+    """Let SIGINT, SIGTERM, SIGHUP and SIGQUIT end the run at the next tick, motors stopped.
+
+    A second signal ends it at once, unless the motors are being stopped already: an interrupted stop may take the voltage from a drive
+    before its brake has closed.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

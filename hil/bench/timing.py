@@ -1,4 +1,4 @@
-"""How well a sample loop kept its time."""
+"""Timing of a sample loop."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LoopTiming:
-    """How well the loop kept its time over one run."""
+    """Timing of the loop over one run."""
 
     ticks: int
     missed: int
     lateness_s: np.ndarray
     work_time_s: np.ndarray
     answer_time_s: np.ndarray
-    notes: tuple[str, ...] = ()  # what happened that the run could go on with
+    notes: tuple[str, ...] = ()  # faults with which the run could go on
 
     def summary(self) -> dict[str, float]:
-        """Percentiles in microseconds of lateness, work time, the answers' share of it, and the rest, our own; and the ticks missed."""
+        """Return ticks, missed ticks, and percentiles [us] of lateness, work time, the wait for answers, and the loop's own work."""
         table: dict[str, float] = {"ticks": self.ticks, "missed": self.missed}
         measured = {"lateness": self.lateness_s, "work_time": self.work_time_s, "answer_time": self.answer_time_s}
         measured["own_work_time"] = self.work_time_s - self.answer_time_s

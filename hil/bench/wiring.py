@@ -1,4 +1,4 @@
-"""From a bus URL to a machine link: the same drivers on an emulated machine in this process, or on a bus outside it."""
+"""Connection of the drivers to a bus URL: to an emulated machine in this process, or to a bus outside it."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 
 
 class HeedingMachine(CanMachine):
-    """A machine that heeds a stop request in the ticks it makes by itself, too: booting, homing, brakes."""
+    """A machine that obeys a stop request also in the ticks it makes by itself: booting, homing, brakes."""
 
     def __init__(
         self, stop_request: StopRequest, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None, io: Io | None
     ) -> None:
         super().__init__(settings, bus, clock, imu, io)
-        self.troubles: list[str] = []  # what stopping ran into since the last start: a second stop has none with what is stopped by then
+        self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self._stop_request = stop_request
 
     def start(self) -> None:
-        """See `CanMachine`."""
+        """Start as `CanMachine` does."""
         self.troubles = []
         super().start()
 
     def stop(self) -> None:
-        """See `CanMachine`; what goes wrong is kept in `troubles`."""
+        """Stop as `CanMachine` does; errors are kept in `troubles`."""
         super().stop()
         self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
 
     def exchange(self, command: np.ndarray) -> Sample:
-        """One tick, unless somebody has asked to stop: then the motors are, and LoopAborted says who asked."""
+        """Make one tick; after a stop request stop the motors instead and raise LoopAborted with its reason."""
         if self._stop_request.reason:
             self.stop()
             raise LoopAborted(f"{self._stop_request.reason}; the motors were stopped")
@@ -70,19 +70,19 @@ class Wiring:
     truth: TruthLog | None = None
 
     def start_truth(self) -> None:
-        """Truth rows begin with the next SYNC."""
+        """Begin truth rows with the next SYNC."""
         if self.truth is not None:
             self.truth.recording = True
 
     def pause_truth(self) -> None:
-        """Truth rows end here."""
+        """End truth rows."""
         if self.truth is not None:
             self.truth.recording = False
 
 
 @contextlib.contextmanager
 def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndarray | None, stop_request: StopRequest) -> Iterator[Wiring]:
-    """The emulated machine in this process, standing at `start_pose` (n_axes,), and its drivers on virtual time."""
+    """Build the emulated machine in this process, standing at `start_pose` (n_axes,), and its drivers on virtual time."""
     settings = machine.bus
     assert settings is not None
     with contextlib.ExitStack() as stack:
@@ -110,16 +110,16 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
 
 @contextlib.contextmanager
 def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopRequest) -> Iterator[Wiring]:
-    """A machine on a bus outside this process, real or emulated, on wall time.
+    """Connect to a machine on a bus outside this process, real or emulated, on wall time.
 
     Raises
     ------
     BusUnavailableError
-        No such bus, serial port or I/O.
+        The bus, serial port or I/O does not exist, or the address of IMU or I/O is unknown.
     DuplicateNodeError
-        Another bench runs on that bus; neither its IMU nor its I/O was touched.
+        Another bench runs on this bus; neither its IMU nor its I/O was touched.
     UnusableInputError
-        The machine has an IMU or I/O and nobody says where.
+        An option works only in lockstep.
     """
     settings = machine.bus
     assert settings is not None
@@ -152,7 +152,7 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
 
 @contextlib.contextmanager
 def _polling(io: IoProcess) -> Iterator[IoProcess]:
-    """The I/O polled; on the way out, that its brakes may still be open is an error of its own or a note to the one there is."""
+    """Poll the I/O for the length of the block; brakes that may still be open raise BusError, or add a note to another error."""
     try:
         io.start()
         yield io
@@ -167,7 +167,7 @@ def _polling(io: IoProcess) -> Iterator[IoProcess]:
 
 
 def _with_ports(machine: Machine, settings: BusSettings, options: BenchOptions) -> BusSettings:
-    """Settings with the IMU's device and the I/O's URL filled in: from the command line, the machine file, or an emulator on this host."""
+    """Return settings with the IMU's device and the I/O's URL, from the command line, the machine file, or an emulator on this host."""
     card = find(options.bus_url)
     if settings.imu is not None:
         device = options.imu_device or settings.imu.device or (card.imu_device if card else "")

@@ -1,1 +1,1 @@
-"""The emulated machine of a machine file: its devices, its X-ray panel, what only it knows, and where it says that it runs."""
+"""The emulated machine of a machine file: its devices, its X-ray panel, its truth file, and the ports that it announces."""

@@ -1,4 +1,4 @@
-"""What stands in the beam of an emulated machine, by the name of a scene or of a marker plate, and what one exposure of it reads."""
+"""Objects in the beam of an emulated machine, by the name of a scene or of a marker plate, and the image of an exposure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from virtual_bus.xray.objects import Item
 from virtual_bus.xray.render import Panel
 
 VIEWS = 4
-"""Instants an exposure's pose is averaged over."""
+"""Instants over which an exposure's pose is averaged."""
 
 SPOT = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 48.3)
 """The emulated tube's focal spot: drifts by 8 and 4 um in 4 s as the anode warms, wobbles by 10 um as it turns (thesis Fig. 6.15)."""
@@ -28,7 +28,7 @@ SPOT = FocalSpot(np.array([8e-6, 4e-6, 0.0]), 4.0, np.array([10e-6, 0.0, 0.0]), 
 
 @dataclass(frozen=True)
 class Beam:
-    """Things about the isocentre, or a plate on the tube; and what blurs their images."""
+    """Objects about the isocentre, or a plate on the tube, and the blur of their images."""
 
     items: list[Item]
     marker: TubeMarker | None
@@ -36,7 +36,7 @@ class Beam:
     spot: FocalSpot = SPOT
 
     def image(self, side: XraySide, start_s: float, width_s: float, detector: Detector, rng: np.random.Generator) -> np.ndarray:
-        """(rows, columns) uint16 counts of one exposure."""
+        """Return the counts (rows, columns) uint16 of one exposure."""
         panel = Panel(detector.columns, detector.rows, detector.pitch_m, detector.aspect, detector.skew)
         if self.marker is None:
             mean = expected(side.views(start_s, width_s, VIEWS), panel, self.items, self.optics)
@@ -46,12 +46,12 @@ class Beam:
 
 
 def beam_of(machine: Machine, name: str) -> Beam:
-    """By name.
+    """Return the beam of a name.
 
     Raises
     ------
     UnusableInputError
-        Neither a scene nor a marker plate.
+        The name is neither a scene nor a marker plate.
     """
     if name in PLATES:
         return Beam([], TubeMarker(PLATES[name](), PLATE_M, panel_in_tube(machine)))

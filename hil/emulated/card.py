@@ -1,6 +1,6 @@
-"""Where an emulator on this host says which ports of IMU, I/O and panel belong to its CAN bus, so that `run --bus URL` finds all.
+"""Files in which emulators on this host announce the ports of IMU, I/O and panel beside their CAN bus, for `run --bus URL`.
 
-A real machine needs none of this: its serial device and I/O address stand in the machine file or on the command line.
+A real machine needs none of this: its serial device and I/O address are in the machine file or on the command line.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ MAX_PID = 2**31 - 1
 
 @dataclass(frozen=True)
 class EmulatorCard:
-    """What an emulator published."""
+    """The ports that an emulator announces."""
 
     bus: str
     pid: int
     imu_device: str  # tcp:HOST:PORT; "" when the machine has no IMU
     io_url: str  # "" when it has no I/O
     panel_url: str = ""  # "" when it has no panel
-    panel_scene: str = ""  # what stands in that panel's beam
+    panel_scene: str = ""  # the objects in that panel's beam
 
 
 def _folder() -> Path:
@@ -52,7 +52,7 @@ def published(card: EmulatorCard) -> Iterator[None]:
 
 
 def card_from_text(text: str) -> EmulatorCard | None:
-    """A card as `published` writes it; None for anything else."""
+    """Read a card as `published` writes it; return None for anything else."""
     try:
         entries = json.loads(text)
     except (ValueError, RecursionError):
@@ -68,7 +68,7 @@ def card_from_text(text: str) -> EmulatorCard | None:
 
 
 def find(bus_url: str) -> EmulatorCard | None:
-    """The card of a living emulator on that bus, or None."""
+    """Return the card of a running emulator on this bus, or None."""
     try:
         card = card_from_text(_card_path(bus_url).read_text(encoding="utf-8"))
         if card is None or card.bus != bus_url:

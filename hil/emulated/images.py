@@ -1,4 +1,4 @@
-"""Images of a scan as the emulated machine's panel takes them, from the truth its emulator wrote."""
+"""Images of a scan as the emulated machine's panel takes them, from the emulator's truth file."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from virtual_bus.xray.motion import FocalSpot, PoseTrack, XraySide
 
 @dataclass(frozen=True)
 class Exposures:
-    """When the panel exposes: its own clock.
+    """Times of the exposures, by the panel's own clock.
 
     Attributes
     ----------
     rate_Hz : float
-        By the panel's clock.
+        Rate by the panel's clock.
     width_s : float
     first_s : float
         Start of the first exposure in loop time.
     clock_ppm : float
-        How much faster than the loop's the panel's clock runs.
+        By how much the panel's clock is faster than the loop's.
     """
 
     rate_Hz: float = 7.0
@@ -43,12 +43,12 @@ class Exposures:
     clock_ppm: float = 20.0
 
     def starts(self, last_s: float) -> np.ndarray:
-        """Starts of all exposures that end before `last_s`, in loop time."""
+        """Return the starts of all exposures that end before `last_s`, in loop time."""
         period = self._period_s
         return self.first_s + period * np.arange(max(0, int(np.floor((last_s - self.width_s - self.first_s) / period)) + 1))
 
     def start(self, exposure_id: int) -> float:
-        """Start of one of them."""
+        """Return the start of one exposure in loop time."""
         return self.first_s + self._period_s * exposure_id
 
     @property
@@ -57,12 +57,12 @@ class Exposures:
 
 
 def xray_side(machine: Machine, truth: Path, spot: FocalSpot, hot_since_s: float) -> XraySide:
-    """Tube and panel as they truly moved, from an emulator's truth file.
+    """Return the true motion of tube and panel from an emulator's truth file.
 
     Raises
     ------
     UnusableInputError
-        No [geometry], or no poses of its bodies in the truth file.
+        The machine has no [geometry], or the truth file lacks the poses of its bodies.
     """
     geometry = imaging_geometry(machine)
     columns = _truth_columns(truth, (geometry.source_body, geometry.detector_body))
@@ -76,7 +76,7 @@ def xray_side(machine: Machine, truth: Path, spot: FocalSpot, hot_since_s: float
 
 
 def true_beam(side: XraySide, start_s: np.ndarray, width_s: np.ndarray) -> ConeBeam:
-    """True geometry in the middle of each exposure, referred to the isocentre."""
+    """Return the true geometry in the middle of each exposure, referred to the isocentre."""
     views = [side.views(float(start), float(width), 1)[0] for start, width in zip(start_s, width_s, strict=True)]
     return ConeBeam.from_frames(
         np.array([view.source_m for view in views]),
@@ -136,12 +136,12 @@ def expose(
 
 
 def positions_at(machine: Machine, recording: Recording | None, time_s: np.ndarray) -> np.ndarray:
-    """(N, axes) measured axis positions at times of the loop, cubic between rows; NaN without a recording.
+    """Return measured axis positions (N, axes) at loop times, cubic between rows; NaN without a recording.
 
     Raises
     ------
     UnusableInputError
-        An exposure lies outside the recording: the clocks disagree, or it is another run's.
+        An exposure lies outside the recording: the clocks disagree, or the recording is of another run.
     """
     if recording is None:
         return np.full((len(time_s), len(machine.axes)), np.nan)
@@ -154,11 +154,12 @@ def positions_at(machine: Machine, recording: Recording | None, time_s: np.ndarr
     names = [f"link_position_{axis}" if f"link_position_{axis}" in recording else f"position_{axis}" for axis in machine.axes]
     values = recording.matrix(names)
     whole = np.isfinite(values).all(axis=1)
-    return CubicSpline(rows[whole], values[whole])(time_s)
+    positions: np.ndarray = CubicSpline(rows[whole], values[whole])(time_s)
+    return positions
 
 
 def _truth_columns(path: Path, bodies: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Time (N, 1) and pose (N, 12) of each body."""
+    """Return time (N, 1) and pose (N, 12) of each body."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file), [])

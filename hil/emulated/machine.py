@@ -1,4 +1,4 @@
-"""The emulated machine of a machine file: its physics, and every device that hangs on its wires."""
+"""The emulated machine of a machine file: its physics, and every device on its bus and lines."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from hil.emulated.pose_board import PoseBoard
 
 OWN_LOOP_BANDWIDTH_Hz = 0.5
-"""The drives' own velocity loop, used for homing and stopping: far below the structure's first mode."""
+"""Bandwidth of the drives' own velocity loop for homing and stopping, far below the structure's first mode."""
 
 LONGEST_SILENCE_S = 0.5
-"""Where heartbeats are slow, a bench may stand still for so long before the machine's time goes on without it: each real wait takes that
-much longer."""
+"""Where heartbeats are slow, longest pause of a bench before the machine's time continues without it; each real wait takes this much
+longer."""
 
 STANDARD_BITRATE = 1_000_000
-PTY_BAUD = 115_200  # a pseudo terminal keeps any; this one is what the bench is told
+PTY_BAUD = 115_200  # a pseudo terminal accepts any; the bench is told this one
 
 
 def build_emulated(
@@ -56,7 +56,7 @@ def build_emulated(
     truth: TruthLog | None = None,
     board: PoseBoard | None = None,
 ) -> EmulatedMachine:
-    """The whole machine behind its wires, placed at `pose` (n_axes,), not yet powered on; the panel's process looks at the `board`.
+    """Build the whole machine, placed at `pose` (n_axes,), not yet powered on; the panel's process reads the `board`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def build_emulated(
     if machine.bus is None:
         raise UnusableInputError(f"{machine.name}: its file has no [bus]; there is nothing to emulate on a wire")
     physics = Physics(machine.plant, seed, noise)
-    physics.advance()  # compiles what has to be compiled before somebody waits for an answer; `place` undoes the step
+    physics.advance()  # compiles everything before a caller waits for an answer; `place` undoes the step
     io_map = machine.bus.io
     io = None
     if io_map is not None:
@@ -103,7 +103,7 @@ def build_emulated(
 
 
 def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
-    """The CANopen devices, as the machine file describes them."""
+    """Return the CANopen devices that the machine file describes."""
     bus = machine.bus
     assert bus is not None
     gains = _velocity_gains(machine, physics)
@@ -151,7 +151,7 @@ def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> in
 
 
 def _velocity_gains(machine: Machine, physics: Physics) -> dict[str, float]:
-    """Drive's unit per rad/s (or m/s) at the joint: the joint's inertia at pose zero times the bandwidth, over the effort of one unit."""
+    """Return gains [drive's unit per rad/s or m/s]: the joint's inertia at pose zero times the bandwidth, over the effort of one unit."""
     model = physics.model
     inertia = inertia_matrix(physics.plant, model, np.zeros(physics.plant.joints))
     joints = physics.plant.joint_of_axis()
@@ -183,7 +183,7 @@ def emulate_machine(
     panel : str
         Serve an X-ray panel too, with this scene or marker plate in the beam.
     on_ready : callable
-        Told once what is emulated and where the ports of IMU and I/O are, when everything listens.
+        Called once, when all ports are open, with a description of the machine and the ports of IMU and I/O.
 
     Raises
     ------
@@ -207,29 +207,29 @@ def emulate_machine(
         emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board)
 
         def ready(ports: Ports) -> None:
-            # The bench takes the TCP port: the kernel passes what comes over a pseudo terminal on in a worker of ordinary priority, for
-            # which a bench of real-time priority would wait.
+            # The bench takes the TCP port: the kernel passes data of a pseudo terminal on in a worker of ordinary priority, for which a
+            # bench of real-time priority would wait.
             stack.enter_context(published(EmulatorCard(bus_url, os.getpid(), ports.imu_url, ports.io_url, panel_url, panel)))
             imu = ports.imu_device or ports.imu_url
             ready_now: dict[str, object] = {"ready": machine.name, "bus": bus_url, "imu": imu, "imu_tcp": ports.imu_url, "io": ports.io_url}
             more = {"io_rtu": f"rtu:{ports.io_line}@{baud}" if ports.io_line else "", "panel": panel_url}
             on_ready(ready_now | {name: url for name, url in more.items() if url})
 
-        with real_time(wanted=punctual):  # answers as punctual as hardware's, where the system grants it
+        with real_time(wanted=punctual):  # answers as punctual as those of hardware, where the system grants it
             run_emulator(bus, emulated, ready, io_line=line, punctual=punctual)
 
 
 class _SerialPort(SerialStream):
-    """A serial port by the name the bench has for it."""
+    """A serial port with the path that the bench uses."""
 
     @property
     def path(self) -> str:
-        """The port."""
+        """Path of the port."""
         return self.device
 
 
 def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _SerialPort, int]:
-    """The line on which Modbus RTU is served, closed with `stack`, and its baud rate."""
+    """Return the line on which Modbus RTU is served, closed with `stack`, and its baud rate."""
     if machine.bus is None or machine.bus.io is None:
         raise UnusableInputError(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
     if text == "pty":
@@ -254,7 +254,7 @@ def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[
 
 @contextmanager
 def opened_bus(url: str, bitrate: int) -> Iterator[can.BusABC]:
-    """An open bus, shut down on the way out."""
+    """Open a bus for the length of the block."""
     bus = open_bus(url, bitrate)
     try:
         yield bus

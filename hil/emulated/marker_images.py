@@ -17,7 +17,7 @@ from virtual_bus.xray.render import Panel, View
 
 
 def steel(plate: MarkerPlate) -> Plate:
-    """The plate in stainless steel."""
+    """Return the plate in stainless steel."""
     half = 0.5 * plate.groove_m
     along_y = np.array([[x - half, x + half, *plate.y_reach_m] for x in plate.x_m])
     along_x = np.array([[*plate.x_reach_m, y - half, y + half] for y in plate.y_m])
@@ -27,7 +27,7 @@ def steel(plate: MarkerPlate) -> Plate:
 def expected_image(
     plate: MarkerPlate, projection: MarkerProjection, detector: Detector, optics: Optics, items: list[Item] | None = None
 ) -> np.ndarray:
-    """(rows, columns) expected photons; items are in the detector's frame."""
+    """Return expected photons (rows, columns); items are in the detector's frame."""
     view = View(projection.source_m, np.zeros(3), np.eye(3))
     panel = Panel(detector.columns, detector.rows, detector.pitch_m, detector.aspect, detector.skew)
     return expected_with_plate([view], panel, [Mounted(steel(plate), projection.plate_m, projection.rotation)], optics, items or ())
@@ -41,7 +41,7 @@ class TubeMarker:
     ----------
     plate : MarkerPlate
     distance_m : float
-        From the cold focal spot.
+        Distance from the cold focal spot.
     rotation : (3, 3) array
         The plate's axes in the tube's frame (`hil.imaging.nominal.panel_in_tube`).
     """
@@ -53,7 +53,7 @@ class TubeMarker:
     def expected(
         self, side: XraySide, start_s: float, width_s: float, count: int, panel: Panel, items: list[Item], optics: Optics
     ) -> np.ndarray:
-        """(rows, columns) expected photons of one exposure, the plate moving with the tube."""
+        """Return expected photons (rows, columns) of one exposure, the plate moving with the tube."""
         metal = steel(self.plate)
         position, rotation = side.tube(start_s + width_s * (np.arange(count) + 0.5) / count)
         held = side.source_m + self.distance_m * self.rotation[:, 2]

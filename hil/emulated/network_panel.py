@@ -1,7 +1,7 @@
-"""The emulated panel on a port of its own: `isocenter emulate --panel SCENE`, a process beside the emulated machine's.
+"""The emulated panel on a network port: `isocenter emulate --panel SCENE`, a process beside the emulated machine's.
 
-It follows the machine's true motion SYNC by SYNC through shared memory, exposes by a clock of its own when it is told to, and sends each
-frame with the count of the SYNC at which the exposure's pulse was seen. The machine never waits for it: images that take long come late.
+It follows the machine's true motion SYNC by SYNC through shared memory, exposes by its own clock when it is told to, and sends each frame
+with the count of the SYNC at which the exposure's pulse was seen. The machine never waits for it: images that take long come late.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from hil.processes.second_in_line import politely
 from virtual_bus.xray.motion import PoseTrack, XraySide
 
 LOOKS_EVERY_S = 0.01
-"""How long it listens for a command before it looks at the machine again."""
+"""Time to listen for a command before the machine is checked again."""
 
 AROUND = 8
-"""SYNCs on either side of an exposure that its motion is interpolated through."""
+"""SYNCs on either side of an exposure through which its motion is interpolated."""
 
 STANDS_S = 1.0
-"""No SYNC for so long after it was told to stop: the machine's time stands still, and what has begun does not end."""
+"""Time without a SYNC after the command to stop: the machine's time then stands still, and a begun exposure will not end."""
 
 FIRST_AFTER_S = 0.1
-"""From the command to the first exposure: a generator runs its anode up."""
+"""Time from the command to the first exposure, in which a generator runs its anode up."""
 
 READ_BYTES = 4096
 SEED = 0
@@ -48,7 +48,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class ServedPanel:
-    """What the process is told: the machine that is emulated, where it is, and what stands in the beam."""
+    """Arguments of the process: the emulated machine, the board with its poses, and the objects in the beam."""
 
     machine: Machine
     board: PoseBoard
@@ -57,12 +57,12 @@ class ServedPanel:
 
 @contextmanager
 def panel_beside(machine: Machine, board: PoseBoard, scene_name: str) -> Iterator[str]:
-    """The panel, served while the block runs; yields its URL.
+    """Serve the panel while the block runs; yield its URL.
 
     Raises
     ------
     UnusableInputError
-        No [geometry], no such scene, or its process did not start.
+        The machine has no [geometry], the scene does not exist, or the process did not start.
     """
     imaging_geometry(machine)
     order = ServedPanel(machine, board, beam_of(machine, scene_name))
@@ -84,7 +84,7 @@ def panel_beside(machine: Machine, board: PoseBoard, scene_name: str) -> Iterato
 
 
 def serve(order: ServedPanel, ready: Connection) -> None:
-    """One host after the other, for ever."""
+    """Serve one host after the other without end."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         ready.send(listener.getsockname()[1])
         while True:
@@ -99,7 +99,7 @@ def serve(order: ServedPanel, ready: Connection) -> None:
 
 
 class _Acquisition:
-    """One host's."""
+    """The exposures for one host."""
 
     def __init__(self, order: ServedPanel, caller: socket.socket) -> None:
         self._order, self._caller = order, caller
@@ -111,13 +111,13 @@ class _Acquisition:
         self._newest_s, self._newest_at_s = -np.inf, time.monotonic()
 
     def serve(self) -> None:
-        """Until the host hangs up."""
+        """Serve until the host hangs up."""
         self._caller.sendall(end_bytes(0))
         while self._listen(0.0 if self._work() else LOOKS_EVERY_S):
             pass
 
     def _listen(self, seconds: float) -> bool:
-        """Take commands; whether the host is still there."""
+        """Take commands; return whether the host is still connected."""
         if not select.select([self._caller], [], [], seconds)[0]:
             return True
         data = self._caller.recv(READ_BYTES)
@@ -137,7 +137,7 @@ class _Acquisition:
         return bool(data)
 
     def _work(self) -> bool:
-        """Send the next frame, or the end, if it is time; whether it was."""
+        """Send the next frame, or the end, if it is due; return whether it was."""
         exposures = self._exposures
         if exposures is None:
             return False
@@ -151,7 +151,7 @@ class _Acquisition:
         if not is_known:
             return False
         span = self._order.board.around(start_s, end_s, AROUND)
-        if span is not None:  # else it is too late for this image: it is lost
+        if span is not None:  # otherwise it is too late for this image, which is lost
             self._send(exposures, start_s, span)
         self._made += 1
         return True

@@ -1,7 +1,7 @@
-"""The emulated panel as a process of its own: it follows the machine's true motion as that happens and leaves frames in a spool folder.
+"""The emulated panel as a separate process: it follows the machine's true motion as it happens and writes frames into a spool folder.
 
-What it knows it reads from the truth file, line by line as the emulator writes it: an exposure is made once the motion is known beyond its
-end. Its clock is its own, set to another time than the loop's and 20 ppm fast.
+It reads the truth file line by line as the emulator writes it: an exposure is made once the motion is known beyond its end. Its clock is
+set to another time than the loop's and runs 20 ppm fast.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from hil.imaging.detector import Detector
 from hil.machine import Machine
 
 PANEL_EPOCH_S = 5000.0
-"""What the panel's clock says when the loop's says 0."""
+"""Time of the panel's clock when the loop's is 0."""
 
 LOOKS_EVERY_S = 0.05
 BEYOND_S = 0.05
-"""Motion is interpolated between samples: this much of it must be known after an exposure's end."""
+"""Time after an exposure's end up to which the motion must be known, because it is interpolated between samples."""
 
 
 @dataclass(frozen=True)
 class PanelOrder:
-    """What the process is told.
+    """Arguments of the process.
 
     Attributes
     ----------
     machine : Machine
-        That is emulated.
+        The emulated machine.
     truth, spool : Path
     exposures : Exposures
     beam : Beam
@@ -52,7 +52,7 @@ class PanelOrder:
 
 
 def serve(order: PanelOrder, is_over: Event) -> None:
-    """Expose until the run is over and all of its motion has been looked at."""
+    """Expose until the run is over and all of its motion has been read."""
     machine = order.machine
     rng, made, seen = np.random.default_rng(order.seed), 0, 0
     period = 1.0 / machine.sample_rate_Hz
@@ -77,6 +77,6 @@ def serve(order: PanelOrder, is_over: Event) -> None:
                 made += 1
         elif not over:
             time.sleep(LOOKS_EVERY_S)
-        if over:  # the truth was whole before it was read
+        if over:  # the truth file was complete before it was read
             whole.unlink(missing_ok=True)
             return

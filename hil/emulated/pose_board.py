@@ -1,20 +1,20 @@
-"""Where tube and panel are at every SYNC, in shared memory: from the emulated machine to its panel, which is another process.
+"""Poses of tube and panel at every SYNC in shared memory, from the emulated machine to its panel, which is another process.
 
-One writes and never waits; a place is written whole before it is counted, and used again only thousands of SYNCs later.
+The machine writes and never waits; an entry is complete before it is counted, and reused only thousands of SYNCs later.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from multiprocessing.context import BaseContext
 
 import numpy as np
 
 KEPT = 8192
-"""SYNCs: 32 s at 256 Hz, for a panel whose images take longer to make than its exposures are apart."""
+"""SYNCs kept: 32 s at 256 Hz, for a panel whose images take longer to make than its exposures are apart."""
 
 SPARE = 64
-"""The oldest of them are not read: they may be written over meanwhile."""
+"""Number of oldest entries that are not read, because they may be overwritten meanwhile."""
 
 _WIDTH = 26
 _SYNC, _TIME, _TUBE, _PANEL = 0, 1, slice(2, 14), slice(14, 26)
@@ -22,14 +22,14 @@ _SYNC, _TIME, _TUBE, _PANEL = 0, 1, slice(2, 14), slice(14, 26)
 
 @dataclass(frozen=True)
 class PoseSpan:
-    """Some SYNCs.
+    """Poses at consecutive SYNCs.
 
     Attributes
     ----------
     sync : (N,) array of int
         Counts since the last NMT start.
     time_s : (N,) array
-        The machine's.
+        Times of the machine.
     tube, panel : (N, 12) arrays
         Poses in the world: position, then rotation by rows.
     """
@@ -41,15 +41,15 @@ class PoseSpan:
 
 
 class PoseBoard:
-    """The memory.
+    """The shared memory of the poses.
 
     Parameters
     ----------
-    context
-        Of `multiprocessing`, whose processes get it as an argument.
+    context : BaseContext
+        Context of `multiprocessing` whose processes receive the board as an argument.
     """
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, context: BaseContext) -> None:
         self._written = context.RawArray("q", 1)
         self._rows = context.RawArray("d", KEPT * _WIDTH)
 
@@ -62,7 +62,7 @@ class PoseBoard:
         return np.frombuffer(self._rows, dtype=float).reshape(KEPT, _WIDTH)
 
     def put(self, sync: int, time_s: float, tube: np.ndarray, panel: np.ndarray) -> None:
-        """The machine's end: the SYNC that has just been answered."""
+        """Write the poses at the SYNC that has just been answered; for the machine's end."""
         count = self._count
         row = self._table[count[0] % KEPT]
         row[_SYNC], row[_TIME], row[_TUBE], row[_PANEL] = sync, time_s, tube, panel
@@ -70,12 +70,12 @@ class PoseBoard:
 
     @property
     def now_s(self) -> float:
-        """The machine's time at the newest SYNC; -inf before the first."""
+        """Machine's time at the newest SYNC; -inf before the first."""
         written = int(self._count[0])
         return float(self._table[(written - 1) % KEPT, _TIME]) if written else -np.inf
 
     def around(self, start_s: float, end_s: float, more: int) -> PoseSpan | None:
-        """The SYNCs from `start_s` to `end_s` and so many to either side; None where some of them are not there any more."""
+        """Return the SYNCs from `start_s` to `end_s` and `more` on either side; None where some of them are not available."""
         written = int(self._count[0])
         rows = np.arange(max(0, written - KEPT + SPARE), written)
         times = self._table[rows % KEPT, _TIME]

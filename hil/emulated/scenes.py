@@ -1,4 +1,4 @@
-"""What an emulated panel sees, by name: phantoms and test objects as balls and rods."""
+"""Scenes of an emulated panel by name: phantoms and test objects as balls and rods."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ WIRE_LENGTH_M = 0.06
 
 
 def bullets() -> list[Item]:
-    """The dodecahedron phantom."""
+    """Return the dodecahedron phantom."""
     phantom = dodecahedron()
     return [Ball(center, phantom.radius_m, STEEL_1_M) for center in phantom.centers_m]
 
 
 def wires(diameter_m: float, attenuation_1_m: float) -> list[Item]:
-    """Three wires along x, y and z, a little apart, so that each has a piece on its own (thesis Fig. 2.10)."""
+    """Return three wires along x, y and z, a little apart, so that a piece of each stands alone (thesis Fig. 2.10)."""
     half, apart = 0.5 * WIRE_LENGTH_M, 0.012
     lines = [
         ((-half, -apart, 0.0), (half, -apart, 0.0)),
@@ -29,7 +29,7 @@ def wires(diameter_m: float, attenuation_1_m: float) -> list[Item]:
 
 
 def vessel() -> list[Item]:
-    """A vessel that branches twice, filled with contrast agent, and an aneurysm on its first branching (thesis Fig. 2.12)."""
+    """Return a vessel that branches twice, filled with contrast agent, and an aneurysm at its first branching (thesis Fig. 2.12)."""
     points = {
         "in": (0.0, -0.040, -0.010),
         "first": (0.002, -0.012, 0.0),
@@ -62,12 +62,12 @@ SCENES = {
 
 
 def scene(name: str) -> list[Item]:
-    """Items of a named scene, about the isocentre.
+    """Return the items of a named scene, about the isocentre.
 
     Raises
     ------
     UnusableInputError
-        No such scene.
+        The scene does not exist.
     """
     try:
         return SCENES[name]()

@@ -1,4 +1,4 @@
-"""The truth file: what only an emulator knows, one row per sample, kept apart from the recording."""
+"""The truth file: values that only an emulator knows, one row per sample, kept apart from the recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.errors import UnusableInputError
 from virtual_bus.settings import Joint
 
 QUANTITIES = {"joint_position": "{length}", "joint_speed": "{length}/s", "friction_effort": "{effort}"}
-"""Columns that there is one of for every joint, and their units."""
+"""Columns that exist for every joint, and their units."""
 
 
 class TruthLog:
@@ -22,7 +22,7 @@ class TruthLog:
     ----------
     path : Path
     joints : sequence of Joint
-        The plant's, in its order: the columns' names and units.
+        Joints of the plant in its order, which give the columns' names and units.
 
     Raises
     ------
@@ -38,10 +38,10 @@ class TruthLog:
         except OSError as error:
             raise UnusableInputError(f"--truth {path}: cannot be written: {error.strerror}") from None
         self._header = False
-        self.recording = True  # rows before row 0 of a recording are left out by whoever clears this
+        self.recording = True  # the bench clears this to leave out rows before row 0 of a recording
 
     def add(self, time_s: float, truth: Mapping[str, np.ndarray]) -> None:
-        """One instant."""
+        """Write the row of one instant."""
         if not self.recording:
             return
         if not self._header:
@@ -53,7 +53,7 @@ class TruthLog:
         self._file.write(",".join(repr(float(number)) for number in numbers) + "\n")
 
     def close(self) -> None:
-        """Everything is on the disk after this."""
+        """Flush everything to the disk and close the file."""
         self._file.close()
 
     def _columns(self, name: str, values: np.ndarray) -> list[str]:

@@ -1,4 +1,4 @@
-"""Experiments: what the bench is asked to do, worked out row by row and held against limits before anything moves."""
+"""Experiments of the bench, planned row by row and checked against limits before anything moves."""
 
 from hil.experiments.file import experiment_from_text, read_experiment, write_experiment
 from hil.experiments.jog import Jog, JogOnly

@@ -1,4 +1,4 @@
-"""Experiment files (TOML): what `isocenter run` takes and `diagnose` proposes. Keys end in their unit, as in machine files."""
+"""Experiment files (TOML), as `isocenter run` reads and `diagnose` proposes them. Keys end in their unit, as in machine files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from controllers.excitation_lines import Band
 from hil.errors import ExperimentError
-from hil.experiments.file_tables import AxisTable, dimension_of, validated
+from hil.experiments.file_tables import AxisTable, ExperimentTable, MultisineTable, PeriodicTable, ScanTable, dimension_of, validated
 from hil.experiments.file_text import experiment_text
 from hil.experiments.jog import Jog, JogOnly
 from hil.experiments.move import Move
@@ -39,12 +39,12 @@ _BAND_NAMES = {"low": "low_Hz", "high": "high_Hz", "dense": "dense_Hz"}
 
 
 def read_experiment(path: str | Path, machine: Machine) -> Experiment:
-    """Read an experiment for a machine. What a file leaves out has its default, except the jog: without a table [jog] there is none.
+    """Read an experiment for a machine. Omitted keys have their defaults, except the jog: without a table [jog] there is none.
 
     Raises
     ------
     ExperimentError
-        One line: file, key, value, what is wrong and what would be right.
+        The file cannot be used; one line names file, key, value, the fault and what would be right.
     """
     try:
         text = Path(path).read_bytes().decode("utf-8")
@@ -56,7 +56,7 @@ def read_experiment(path: str | Path, machine: Machine) -> Experiment:
 
 
 def experiment_from_text(text: str, machine: Machine, file: str = "experiment") -> Experiment:
-    """Read an experiment from TOML text; `file` is what errors call it. Raises as `read_experiment`."""
+    """Read an experiment from TOML text; `file` is its name in errors. Raises as `read_experiment`."""
     try:
         raw = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # RecursionError: brackets nested too deep
@@ -83,7 +83,7 @@ def write_experiment(experiment: Experiment, machine: Machine, path: str | Path)
         raise ExperimentError(f"{path}: {error.strerror}") from None
 
 
-def _experiment(table: Any, machine: Machine) -> Experiment:
+def _experiment(table: ExperimentTable, machine: Machine) -> Experiment:
     for first, second in (("lines", "band"), ("amplitude", "amplitudes")):
         if first in type(table).model_fields and table.has(first) and table.has(second):
             raise ComplaintError((second,), f"says the same as {table.key(first)}; keep one of them")
@@ -91,17 +91,20 @@ def _experiment(table: Any, machine: Machine) -> Experiment:
     given.pop("format")
     match given.pop("kind"):
         case "multisine":
+            assert isinstance(table, MultisineTable)
             axes = given.get("axes") or machine.axes
             if table.has("amplitude"):
                 _check_dimension(table, "amplitude", axes, machine, ())
-            if table.has("band"):
+            if table.band is not None:
                 given["lines"] = Band(**_given(table.band, _BAND_NAMES))
-            return Multisine(**(given | {"jog": _jog(table.jog, axes, machine) if table.has("jog") else None}))
+            return Multisine(**(given | {"jog": _jog(table.jog, axes, machine) if table.jog is not None else None}))
         case "jog":
-            if table.has("jog"):
+            assert isinstance(table, PeriodicTable)
+            if table.jog is not None:
                 given["jog"] = _jog(table.jog, given.get("axes") or machine.axes, machine)
             return JogOnly(**given)
         case "scan":
+            assert isinstance(table, ScanTable)
             for name in ("start", "stop", "speed", "acceleration"):
                 _check_dimension(table, name, (table.axis,), machine, ())
             return Scan(**given)
@@ -114,7 +117,7 @@ def _experiment(table: Any, machine: Machine) -> Experiment:
 
 
 def _given(table: Table, names: dict[str, str]) -> dict[str, Any]:
-    """What the file says, by the experiment's field names."""
+    """Return the values in the file by the experiment's field names."""
     found = {}
     for name in type(table).model_fields:
         if table.has(name):
@@ -123,14 +126,14 @@ def _given(table: Table, names: dict[str, str]) -> dict[str, Any]:
     return found
 
 
-def _jog(table: Any, axes: Iterable[str], machine: Machine) -> Jog:
+def _jog(table: Table, axes: Iterable[str], machine: Machine) -> Jog:
     fields = _given(table, _JOG_NAMES)
     _check_dimension(table, "amplitude", fields.get("axes") or axes, machine, ("jog",))
     return Jog(**fields)
 
 
 def _check_dimension(table: Table, name: str, axes: Iterable[str], machine: Machine, where: tuple[str, ...]) -> None:
-    """Angles on revolute axes, lengths on prismatic ones, the drive's unit for efforts."""
+    """Require angles on revolute axes, lengths on prismatic ones, and the drive's unit for efforts."""
     units = {each.axis: each for each in machine.units}
     for axis in axes:
         if axis not in units:

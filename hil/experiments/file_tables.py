@@ -1,4 +1,4 @@
-"""Tables of an experiment file, made for a machine: its axes are keys. A field is None where the file says nothing."""
+"""Tables of an experiment file, made for a machine, whose axes are keys. A field is None where the file has no value."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class AxisTable(Table):
     """Values by axis; made by `axis_table` with the machine's axes as fields."""
 
     def by_axis(self) -> dict[str, float]:
-        """The axes that are given."""
+        """Return the values of the axes in the file."""
         return {name: getattr(self, name) for name in type(self).model_fields if self.has(name)}
 
 
@@ -104,7 +104,7 @@ class TourTable(ExperimentTable):
     dwell: Duration = None
 
 
-# kind -> its table, and the tables by axis it has beside it: field -> "position", "effort", or "positions", a list that must be there
+# kind -> its table, and its further tables by axis: field -> "position", "effort", or "positions", a list that is required
 _KINDS: dict[str, tuple[type[ExperimentTable], dict[str, str]]] = {
     "multisine": (MultisineTable, {"pose": "position", "amplitudes": "effort"}),
     "jog": (PeriodicTable, {"pose": "position"}),
@@ -116,7 +116,7 @@ _KINDS: dict[str, tuple[type[ExperimentTable], dict[str, str]]] = {
 
 
 def validated(raw: dict[str, Any], machine: Machine) -> ExperimentTable:
-    """The table of a file's kind, checked; raises pydantic's ValidationError or a ComplaintError."""
+    """Return the validated table of a file's kind; raises pydantic's ValidationError or a ComplaintError."""
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ComplaintError(("kind",), f"{'is missing' if kind is None else 'no such kind'}; write one of {', '.join(_KINDS)}")
@@ -126,7 +126,7 @@ def validated(raw: dict[str, Any], machine: Machine) -> ExperimentTable:
 
 
 def dimension_of(unit: str) -> str:
-    """Dimension a unit belongs to."""
+    """Return the dimension to which a unit belongs."""
     return next(dimension for dimension, units in UNITS.items() if unit in units)
 
 

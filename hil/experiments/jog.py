@@ -18,7 +18,9 @@ from hil.machine import Machine
 
 @dataclass(frozen=True)
 class Jog:
-    """A slow sine on the reference that keeps axes out of stick-slip. Thesis Sec. 3.3, corrected: 20 s base period, line 1.
+    """A slow sine on the reference that keeps axes out of stick-slip.
+
+    Thesis Sec. 3.3, corrected: 20 s base period, line 1.
 
     Parameters
     ----------
@@ -38,12 +40,12 @@ class Jog:
     axes: tuple[str, ...] = ()
 
     def on_line(self, machine: Machine, period_samples: int) -> int:
-        """Line of the jog on this base period.
+        """Return the line of the jog on this base period.
 
         Raises
         ------
         ExperimentError
-            Off the grid, or given both ways.
+            The frequency is off the grid, or both line and frequency are given.
         """
         if self.line is not None and self.frequency_Hz is not None:
             raise ExperimentError(f"jog: line = {self.line} and frequency_Hz = {self.frequency_Hz:g} are both given; give one")
@@ -55,12 +57,12 @@ class Jog:
             raise ExperimentError(str(error)) from None
 
     def motion(self, machine: Machine, axes: tuple[str, ...], period_samples: int, settle_periods: int, periods: int) -> np.ndarray:
-        """Deviation from the start pose, (N, n_axes); `axes` jog unless this names its own.
+        """Return the deviation from the start pose, (N, n_axes); `axes` jog unless the jog names its own.
 
         Raises
         ------
         ExperimentError
-            A line outside the period's.
+            The line is not one of the period.
         """
         if not (np.isfinite(self.amplitude_rad) and self.amplitude_rad > 0.0):
             raise ExperimentError(f"jog: amplitude_rad = {self.amplitude_rad:g}: must be positive")
@@ -73,7 +75,7 @@ class Jog:
         return deviation
 
     def described(self, machine: Machine, axes: tuple[str, ...], period_samples: int) -> dict[str, object]:
-        """The table a recording's metadata keeps."""
+        """Return the table for a recording's metadata."""
         line = self.on_line(machine, period_samples)
         return {
             "axes": [machine.axes[i] for i in axis_indices(machine, self.axes or axes)],
@@ -85,7 +87,7 @@ class Jog:
 
 @dataclass(frozen=True)
 class JogOnly:
-    """The jog alone, for friction and backlash.
+    """An experiment with the jog alone, for friction and backlash.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ class JogOnly:
     jog : Jog
     period_s : float
     periods, settle_periods : int
-        Periods kept, and periods before them.
+        Periods kept, and periods before them for settling.
     """
 
     pose: Mapping[str, float] = field(default_factory=dict)
@@ -107,7 +109,7 @@ class JogOnly:
     settle_periods: int = 1
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan."""
+        """Make the one plan of this experiment."""
         check_periods(self.settle_periods, self.periods)
         pose = pose_array(machine, self.pose)
         period_samples = period_in_samples(machine, self.period_s)

@@ -1,4 +1,4 @@
-"""What a recording keeps of its experiment. One set of keys for every kind, so that nobody has to ask which are there."""
+"""Metadata of an experiment in a recording: one set of keys for every kind of experiment."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def experiment_metadata(
     jog: dict[str, Any] | None = None,
     odd_even_split: bool = False,
 ) -> dict[str, Any]:
-    """Metadata as plain values; `realisation` and `experiment` count from 0, `amplitude` (rms) and `crest_factor` go by axis, 0 at rest."""
+    """Return metadata as plain values; `realisation` and `experiment` count from 0, `amplitude` (rms) and `crest_factor` are by axis."""
     rest = [0.0] * len(start_pose)
     return {
         "kind": kind,

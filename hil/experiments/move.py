@@ -1,4 +1,4 @@
-"""Getting from one pose to another, all axes arriving together."""
+"""A move from one pose to another, all axes arriving together."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hil.experiments.safety import Safety
 from hil.machine import Machine
 
 UNHURRIED = 0.5
-"""Share of the machine's speed, acceleration and jerk that a move takes: getting to a start pose is no race, and gravity needs its part."""
+"""Share of the machine's speed, acceleration and jerk that a move uses: it need not be fast, and gravity takes part of the effort."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """From pose to pose at half the machine's pace; how the bench gets to an experiment's start.
+    """A move from pose to pose at half the machine's pace, by which the bench reaches an experiment's start.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Move:
     goal: Mapping[str, float]
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan."""
+        """Make the one plan of this experiment."""
         start, goal = pose_array(machine, self.start), pose_array(machine, self.goal)
         limits = tuple(
             replace(each, speed=UNHURRIED * each.speed, acceleration=UNHURRIED * each.acceleration, jerk=UNHURRIED * each.jerk)

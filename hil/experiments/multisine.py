@@ -1,4 +1,4 @@
-"""Random-phase multisines under jog: the experiment that frequency responses are identified from."""
+"""Random-phase multisines under jog, the experiment for identifying frequency responses."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Multisine:
     seed: int = 0
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan per realisation and experiment, experiments first."""
+        """Make one plan per realisation and experiment, experiments first."""
         try:
             return self._plans(machine)
         except DesignError as error:
@@ -136,7 +136,7 @@ class Multisine:
         return plans
 
     def _rms(self, machine: Machine, excited: np.ndarray) -> np.ndarray:
-        """Amplitude per excited axis."""
+        """Return the amplitude per excited axis."""
         names = [machine.axes[index] for index in excited]
         if not isinstance(self.amplitude_A, Mapping):
             return np.full(len(names), float(self.amplitude_A))

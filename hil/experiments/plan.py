@@ -14,7 +14,7 @@ from hil.machine import Machine
 
 @dataclass(frozen=True)
 class Plan:
-    """One recording's worth of reference, excitation and feedforward.
+    """The reference, excitation and feedforward of one recording.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class Plan:
     feedforward : (N, n_axes) array or None
         None where no axis asks for gravity feedforward.
     start_pose : (n_axes,) array
-        Where the machine stands still before row 0.
+        Position of the machine at standstill before row 0.
     metadata : dict
-        What goes into the recording as its experiment; plain values that TOML can hold.
+        Metadata of the experiment for the recording; plain values that TOML can hold.
     notes : tuple of str
-        What the person at the bench should know: predicted peaks, a forfeited odd/even split.
+        Notes for the operator: predicted peaks, a forfeited odd/even split.
     """
 
     axes: tuple[str, ...]
@@ -44,6 +44,7 @@ class Plan:
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
+        """Check that the arrays fit each other."""
         shape = (len(self.reference), len(self.axes))
         for name in ("reference", "reference_raw", "excitation", "feedforward", "start_pose"):
             values = getattr(self, name)
@@ -56,25 +57,25 @@ class Plan:
 
     @property
     def rows(self) -> int:
-        """Ticks the plan takes."""
+        """Number of ticks."""
         return len(self.reference)
 
 
 class Experiment(Protocol):
-    """What can be planned on a machine."""
+    """An experiment that can be planned on a machine."""
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan per recording.
+        """Make one plan per recording.
 
         Raises
         ------
         ExperimentError
-            The experiment cannot or must not be run on this machine; names what would be right.
+            The experiment cannot or must not be run on this machine; the message says what would be right.
         """
 
 
 def pose_array(machine: Machine, pose: Mapping[str, float]) -> np.ndarray:
-    """Positions (n_axes,) from a table by axis name; axes left out stand at zero."""
+    """Return positions (n_axes,) from a table by axis name; axes left out stand at zero."""
     _known_axes(machine, pose, "pose")
     values = np.array([float(pose.get(axis, 0.0)) for axis in machine.axes])
     for position, limit in zip(values, machine.limits, strict=True):
@@ -86,18 +87,18 @@ def pose_array(machine: Machine, pose: Mapping[str, float]) -> np.ndarray:
 
 
 def axis_indices(machine: Machine, axes: tuple[str, ...]) -> np.ndarray:
-    """Columns of the named axes in machine order; all of them when none is named."""
+    """Return the columns of the named axes in machine order; all of them when none is named."""
     _known_axes(machine, axes, "axes")
     return np.array([index for index, axis in enumerate(machine.axes) if not axes or axis in axes])
 
 
 def period_in_samples(machine: Machine, period_s: float) -> int:
-    """Base period in samples.
+    """Return the base period in samples.
 
     Raises
     ------
     ExperimentError
-        It is no whole number of them; names the nearest that is.
+        It is not a whole number of samples; the message names the nearest one.
     """
     samples = period_s * machine.sample_rate_Hz
     if not 4.0 <= samples < 1e9:
@@ -111,7 +112,7 @@ def period_in_samples(machine: Machine, period_s: float) -> int:
 
 
 def check_periods(settle_periods: int, periods: int) -> None:
-    """At least one period to keep, and none below zero to throw away."""
+    """Require at least one period to keep and no negative number of settling periods."""
     if periods < 1:
         raise ExperimentError(f"periods = {periods}: must be at least 1")
     if settle_periods < 0:

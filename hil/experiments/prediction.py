@@ -1,4 +1,4 @@
-"""Linearised closed loop at a pose: what a period of jog and excitation makes of command and position."""
+"""Linearised closed loop at a pose: the response of command and position to a period of jog and excitation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Response:
 class ClosedLoop:
     """The machine's linearisation under its controllers.
 
-    Between rows k and k+1 the plant feels command k-1 (docs/notation.md): a zero-order hold after one sample of delay.
+    Between rows k and k+1 command k-1 acts on the plant (docs/explanation/notation.md): a zero-order hold after one sample of delay.
 
     Raises
     ------
@@ -50,9 +50,9 @@ class ClosedLoop:
         self._a, self._b, self._c = held[:3]
 
     def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Response:
-        """Response to one period of reference deviation and excitation, (N, n_axes) each.
+        """Return the response to one period of reference deviation and excitation, (N, n_axes) each.
 
-        U = (I + C_y G)^-1 (W + C_r R), Y = G U at the lines that are there.
+        U = (I + C_y G)^-1 (W + C_r R), Y = G U at the excited lines.
         """
         samples, rate = len(deviation), self._machine.sample_rate_Hz
         r, w = np.fft.rfft(deviation, axis=0), np.fft.rfft(excitation, axis=0)
@@ -73,7 +73,7 @@ class ClosedLoop:
         )
 
     def _controllers(self, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """C_r and C_y of every axis, (n_frequencies, n_axes)."""
+        """Return C_r and C_y of every axis, (n_frequencies, n_axes)."""
         rate = self._machine.sample_rate_Hz
         from_position = [response(each.position_sections, frequencies, rate) for each in self._machine.controllers]
         from_reference = [
@@ -83,9 +83,11 @@ class ClosedLoop:
         return np.array(from_reference).T, np.array(from_position).T
 
     def _plant(self, frequencies: np.ndarray) -> np.ndarray:
-        """Command to position, (n_frequencies, n_axes, n_axes)."""
+        """Return the response from command to position, (n_frequencies, n_axes, n_axes)."""
         z = np.exp(2j * np.pi * frequencies / self._machine.sample_rate_Hz)[:, None, None]
-        return self._c @ np.linalg.solve(z * np.eye(len(self._a)) - self._a, np.broadcast_to(self._b, (len(z), *self._b.shape))) / z
+        driven = np.broadcast_to(self._b, (len(z), *self._b.shape))
+        response: np.ndarray = self._c @ np.linalg.solve(z * np.eye(len(self._a)) - self._a, driven) / z
+        return response
 
     def _in_time(self, values: np.ndarray, lines: np.ndarray, samples: int) -> np.ndarray:
         spectrum = np.zeros((samples // 2 + 1, values.shape[1]), dtype=complex)

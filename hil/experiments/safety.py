@@ -1,4 +1,4 @@
-"""What a plan would do to the machine, worked out before it runs and held against the limits."""
+"""Prediction of a plan's effect on the machine before it runs, checked against the limits."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from hil.simulation import Inputs, Simulator
 from virtual_bus.physics import Physics
 
 COMMAND_SHARE = 0.9
-"""Share of the drive's limit that a prediction may use: the rest is for the transient at the start, noise and what the model leaves out."""
+"""Share of the drive's limit that a prediction may use; the rest is for the initial transient, noise and unmodelled effects."""
 
 REFERENCE_SLACK = 1e-5
-"""Relative: rounding in the third differences of a reference, at rates up to 1 kHz, stays below it."""
+"""Relative tolerance, above the rounding in the third differences of a reference at rates up to 1 kHz."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """offset(t) + a slope(t) must stay within lower and upper for the share a of the excitation asked for."""
+    """A bound: offset(t) + a slope(t) must stay within lower and upper for the share a of the requested excitation."""
 
     what: str
     unit: str
@@ -37,7 +37,7 @@ class Bound:
 
     @property
     def extreme(self) -> float:
-        """Value at a = 1 that comes nearest to its bound, or goes furthest beyond."""
+        """Value at a = 1 that is nearest to its bound, or furthest beyond it."""
         values = self.offset + self.slope
         middle = 0.5 * (self.lower + self.upper) if math.isfinite(self.lower + self.upper) else 0.0
         return float(values[np.argmax(np.abs(values - middle))])
@@ -49,7 +49,7 @@ class Bound:
 
     @property
     def largest_share(self) -> float:
-        """Largest a >= 0 that keeps the bound; negative where even a = 0 breaks it."""
+        """Return the largest a >= 0 that keeps the bound; negative where even a = 0 breaks it."""
         if (self.offset > self.upper).any() or (self.offset < self.lower).any():
             return -1.0
         room = np.where(self.slope > 0.0, self.upper - self.offset, self.offset - self.lower)
@@ -59,7 +59,7 @@ class Bound:
 
 
 class Safety:
-    """One machine at one start pose.
+    """Safety checks for one machine at one start pose.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Safety:
         return ClosedLoop(self._machine, self._physics, self._pose)
 
     def check_holding(self) -> None:
-        """Gravity at the start pose leaves room below the drives' limits."""
+        """Check that gravity at the start pose leaves a margin below the drives' limits."""
         for effort, unit, controller in zip(self._holding, self._effort_units, self._machine.controllers, strict=True):
             if abs(effort) > COMMAND_SHARE * controller.limit:
                 raise ExperimentError(
@@ -97,22 +97,22 @@ class Safety:
                 )
 
     def check_stability(self) -> None:
-        """The linearised closed loop is stable at the start pose.
+        """Check that the linearised closed loop is stable at the start pose.
 
         Raises
         ------
         ExperimentError
-            It is not.
+            It is not stable.
         """
         _ = self._loop
 
     def check_motion(self, kind: str, reference: np.ndarray) -> str:
-        """Simulate the machine without noise along a reference (N, n_axes); hold command, position and tracking error against limits.
+        """Simulate the machine without noise along a reference (N, n_axes); check command, position and tracking error against limits.
 
         Returns
         -------
         str
-            Predicted peak command of each axis, for the person at the bench.
+            Predicted peak command of each axis, for the operator.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Safety:
         feedforward = gravity_feedforward(self._machine, self._physics, reference)
         inputs = Inputs(reference, still, still if feedforward is None else feedforward, None, self._pose)
         simulated = Simulator(self._machine).run(inputs)
-        # no speed: whole encoder counts per sample say little of it, and the reference's is checked
+        # not the speed: whole encoder counts per sample tell little about it, and the reference's is checked
         motion = Response(simulated.command - self._holding, simulated.position - self._pose, still)
         bounds = self._bounds(reference - self._pose, motion, Response(still, still, still))
         for bound in bounds:
@@ -132,7 +132,7 @@ class Safety:
         return self._peaks(bounds)
 
     def check_reference(self, kind: str, reference: np.ndarray, hint: str = "") -> None:
-        """Range, speed, acceleration and jerk of a reference (N, n_axes) that starts from standstill at the start pose."""
+        """Check range, speed, acceleration and jerk of a reference (N, n_axes) that starts from standstill at the start pose."""
         rate = self._machine.sample_rate_Hz
         from_rest = np.vstack([np.tile(self._pose, (3, 1)), reference])
         for axis, limit in enumerate(self._machine.limits):
@@ -151,7 +151,7 @@ class Safety:
     def check_periodic(
         self, kind: str, deviation: np.ndarray, excitations: Sequence[np.ndarray], amplitude: float | None = None
     ) -> list[str]:
-        """Steady periodic response of the linearised closed loop against every limit.
+        """Check the steady periodic response of the linearised closed loop against every limit.
 
         Parameters
         ----------
@@ -160,17 +160,17 @@ class Safety:
         excitations : sequence of (N, n_axes) arrays
             One period of each recording's excitation.
         amplitude : float, optional
-            What the excitation of all axes was asked for, to name the largest that would do.
+            Requested amplitude of all axes, to name the largest that would be possible.
 
         Returns
         -------
         list of str
-            Per excitation the predicted peak command of each axis, for the person at the bench.
+            Per excitation the predicted peak command of each axis, for the operator.
 
         Raises
         ------
         ExperimentError
-            A limit would be broken by one of them; names the quantity, the limit and the largest amplitude that would do for all.
+            One of them would break a limit; the message names the quantity, the limit and the largest possible amplitude for all.
         """
         moved = self._loop.steady(deviation, self._feedforward(deviation))
         found = [self._bounds(deviation, moved, self._loop.steady(np.zeros_like(deviation), each)) for each in excitations]
@@ -180,8 +180,10 @@ class Safety:
         return [self._peaks(bounds) for bounds in found]
 
     def _bounds(self, deviation: np.ndarray, moved: Response, driven: Response) -> list[Bound]:
-        """Every limit that one excitation could break. Acceleration and jerk are limits of references: what an excitation does there is
-        bounded by the drives' effort."""
+        """Return every limit that one excitation could break.
+
+        Acceleration and jerk are limits of references: the effect of an excitation on them is bounded by the drives' effort.
+        """
         bounds = []
         for axis, (limit, controller) in enumerate(zip(self._machine.limits, self._machine.controllers, strict=True)):
             most, error = COMMAND_SHARE * controller.limit, limit.tracking_error
@@ -198,7 +200,7 @@ class Safety:
         return bounds
 
     def _feedforward(self, deviation: np.ndarray) -> np.ndarray:
-        """What gravity feedforward adds to the command on the way, beyond standstill."""
+        """Return what gravity feedforward adds to the command during the motion, relative to standstill."""
         along = gravity_feedforward(self._machine, self._physics, self._pose + deviation)
         at_rest = gravity_feedforward(self._machine, self._physics, self._pose[None, :])
         return np.zeros_like(deviation) if along is None or at_rest is None else along - at_rest
@@ -227,13 +229,13 @@ class Safety:
         metadata: dict[str, Any],
         notes: tuple[str, ...] = (),
     ) -> Plan:
-        """The plan, with gravity feedforward where an axis asks for it."""
+        """Make the plan, with gravity feedforward for the axes that have it."""
         feedforward = gravity_feedforward(self._machine, self._physics, reference)
         return Plan(self._machine.axes, reference, reference, excitation, feedforward, start_pose, metadata, notes)
 
 
 def gravity_feedforward(machine: Machine, physics: Physics, reference: np.ndarray) -> np.ndarray | None:
-    """Static holding effort at every row of a reference (N, n_axes), for the axes that ask for it; None when none does."""
+    """Return the static holding effort at every row of a reference (N, n_axes), for axes with feedforward; None when there is none."""
     asking = np.array([controller.gravity_feedforward for controller in machine.controllers])
     if not asking.any():
         return None
@@ -243,6 +245,6 @@ def gravity_feedforward(machine: Machine, physics: Physics, reference: np.ndarra
 
 
 def rounded_down(value: float) -> float:
-    """Three significant digits, never above `value`."""
+    """Round to three significant digits, never above `value`."""
     step = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.floor(value / step * (1.0 - 1e-12)) * step

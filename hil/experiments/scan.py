@@ -1,4 +1,4 @@
-"""A sweep of one axis at constant speed, as an acquisition makes it."""
+"""A sweep of one axis at constant speed, as in an image acquisition."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class Scan:
     start, stop : float
         Ends [rad or m].
     speed : float
-        Of the constant part [rad/s or m/s]; 30 deg/s unless given.
+        Speed of the constant part [rad/s or m/s]; 30 deg/s unless given.
     pose : mapping
         Positions of the other axes [rad or m]; those left out stand at zero.
     dwell_s : float
         Standstill before the first sweep and after each.
     sweeps : int
-        1: there; 2: there and back; and so on. Whole numbers of there-and-back are periods of the recording.
+        1: forth; 2: forth and back; and so on. Every forth and back is a period of the recording.
     acceleration : float, optional
-        Of the ramps [rad/s^2 or m/s^2]; the axis's limit unless given.
+        Acceleration of the ramps [rad/s^2 or m/s^2]; the axis's limit unless given.
     """
 
     axis: str
@@ -48,7 +48,7 @@ class Scan:
     acceleration: float | None = None
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan."""
+        """Make the one plan of this experiment."""
         if self.sweeps < 1:
             raise ExperimentError(f"scan: sweeps = {self.sweeps}: must be at least 1")
         if not 0.0 <= self.dwell_s < 1e6:
@@ -79,7 +79,7 @@ class Scan:
         return (*machine.limits[:axis], gentler, *machine.limits[axis + 1 :])
 
     def _with_dwells(self, there: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-        """Dwell, sweep, dwell, back: a period is there, dwell, back, dwell, and starts within its first dwell."""
+        """Join dwell, sweep, dwell, sweep back: a period is forth, dwell, back, dwell, and starts within its first dwell."""
         rows = round(self.dwell_s * sample_rate_Hz)
         blocks = []
         for number in range(self.sweeps):

@@ -1,4 +1,4 @@
-"""Standing still under control: noise, drift, holding effort."""
+"""Standstill under control, for noise, drift and holding effort."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Static:
     pose: Mapping[str, float] = field(default_factory=dict)
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan."""
+        """Make the one plan of this experiment."""
         rows = round(self.seconds * machine.sample_rate_Hz) if 0.0 < self.seconds < 1e6 else 0
         if rows < 1:
             raise ExperimentError(f"static: seconds = {self.seconds:g}: must be positive, at most a million")

@@ -1,4 +1,4 @@
-"""A tour: from stop to stop at a share of the machine's pace, standing still at each; calibration scans and roadmapping grids."""
+"""A tour from stop to stop with a standstill at each, for calibration scans and roadmapping grids."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hil.experiments.safety import Safety
 from hil.machine import Machine
 
 LONGEST_S = 86400.0
-"""All of a plan is in memory: a day at 256 Hz is 350 MB for every signal of two axes."""
+"""Longest tour, since a plan is held in memory: a day at 256 Hz is 350 MB for every signal of two axes."""
 
 
 @dataclass(frozen=True)
 class Tour:
-    """Jerk-limited ways between stops, all axes of a way arriving together.
+    """Jerk-limited moves between stops, all axes of a move arriving together.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Tour:
     dwell_s: float = 1.0
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """One plan."""
+        """Make the one plan of this experiment."""
         if len(self.stops) < 2:
             raise ExperimentError(f"tour: {len(self.stops)} stops: must be two at least")
         if not 0.0 < self.pace <= 1.0:
@@ -76,7 +76,7 @@ class Tour:
         return [safety.plan(reference, np.zeros_like(reference), start, metadata, (peaks,))]
 
     def _least_s(self, machine: Machine) -> float:
-        """Standstill, and every way at the speed of the pace without the time that speeding up takes."""
+        """Return the least duration: standstills, and every move at the pace's speed without the time of acceleration."""
         way_s, here = 0.0, pose_array(machine, self.stops[0])
         for stop in self.stops[1:]:
             named = pose_array(machine, stop)

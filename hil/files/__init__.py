@@ -1,1 +1,1 @@
-"""Files of any kind: whole or not there, arrays by name, metadata as TOML text."""
+"""Files of any kind: atomic writing, arrays by name, metadata as TOML text."""

@@ -8,7 +8,6 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,17 +18,17 @@ _DAMAGED = (
     *(ValueError, TypeError, AttributeError, KeyError, EOFError, RuntimeError, SyntaxError),
     *(tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
-"""What NumPy and zipfile raise on files that are something else or have changed: RuntimeError of a method or a password they do not know,
-the tokenizer's of an array's header."""
+"""Errors of NumPy and zipfile on files that are damaged or of another kind: RuntimeError for an unknown method or password, those of the
+tokenizer for an array's header."""
 
 
-def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
-    """Write an archive that NumPy alone can read (docs/formats.md): whole, or what was in its place stays.
+def write_arrays(path: str | Path, arrays: Mapping[str, object]) -> None:
+    """Write an archive that NumPy alone can read (docs/generated/file-formats.md); on an error the old file stays.
 
     Parameters
     ----------
     path : str or Path
-    arrays : mapping of str to array or what NumPy makes one of
+    arrays : mapping of str to array, or to values of which NumPy makes one
 
     Raises
     ------
@@ -42,15 +41,15 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
 
 
 def read_arrays(path: str | Path, what: str, error: type[UnusableInputError] = UnusableInputError) -> dict[str, np.ndarray]:
-    """Every array of an archive by its name.
+    """Read every array of an archive by its name.
 
     Parameters
     ----------
     path : str or Path
     what : str
-        What the file should be, with its article, for the message.
+        Kind of the file, with its article, for the message.
     error : type
-        What is raised.
+        Class of the error that is raised.
 
     Raises
     ------
@@ -64,5 +63,5 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInputError] = U
         raise error(f"{path}: no such file") from None
     except OSError as problem:
         raise error(f"{path}: not {what} ({problem.strerror or problem})") from None
-    except _DAMAGED:  # NumPy's words are of pickles, which no file of ours has
+    except _DAMAGED:  # NumPy's message is about pickles, which no file of this project has
         raise error(f"{path}: not {what}: no whole archive of NumPy arrays (.npz)") from None

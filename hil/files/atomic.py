@@ -11,12 +11,12 @@ from hil.errors import RecordingError
 
 
 def write_atomically(files: Mapping[Path, bytes]) -> None:
-    """Write every file beside its place, bring all to the disk, then let each take its place.
+    """Write every file under a temporary name, flush all to the disk, then rename each into place.
 
     Raises
     ------
     RecordingError
-        A file cannot be written (no such folder, no permission, disk full); what was in their places is untouched.
+        A file cannot be written (no such folder, no permission, disk full); existing files are untouched.
     """
     drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
     at = next(iter(files))
@@ -41,7 +41,7 @@ def _write(draft: Path, content: bytes) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the new names to the disk as well, where folders can be synced (not on Windows)."""
+    """Flush the new names to the disk as well, where folders can be synced (not on Windows)."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,25 +1,29 @@
-"""Metadata as TOML text: tables of plain values out, `tomllib` in. What was written reads back equal."""
+"""Writer of metadata as TOML text; what it writes reads back equal with `tomllib`."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, cast, overload
 
 import numpy as np
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_LONG_TEXT = 80  # a longer text with line breaks (a machine file) is written over several lines so that a person can read it
+_LONG_TEXT = 80  # a longer text with line breaks (a machine file) is written over several lines to be readable
 
 
-def plain(value: Any, where: str = "metadata") -> Any:
+@overload
+def plain(value: Mapping[str, object], where: str = "metadata") -> dict[str, Any]: ...
+@overload
+def plain(value: object, where: str = "metadata") -> object: ...
+def plain(value: object, where: str = "metadata") -> object:
     """Copy `value` with NumPy scalars, arrays and tuples as plain Python values; keys whose value is None are left out.
 
     Raises
     ------
     TypeError
-        A value that TOML cannot hold; the message says where.
+        TOML cannot hold a value; the message says which.
     """
     if isinstance(value, Mapping):
         return {_key_text(key, where): plain(item, f"{where}.{key}") for key, item in value.items() if item is not None}
@@ -36,12 +40,12 @@ def plain(value: Any, where: str = "metadata") -> Any:
     raise TypeError(f"{where}: a {type(value).__name__} cannot be kept in TOML; numbers, texts, lists and tables can")
 
 
-def toml_text(table: Mapping[str, Any]) -> str:
-    """TOML text of a table of plain values (see `plain`)."""
+def toml_text(table: Mapping[str, object]) -> str:
+    """Return the TOML text of a table of plain values (see `plain`)."""
     return "\n".join(_table_lines(plain(table), ())) + "\n"
 
 
-def _key_text(key: Any, where: str) -> str:
+def _key_text(key: object, where: str) -> str:
     if not isinstance(key, str):
         raise TypeError(f"{where}: the key {key!r} is no text")
     plain(key, where)
@@ -56,7 +60,7 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _table_lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+def _table_lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
     lines = [f"{_key(key)} = {_value(item)}" for key, item in table.items() if not isinstance(item, Mapping)]
     for key, item in table.items():
         if isinstance(item, Mapping):
@@ -68,7 +72,7 @@ def _key(key: str) -> str:
     return key if _BARE_KEY.fullmatch(key) else _text(key)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
@@ -79,7 +83,7 @@ def _value(value: Any) -> str:
         return _long_text(value) if "\n" in value and len(value) > _LONG_TEXT else _text(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + "}"
-    return "[" + ", ".join(_value(item) for item in value) + "]"
+    return "[" + ", ".join(_value(item) for item in cast(Sequence[object], value)) + "]"
 
 
 def _text(text: str) -> str:

@@ -1,1 +1,1 @@
-"""What this process asks of the operating system: a real-time scheduler, helpers that end with it, memory that it keeps."""
+"""Requests to the operating system: a real-time scheduler, helper processes that end with this one, memory that it keeps."""

@@ -1,7 +1,7 @@
-"""Memory that free runs give back stays with the process, for the next one to take.
+"""Settings of the C library with which freed memory stays with the process, for the next run to use.
 
-A run of a minute takes and gives back thirty arrays of one to twenty megabytes. The C library would hand each of them back to the kernel,
-which clears every page anew when it is touched again: an eleventh of a diagnosis' processor time, and meanwhile other threads wait.
+A simulation of a minute allocates and frees thirty arrays of one to twenty megabytes. The C library would return each of them to the
+kernel, which clears every page when it is touched again: an eleventh of a diagnosis' processor time, while other threads wait.
 """
 
 from __future__ import annotations
@@ -10,20 +10,21 @@ import ctypes
 import sys
 
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-"""Of glibc's `mallopt`: free bytes at the heap's end from which it shrinks, and sizes from which an array has memory of its own. That heaps
-of threads stay when they are empty (M_TOP_PAD) brings half a second more and costs 0.16 GB."""
+"""Parameters of glibc's `mallopt`: free bytes at the heap's end from which it shrinks, and sizes from which an array is mapped separately.
+Keeping empty heaps of threads as well (M_TOP_PAD) saves half a second more and costs 0.16 GB."""
 
 LARGEST_KEPT_BYTES = 1 << 30
-"""No array of a diagnosis of a minute is as large: the sensitivities of 49 numbers of the C-arm have 70 MB."""
+"""Larger than any array of a diagnosis of a minute: the sensitivities of 49 parameters of the C-arm have 70 MB."""
 
 LARGEST_OF_OLDER_BYTES = 32 << 20
-"""The largest size that glibc takes where its heaps are of 64 MB: it refuses more than half of one (malloc.c, do_set_mmap_threshold), which
-newer ones do not on x86-64."""
+"""Largest size that glibc accepts where its heaps have 64 MB: it refuses more than half a heap (malloc.c, do_set_mmap_threshold); newer
+versions do not on x86-64."""
 
 
 def keep_memory() -> None:
-    """From now on. Nothing happens where the C library is another one, or takes neither size: set alone, the other threshold would have
-    every array mapped anew.
+    """Keep freed memory in this process.
+
+    Does nothing with another C library, or one that accepts neither size: the other threshold alone would make every array a new mapping.
     """
     if not sys.platform.startswith("linux"):
         return

@@ -1,4 +1,4 @@
-"""What the operating system grants a sample loop: a real-time scheduler, locked memory, no garbage collection."""
+"""Real-time conditions of a sample loop: a real-time scheduler, locked memory, no garbage collection."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 FIFO_PRIORITY = 50
-"""In the middle of the range: above ordinary interrupts' threads is not needed, below them is not either."""
+"""Middle of the range, the priority of ordinary interrupt threads: the loop need not be above or below them."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
 @dataclass(frozen=True)
 class Scheduling:
-    """What was granted, for the report beside every lateness figure."""
+    """The granted conditions, reported with every lateness figure."""
 
     scheduler: str
     memory_locked: bool
 
     def __str__(self) -> str:
+        """Return the conditions in words."""
         return f"{self.scheduler}, memory locked" if self.memory_locked else self.scheduler
 
 
 @contextlib.contextmanager
 def real_time(wanted: bool = True) -> Iterator[Scheduling]:
-    """Ask for SCHED_FIFO and locked memory and freeze the garbage collector, for the length of the block.
+    """Request SCHED_FIFO and locked memory and freeze the garbage collector, for the length of the block.
 
-    What the system refuses is left as it is: a laptop without rights runs at the default scheduler, and the result says so.
+    Requests that the system refuses have no effect: without permission the default scheduler stays, and the result says so.
     """
     scheduler, locked = "default scheduler", False
     if wanted and sys.platform == "linux":

@@ -1,4 +1,4 @@
-"""Processes beside the loop's and the emulated machine's: they come second, and end with who started them."""
+"""Processes beside the loop's and the emulated machine's: they have lower priority, and end with their parent."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Callable
 from hil.processes.workers import end_with_the_parent
 
 POLITE = 10
-"""Their niceness: the loop comes first."""
+"""Niceness of these processes, since the loop comes first."""
 
 
 def politely(serve: Callable[..., None], *arguments: object) -> None:
-    """What such a process does: `serve(*arguments)`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what stops the run at the keyboard: the bench ends this process
+    """Run `serve(*arguments)` as such a process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the key that stops the run: the bench ends this process
     end_with_the_parent()
     if hasattr(os, "nice"):
         os.nice(POLITE)

@@ -1,4 +1,4 @@
-"""Processes that work for another one: they end with it, however it ends."""
+"""Worker processes that end with their parent, however it ends."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from multiprocessing.process import BaseProcess
 
 
 def end_with_the_parent() -> None:
-    """Ends this process with the one that started it: the initializer of a pool. One that was killed says nothing more to its workers, and
-    nobody else ends them.
+    """End this process with its parent; use it as the initializer of a pool.
+
+    A parent that was killed cannot end its workers, and no other process would.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -1,1 +1,1 @@
-"""Reconstruction from projections, and what it says of the geometry it was made with."""
+"""Reconstruction from projections, and its quality as a test of the geometry used."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -18,13 +17,13 @@ from hil.imaging.geometry import ConeBeam
 from hil.imaging.pixels import without_dead_pixels
 
 FEWEST = 20
-"""Projections below which streaks are all there is."""
+"""Fewest projections; with fewer, the volume shows nothing but streaks."""
 
 LEAST_ARC_deg = 150.0
-"""Arc below which a circular scan misses more than FDK with short-scan weights can hide; 180 plus the fan angle is complete."""
+"""Smallest arc of a circular scan: FDK with short-scan weights cannot make up for less; 180 degrees plus the fan angle is complete."""
 
 AT_ONCE = 16
-"""Projections that are filtered together: their spectra take six times their memory."""
+"""Projections that are filtered together; their spectra take six times their memory."""
 
 
 @dataclass(frozen=True)
@@ -45,24 +44,26 @@ class Volume:
     rotation: np.ndarray
 
     def sample(self, points_m: np.ndarray) -> np.ndarray:
-        """(...,) values at points (..., 3) of the phantom's frame, linear between voxels; 0 outside."""
+        """Return values (...,) at points (..., 3) of the phantom's frame, linear between voxels; 0 outside."""
         own = np.asarray(points_m) @ self.rotation / self.spacing_m + (np.array(self.values.shape[::-1]) - 1) / 2.0
-        return map_coordinates(self.values, np.moveaxis(own[..., ::-1], -1, 0), order=1, mode="constant")
+        sampled: np.ndarray = map_coordinates(self.values, np.moveaxis(own[..., ::-1], -1, 0), order=1, mode="constant")
+        return sampled
 
 
 def line_integrals(image: np.ndarray, open_beam: float | None = None) -> np.ndarray:
-    """-log of counts over the open beam's, dead pixels repaired; the open beam is the image's 98th percentile unless given."""
+    """Return -log of counts over the open beam's, dead pixels repaired; the open beam is the image's 98th percentile unless given."""
     counts = np.maximum(without_dead_pixels(np.asarray(image, dtype=float)), 1.0).astype(np.float32)
-    return np.log(np.float32(open_beam if open_beam is not None else np.percentile(counts, 98.0))) - np.log(counts)
+    integrals: np.ndarray = np.log(np.float32(open_beam if open_beam is not None else np.percentile(counts, 98.0))) - np.log(counts)
+    return integrals
 
 
 def bytes_needed(size: int, projections: tuple[int, int, int]) -> float:
-    """Memory of a reconstruction: RTK's empty volume, its result and ours; images as read, weighted, dark-ended, filtered, RTK's two."""
+    """Return the memory of a reconstruction: three volumes (RTK's empty one, its result, ours) and six stacks of images."""
     return 4.0 * (3 * size**3 + 6 * float(np.prod(projections)))
 
 
 def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
-    """The axis (3,) that the panel's normals turn about, and the arc [rad] they cover.
+    """Return the axis (3,) that the panel's normals turn about, and the arc [rad] that they cover.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
 def reconstruct(
     projections: np.ndarray, detector: Detector, beam: ConeBeam, size: int = 128, spacing_m: float = 1e-3, hann: float = 0.0
 ) -> Volume:
-    """Feldkamp, Davis and Kress with short-scan weights, every projection with its own geometry.
+    """Reconstruct by Feldkamp, Davis and Kress with short-scan weights, every projection with its own geometry.
 
     Exposures at standstill before, between and after sweeps are left out.
 
@@ -95,7 +96,7 @@ def reconstruct(
     detector : Detector
         Without skew.
     beam : ConeBeam
-        Of the N exposures.
+        Geometry of the N exposures.
     size : int
         Voxels along each edge.
     spacing_m : float
@@ -105,7 +106,7 @@ def reconstruct(
     Raises
     ------
     UnusableInputError
-        Too few projections, too short an arc, no circular scan, or shapes that do not belong together.
+        There are too few projections, the arc is too short, the scan is not circular, or shapes do not match.
     """
     projections = np.ascontiguousarray(projections, dtype=np.float32)
     if projections.shape != (len(beam), detector.rows, detector.columns):
@@ -136,7 +137,7 @@ def reconstruct(
 
 
 def _moving(beam: ConeBeam, axis: np.ndarray) -> np.ndarray:
-    """Exposures to use: those at standstill before and after a sweep, and those in which it turns back, see nothing new."""
+    """Return the exposures to use, without those at standstill or in which a sweep turns back, which show nothing new."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     normals = beam.rotation[:, :, 2]
@@ -152,23 +153,23 @@ def _moving(beam: ConeBeam, axis: np.ndarray) -> np.ndarray:
 
 
 def short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: int, arc: float) -> np.ndarray:
-    """Weights of a scan of less than a turn: lines that are measured twice share 2, those measured once have 2.
+    """Return the weights of a scan of less than a turn: lines measured twice share a weight of 2, those measured once have 2.
 
     Parker, Medical Physics 9 (1982) 254, with the half overlap delta = (arc - pi) / 2 in place of the fan's half angle, so that arcs
-    between half a turn and half a turn plus the fan lose nothing that was measured; an arc below half a turn has no line twice. RTK
-    expects the whole turn: hence the 2. The ray at fan angle gamma, here positive against the sweep, is measured again half a turn and
-    2 gamma later, at -gamma.
+    between half a turn and half a turn plus the fan use all measurements; an arc below half a turn measures no line twice. RTK expects a
+    whole turn, hence the 2. The ray at fan angle gamma, here positive against the sweep, is measured again half a turn and 2 gamma later,
+    at -gamma.
 
     Parameters
     ----------
     beam : ConeBeam
-        Of N exposures that turn about y.
+        Geometry of N exposures that turn about y.
     u : (N, 3) array
         The panel's direction across the axis, towards the columns' growing index.
     pitch_m : float
     columns : int
     arc : float
-        What the exposures cover [rad].
+        Arc that the exposures cover [rad].
 
     Returns
     -------
@@ -188,11 +189,12 @@ def short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: i
     rising, falling = turn < 2.0 * (delta - gamma), turn > np.pi - 2.0 * gamma
     weight[rising] = np.sin(0.25 * np.pi * (turn / (delta - gamma))[rising]) ** 2
     weight[falling] = np.sin(0.25 * np.pi * ((np.pi + 2.0 * delta - turn) / (delta + gamma))[falling]) ** 2
-    return 2.0 * weight
+    weights: np.ndarray = 2.0 * weight
+    return weights
 
 
 def _turned_to_y(axis: np.ndarray) -> np.ndarray:
-    """(3, 3) frame whose y is the scan's axis and whose z is nearest to the present z."""
+    """Return the frame (3, 3) whose y is the scan's axis and whose z is nearest to the present z."""
     y = axis * np.sign(axis[np.argmax(np.abs(axis))])
     z = np.array([0.0, 0.0, 1.0]) if abs(y[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     z = z - (z @ y) * y
@@ -201,9 +203,9 @@ def _turned_to_y(axis: np.ndarray) -> np.ndarray:
 
 
 def _with_dark_ends(projections: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A projection of nothing one step before the first and after the last.
+    """Add an empty projection one step before the first and one after the last.
 
-    RTK weights a projection by the angle to its neighbours around the whole turn; without these the first and last would stand for all of
+    RTK weights a projection by the angle to its neighbours around the whole turn; without these, the first and last would represent all of
     the turn that was not scanned.
     """
     angle = np.unwrap(np.arctan2(frames[:, 0, 0], frames[:, 0, 2]))
@@ -215,19 +217,19 @@ def _with_dark_ends(projections: np.ndarray, frames: np.ndarray) -> tuple[np.nda
 
 
 def ramp_filtered(projections: np.ndarray, pitch_m: float, hann: float = 0.0) -> np.ndarray:
-    """Projections convolved along their columns with the ramp, band-limited at the pixels' Nyquist frequency.
+    """Convolve projections along their columns with the ramp, band-limited at the pixels' Nyquist frequency.
 
     Kak and Slaney, Principles of Computerized Tomographic Imaging, (3.61): 1 / 4 in the middle, -1 / (pi n)^2 at odd n, over the pitch.
-    RTK's own filter makes the same numbers, slower: docs/imaging.md.
+    RTK's own filter gives the same numbers but is slower: docs/explanation/imaging.md.
 
     Parameters
     ----------
     projections : (N, rows, columns) float array
-        Of line integrals.
+        Line integrals.
     pitch_m : float
-        From column to column.
+        Distance between columns.
     hann : float
-        As of `reconstruct`.
+        As in `reconstruct`.
 
     Returns
     -------
@@ -254,9 +256,9 @@ def ramp_filtered(projections: np.ndarray, pitch_m: float, hann: float = 0.0) ->
 
 
 def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, float], size: int, spacing_m: float, hann: float) -> np.ndarray:
-    """(size, size, size) attenuation [1/m]; weights and backprojection by RTK, which counts millimetres.
+    """Return the attenuation (size, size, size) [1/m]; weights and backprojection by RTK, which works in millimetres.
 
-    Frames (N, 4, 3) are source, panel, its u and v.
+    `frames` (N, 4, 3) are source, panel, its u and v.
     """
     itk = imaging_package("itk", "reconstructions")
     if not hasattr(itk, "RTK"):
@@ -270,7 +272,7 @@ def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, floa
             raise UnusableInputError(f"exposure {k}: RTK does not take its geometry")
     _, rows, columns = projections.shape
 
-    def stack_of(values: np.ndarray) -> Any:
+    def stack_of(values: np.ndarray) -> object:
         stack = itk.image_from_array(values)
         stack.SetSpacing([1e3 * pitch_m[0], 1e3 * pitch_m[1], 1.0])
         stack.SetOrigin([-0.5e3 * (columns - 1) * pitch_m[0], -0.5e3 * (rows - 1) * pitch_m[1], 0.0])
@@ -290,14 +292,14 @@ def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, floa
     smear.SetInput(0, empty.GetOutput())
     smear.SetInput(1, stack_of(filtered))
     smear.SetGeometry(geometry)
-    smear.SetNumberOfWorkUnits(1)  # by two, on two processors, it takes four times the processor time (ITK 5.4)
+    smear.SetNumberOfWorkUnits(1)  # two units on two processors take four times the processor time (ITK 5.4)
     smear.Update()
     values: np.ndarray = itk.array_from_image(smear.GetOutput())
     return values
 
 
 def write_volume(volume: Volume, path: Path) -> None:
-    """As MetaImage (.mha), in millimetres, its directions those of the phantom's frame; 3D Slicer and ITK-SNAP open it."""
+    """Write a MetaImage (.mha) in millimetres, with the directions of the phantom's frame; 3D Slicer and ITK-SNAP open it."""
     import itk
 
     image = itk.image_from_array(volume.values)

@@ -1,13 +1,13 @@
 """Reconstruction in a plane (thesis Appendix B): Radon transform and filtered backprojection.
 
-Parallel beams are scikit-image's. The fan is (B.17)-(B.19), for rays at equal angles psi, with two corrections:
+Parallel beams are scikit-image's. The fan beam is (B.17)-(B.19), for rays at equal angles psi, with two corrections:
 the distance in (B.18) lacks its cross term, R^2 = r^2 + s^2 - 2 r s cos(angle between pixel and source), and the s(psi) of (B.19) is the
 ramp filter's impulse response, not the source's distance (Kak and Slaney 1988, eqs. (3.92)-(3.96)).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -17,10 +17,10 @@ from hil.imaging.extra import imaging_package
 
 
 def parallel_projections(image: np.ndarray, angles: np.ndarray, spacing_m: float) -> np.ndarray:
-    """(n, bins) line integrals (B.4) of an (m, m) image [1/m] at angles (n,) [rad].
+    """Return line integrals (n, bins) (B.4) of an image (m, m) [1/m] at angles (n,) [rad].
 
-    Angles count against the rows (y up the page where rows go down). The bins are the pixels of the turned image's columns; what lies
-    outside of the inscribed circle is not looked at.
+    Angles count against the rows (y points up where rows go down). The bins are the pixels of the turned image's columns; pixels outside of
+    the inscribed circle are ignored.
     """
     radon = _transforms().radon
     projections: np.ndarray = radon(image, theta=np.degrees(angles), circle=True)
@@ -28,21 +28,24 @@ def parallel_projections(image: np.ndarray, angles: np.ndarray, spacing_m: float
 
 
 def filtered_backprojection(projections: np.ndarray, angles: np.ndarray, spacing_m: float, window: str | None = "ramp") -> np.ndarray:
-    """(bins, bins) image [1/m] from parallel projections (n, bins) over half a turn: (B.11); without a window (B.6), the backsmear."""
+    """Return the image (bins, bins) [1/m] of parallel projections (n, bins) over half a turn.
+
+    (B.11); without a window it is unfiltered, (B.6).
+    """
     iradon = _transforms().iradon
     image: np.ndarray = iradon(projections.T / spacing_m, theta=np.degrees(angles), circle=True, filter_name=window)
     return image
 
 
 def fan_projections(discs: np.ndarray, angles: np.ndarray, psi: np.ndarray, source_m: float) -> np.ndarray:
-    """(n, bins) exact line integrals of discs.
+    """Return exact line integrals (n, bins) of discs.
 
     Parameters
     ----------
     discs : (k, 4) array
         Place x, y [m], radius [m], attenuation [1/m].
     angles : (n,) array
-        Of the source about the origin [rad], whose place is source_m (cos, sin).
+        Angles of the source about the origin [rad]; its place is source_m (cos, sin).
     psi : (bins,) array
         Angle of every ray from the central one [rad].
     source_m : float
@@ -62,15 +65,15 @@ def fan_projections(discs: np.ndarray, angles: np.ndarray, psi: np.ndarray, sour
 def fan_reconstruction(
     projections: np.ndarray, angles: np.ndarray, psi: np.ndarray, source_m: float, size: int, spacing_m: float
 ) -> np.ndarray:
-    """(size, size) image [1/m], rows along y, columns along x, from a fan over a whole turn: (B.17).
+    """Return the image (size, size) [1/m], rows along y, columns along x, from a fan over a whole turn: (B.17).
 
     Parameters
     ----------
     projections : (n, bins) array
     angles : (n,) array
-        Evenly over a turn [rad].
+        Evenly spaced over a turn [rad].
     psi : (bins,) array
-        Even [rad].
+        Evenly spaced [rad].
     source_m : float
     size : int
     spacing_m : float
@@ -78,7 +81,7 @@ def fan_reconstruction(
     Raises
     ------
     UnusableInputError
-        Angles that do not go once around, or bins that are not even.
+        The angles do not go once around, or the bins are not evenly spaced.
     """
     step, turn = np.diff(psi), np.diff(np.unwrap(angles))
     if not np.allclose(step, step[0]) or not np.allclose(turn, turn[0]) or not np.isclose(abs(turn[0]) * len(angles), 2.0 * np.pi):
@@ -95,11 +98,12 @@ def fan_reconstruction(
         seen = np.arctan2(to_y, to_x) - angle - np.pi
         seen = (seen + np.pi) % (2.0 * np.pi) - np.pi
         image += np.interp(seen, psi, row, left=0.0, right=0.0) / (to_x**2 + to_y**2)
-    return image * abs(turn[0])
+    scaled: np.ndarray = image * abs(turn[0])
+    return scaled
 
 
 def _fan_filter(bins: int, step: float) -> np.ndarray:
-    """(2 bins - 1,) h(psi) of (B.19): half of (psi / sin psi)^2 times the band-limited ramp's response."""
+    """Return h(psi) (2 bins - 1,) of (B.19): half of (psi / sin psi)^2 times the band-limited ramp's response."""
     n = np.arange(-(bins - 1), bins)
     response = np.zeros(len(n))
     response[n == 0] = 1.0 / (8.0 * step**2)
@@ -108,5 +112,5 @@ def _fan_filter(bins: int, step: float) -> np.ndarray:
     return response
 
 
-def _transforms() -> Any:
+def _transforms() -> ModuleType:
     return imaging_package("skimage.transform", "reconstructions in a plane")

@@ -10,10 +10,10 @@ from hil.errors import UnusableInputError
 from hil.reconstruction.fdk import Volume
 
 REACH_VOXELS = 10.0
-"""Half the width of the cross section that is looked at."""
+"""Half the width of the cross section that is evaluated."""
 
 PER_VOXEL = 4
-"""Samples a voxel: the sub-pixel phase alone moves the peak of a thin wire by a quarter, so it is looked for between voxels."""
+"""Samples per voxel. The sub-pixel phase alone changes the peak of a thin wire by a quarter, so the peak is searched between voxels."""
 
 SLICES = 41
 """Cross sections along the wire that are averaged."""
@@ -22,29 +22,29 @@ ENDS = 0.2
 """Share of the wire's length left out at each end."""
 
 FEWEST_SLICES = 5
-"""Of them that the volume must hold."""
+"""Fewest cross sections that the volume must hold."""
 
 
 @dataclass(frozen=True)
 class WireQuality:
-    """One wire's cross section.
+    """Quality of one wire's cross section.
 
     Attributes
     ----------
     mean_peak_1_m : float
-        Largest attenuation of the mean cross section at the wire's mean place: lower, if the wire is not straight in the volume.
+        Largest attenuation of the mean cross section at the wire's mean place; lower if the wire is not straight in the volume.
     peak_ratio : float
-        Of that to the attenuation the wire has: 1 where neither voxels, blur nor geometry take any of it.
+        Its ratio to the true attenuation of the wire; 1 where neither voxels, blur nor geometry reduce it.
     widths_m : (2,) array
         Full widths at half the peak, in two directions across the wire.
     offset_m : (3,) array
-        Where the wire is found, from where its drawing says, in the phantom's frame.
+        Place of the wire relative to its drawing, in the phantom's frame.
     artefact : float
         Root mean square outside of the wire over the peak.
     section : (m, m) array
         The mean cross section.
     spacing_m : float
-        Of the section's samples.
+        Spacing of the section's samples.
     """
 
     mean_peak_1_m: float
@@ -57,7 +57,7 @@ class WireQuality:
 
 
 def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenuation_1_m: float) -> WireQuality:
-    """Look at one straight wire, as far as the volume holds it.
+    """Evaluate one straight wire, as far as the volume holds it.
 
     Parameters
     ----------
@@ -65,12 +65,12 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
     start_m, end_m : (3,) arrays
         Its ends in the phantom's frame.
     attenuation_1_m : float
-        That it has.
+        True attenuation of the wire.
 
     Raises
     ------
     UnusableInputError
-        The volume does not hold the wire, or nothing is where it should be.
+        The volume does not hold the wire, or holds no attenuation at its place.
     """
     axis = end_m - start_m
     length = np.linalg.norm(axis)
@@ -108,14 +108,15 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
 
 
 def _center(section: np.ndarray, grid: np.ndarray, row: int, column: int, reach_m: float) -> np.ndarray:
-    """(2,) centroid of what is above half the peak within `reach_m` of it."""
+    """Return the centroid (2,) of the samples above half the peak within `reach_m` of it."""
     near = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) < reach_m
     weight = np.where(near, np.maximum(section - 0.5 * section[row, column], 0.0), 0.0)
-    return np.array([np.sum(weight * grid[:, None]), np.sum(weight * grid[None, :])]) / weight.sum()
+    center: np.ndarray = np.array([np.sum(weight * grid[:, None]), np.sum(weight * grid[None, :])]) / weight.sum()
+    return center
 
 
 def _width(profile: np.ndarray, middle: int) -> float:
-    """Samples between the half-height points either side of the middle, linear between samples; to the border where there is none."""
+    """Return the samples between the half-height points on either side, linear between samples; to the border where there is none."""
     half = 0.5 * profile[middle]
     right = _first_below(profile[middle:], half)
     left = _first_below(profile[middle::-1], half)

@@ -1,4 +1,4 @@
-"""Recordings: one row per SYNC, as MDF4 or CSV, kept whatever is killed while they are made."""
+"""Recordings: one row per SYNC, as MDF4 or CSV, which survive a killed process."""
 
 from hil.recording.formats import convert, read_recording, write_recording
 from hil.recording.framelog import FrameLog

@@ -3,8 +3,8 @@
 Only times relative to the log's start are used. Its absolute start is local time in files of some tools and UTC in those of others, is
 kept in milliseconds, and is missing in some; frames from before the start have wrapped, unsigned times, and channels may be out of order.
 
-python-can skips what it cannot read with a line in its log, ends quietly where a file is cut off, and repeats an object of length 0 for
-ever: here each of these is an error.
+python-can skips what it cannot read with a line in its log, ends without an error where a file is cut off, and repeats an object of length
+0 without end: here each of these is an error.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ _WRAP_S = 2.0**64 * 1e-9
 """Times are unsigned counts of nanoseconds: one before the start appears this much later than it was."""
 
 _MOST_AT_ONCE = 1000
-"""So many equal frames at the same nanosecond are no bus's: a frame takes 47 us at 1 Mbit/s."""
+"""This many equal frames at the same nanosecond cannot come from a bus: a frame takes 47 us at 1 Mbit/s."""
 
 
 class _DamagedError(Exception):
-    """What python-can would have passed over."""
+    """A fault in the file that python-can would have skipped."""
 
 
 def read_blf(path: Path) -> list[CanFrame]:
-    """All frames of a BLF, in order of time, in seconds since the log's start; RecordingError if it is none or damaged."""
+    """Return all frames of a BLF in order of time, in seconds since the log's start; RecordingError if it is no BLF or damaged."""
     try:
         with _warnings_are_errors(), can.BLFReader(path) as reader:
             if path.stat().st_size < reader.file_size:
@@ -39,7 +39,7 @@ def read_blf(path: Path) -> list[CanFrame]:
             frames = list(_frames(reader))
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
-    except Exception as problem:  # python-can answers a damaged file with whatever its parser ran into
+    except Exception as problem:  # on a damaged file python-can raises any error of its parser
         raise RecordingError(f"{path}: no BLF, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
     return sorted(frames, key=lambda frame: frame.time_s)
 
@@ -64,7 +64,7 @@ def _frames(reader: can.BLFReader) -> Iterator[CanFrame]:
 
 @contextlib.contextmanager
 def _warnings_are_errors() -> Iterator[None]:
-    """Raise what python-can says in its log about a file, instead of letting it be passed over."""
+    """Raise python-can's log messages about a file as errors."""
 
     def refuse(record: logging.LogRecord) -> bool:
         raise _DamagedError(record.getMessage())

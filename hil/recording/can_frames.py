@@ -1,4 +1,4 @@
-"""CAN frames as a log keeps them."""
+"""CAN frames of a log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 class CanFrame(NamedTuple):
     """One frame of a log; error frames, which are no frames of the bus, are left out by the readers."""
 
-    time_s: float  # since whatever the log counts from
+    time_s: float  # since the log's own origin of time
     channel: str
     can_id: int
     extended: bool

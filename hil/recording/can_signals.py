@@ -1,4 +1,4 @@
-"""From CAN frames to a recording: with a machine its PDOs as signals, a row per SYNC; without one the bare frames, a row each.
+"""Recordings from CAN frames: with a machine its PDOs as signals, a row per SYNC; without one the bare frames, a row each.
 
 SYNC k latches; the drives' and encoders' TPDOs that follow it are row k, and so are the RPDOs the loop sent before SYNC k+1: command k.
 """
@@ -36,16 +36,16 @@ QUANTITY_OF = {
     CURRENT_ACTUAL: "effort",
     ENCODER_POSITION: "link_position",
 }
-"""Which recorded quantity an object of the dictionary is."""
+"""The recorded quantity of each object of the dictionary."""
 
 QUANTITIES = ("command", "effort", "position", "link_position", "statusword")
 """Their order in the recording."""
 
 BELIEVABLE_PERIOD = 0.2
-"""Where the median time between SYNCs is further from the machine's period than this share of it, the log's times are not the bus's."""
+"""Largest deviation of the median time between SYNCs from the machine's period, as a share of it; beyond, the log's times are wrong."""
 
 PHASE_GAIN = 0.1
-"""How far the estimate of a SYNC's due time follows each one: jitter is averaged out, a drift of the adapter's clock is followed."""
+"""Gain with which the estimate of a SYNC's due time follows each SYNC: it averages jitter and follows a drift of the adapter's clock."""
 
 
 def read_can(path: Path, machine: Machine | None) -> Recording:
@@ -55,13 +55,13 @@ def read_can(path: Path, machine: Machine | None) -> Recording:
     ----------
     path : Path
     machine : Machine, optional
-        Whose PDO maps and scalings turn frames into signals. None gives the frames themselves: `can_id`, `can_length`, `can_extended`,
+        Machine whose PDO maps and scalings turn frames into signals. None gives the frames: `can_id`, `can_length`, `can_extended`,
         `can_remote`, `byte_0`, ...
 
     Raises
     ------
     RecordingError
-        No such log, or it holds nothing of the machine's.
+        The log does not exist, or holds no data of the machine.
     """
     frames = read_blf(path) if path.suffix.lower() == ".blf" else read_candump(path)
     if not frames:
@@ -115,7 +115,7 @@ def _signals(frames: Sequence[CanFrame], machine: Machine, path: Path) -> Record
 
 
 def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> list[CanFrame]:
-    """Frames of the one bus in the log that has SYNCs."""
+    """Return the frames of the one bus in the log that has SYNCs."""
     sync = bus.sync_cob_id & 0x7FF
     buses = sorted({frame.channel for frame in frames if frame.can_id == sync and not frame.extended})
     if not buses:
@@ -126,7 +126,7 @@ def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> list[CanFrame]:
 
 
 def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], dict[tuple[str, str], np.ndarray]]:
-    """Times of the SYNCs, and raw integers (N,) per (axis, quantity), NaN where none came."""
+    """Return times of the SYNCs, and raw integers (N,) per (axis, quantity), NaN where none came."""
     sync = bus.sync_cob_id & 0x7FF
     codecs: dict[int, tuple[PdoCodec, list[tuple[int, tuple[str, str]]]]] = {}
     for node in bus.nodes:
@@ -154,7 +154,7 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
 
 
 def _ticks(syncs_s: np.ndarray, period_s: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Tick number and lateness [s] of every SYNC; a tick that was skipped leaves a step in time, as it did on the bus."""
+    """Return tick number and lateness [s] of every SYNC; a skipped tick leaves a step in time, as on the bus."""
     if syncs_s.size < 2:
         return np.zeros(syncs_s.size), np.zeros(syncs_s.size)
     steps = np.diff(syncs_s)
@@ -190,7 +190,7 @@ def _scaled(raw: np.ndarray, quantity: str, scaling: AxisScaling) -> np.ndarray:
 
 
 def _unwrapped(counts: np.ndarray) -> np.ndarray:
-    """Counts of a 32-bit register that runs over, as one line."""
+    """Unwrap the counts of a 32-bit register."""
     present = ~np.isnan(counts)
     unwrapped = counts.copy()
     unwrapped[present] = np.unwrap(counts[present], period=2.0**32)
@@ -198,7 +198,7 @@ def _unwrapped(counts: np.ndarray) -> np.ndarray:
 
 
 def _home_offset(scaled: dict[str, np.ndarray]) -> float:
-    """What homing added to the motor side's position: the log does not say, so it is taken from the link encoder where there is one."""
+    """Return homing's offset of the motor-side position, which the log lacks: it is taken from the link encoder where there is one."""
     if "link_position" not in scaled:
         return 0.0
     both = np.flatnonzero(~np.isnan(scaled["position"]) & ~np.isnan(scaled["link_position"]))

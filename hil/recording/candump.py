@@ -16,7 +16,7 @@ _ERROR_FRAME = 0x20000000
 
 
 def read_candump(path: Path) -> list[CanFrame]:
-    """All frames of a candump log, in file order; RecordingError names the first line that is none."""
+    """Return all frames of a candump log in file order; RecordingError names the first line that is no frame."""
     try:
         lines = path.read_bytes().decode("ascii").splitlines()
     except OSError as problem:

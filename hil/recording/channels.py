@@ -1,4 +1,4 @@
-"""Names and units of a recording's channels, as a table: what a channel is called, what it is measured in, what else is understood."""
+"""Table of a recording's channels: their names, their units, and the other units that files may use."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ NUMBER = {"": 1.0}
 
 SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "deg/s": "rad/s", "mm/s": "m/s", "mm": "m", "um": "m", "g": "m/s^2"}
 SI_OF |= {"mA": "A", "mV": "V", "kN": "N"}
-"""The unit a value is kept in once it is read, where that differs from the unit in the file."""
+"""Unit of a value after reading, where it differs from the unit in the file."""
 
 NO_UNIT = ("", "-", "1")
-"""How files write that a channel is a plain number."""
+"""Units by which files mark a plain number."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of channel: which names it covers and what it may be measured in."""
+    """One kind of channel: its names and its units."""
 
     pattern: str  # a full match of the channel's name
-    units: Mapping[str, float]  # unit -> factor to the unit it is kept in
+    units: Mapping[str, float]  # unit -> factor to the unit in memory
     whole: bool = False  # counters and bit fields: whole numbers stay whole in files
 
 
@@ -71,12 +71,12 @@ _NAME = re.compile(r'[^\s,"\[\]](?:[^,"\[\]\x00-\x1f\x7f]*[^\s,"\[\]])?')
 
 
 def kind_of(name: str) -> Kind | None:
-    """The kind a channel's name belongs to; None for other names (`estimate_*` among them), whose unit is kept as it stands."""
+    """Return the kind of a channel's name; None for other names (`estimate_*` among them), whose unit is kept unchanged."""
     return next((kind for pattern, kind in _COMPILED if pattern.fullmatch(name)), None)
 
 
 def is_whole(name: str) -> bool:
-    """Whether the channel counts: its values are whole numbers."""
+    """Return whether the channel's values are whole numbers."""
     kind = kind_of(name)
     return kind is not None and kind.whole
 
@@ -89,7 +89,7 @@ def check_name(name: str) -> str:
 
 
 def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
-    """Unit that a channel given in `unit` is kept in, and the factor to it.
+    """Return the unit in memory of a channel given in `unit`, and the factor to it.
 
     Raises
     ------
@@ -107,6 +107,6 @@ def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
 
 
 def imu_channels(name: str) -> tuple[str, ...]:
-    """A recording's six channels of an IMU: imu_x ... gyro_z for the one called `imu`, else its name in front."""
+    """Return the six channels of an IMU: imu_x ... gyro_z for the IMU called `imu`, otherwise with its name in front."""
     gyro = "gyro" if name == "imu" else f"{name}_gyro"
     return tuple(f"{name}_{axis}" for axis in "xyz") + tuple(f"{gyro}_{axis}" for axis in "xyz")

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,14 @@ from hil.recording.channels import check_name, is_whole, unit_and_factor
 from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
 
+if TYPE_CHECKING:
+    from _csv import Reader
+
 _HEADER_CELL = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
 
 def metadata_path(path: Path) -> Path:
-    """Where the metadata of a CSV recording are."""
+    """Return the path of a CSV recording's metadata."""
     return path.with_suffix(".toml")
 
 
@@ -31,7 +34,7 @@ def write_csv(recording: Recording, path: Path) -> None:
     Raises
     ------
     RecordingError
-        The `.toml` is there already and is no recording's metadata (a machine file, say), or a file cannot be written.
+        The `.toml` exists and is no recording's metadata (but a machine file, for example), or a file cannot be written.
     """
     beside = metadata_path(path)
     if beside.exists():
@@ -41,7 +44,7 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 
 def csv_text(recording: Recording) -> str:
-    """The CSV text of a recording."""
+    """Return the CSV text of a recording."""
     header = ",".join(f"{name} [{channel.unit}]" if channel.unit else name for name, channel in recording.channels.items())
     columns = [_cells(name, channel.values) for name, channel in recording.channels.items()]
     return "\n".join([header, *map(",".join, zip(*columns, strict=True))]) + "\n"
@@ -54,13 +57,13 @@ def read_csv(path: Path, machine: MachineFile | None = None) -> Recording:
     ----------
     path : Path
     machine : MachineFile, optional
-        Stands in for the metadata where there is no `.toml` of the same name.
+        Replaces the metadata where there is no `.toml` of the same name.
 
     Raises
     ------
     RecordingError
-        What is wrong, with its line: a ragged row, a cell that is no number, a hole in time, time that does not increase, a unit the
-        channel cannot have, a channel twice, fewer rows than the metadata say, no metadata and no machine.
+        A ragged row, a cell that is no number, a hole in time, time that does not increase, a unit that the channel cannot have, a channel
+        twice, fewer rows than the metadata say, or neither metadata nor machine; the message names the line.
     """
     text = _read_text(path)
     metadata = _metadata_of(path, machine)
@@ -114,7 +117,7 @@ def _read_metadata(beside: Path, reason: str) -> dict[str, Any]:
 
 
 def _parse(path: Path, text: str) -> tuple[list[str], list[str], np.ndarray, list[int]]:
-    """Names, units, values (rows, columns) and the file's line of each row."""
+    """Return names, units, values (rows, columns) and the file's line of each row."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records = _records(path, reader)
     header = next(records, None)
@@ -139,8 +142,8 @@ def _parse(path: Path, text: str) -> tuple[list[str], list[str], np.ndarray, lis
     return names, units, np.array(rows), lines
 
 
-def _records(path: Path, reader: Any) -> Iterator[list[str]]:
-    """The reader's records, its own complaints in our words."""
+def _records(path: Path, reader: Reader) -> Iterator[list[str]]:
+    """Yield the reader's records; its errors become RecordingError."""
     try:
         yield from reader
     except csv.Error as problem:

@@ -1,4 +1,4 @@
-"""Which file format a name means: reading, writing and converting recordings by suffix."""
+"""Reading, writing and converting recordings in the format of a file's suffix."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
         `.mf4`, `.csv`, `.mat`, candump `.log`, `.blf`, or the `.part` of a recording that was cut short. Where the file is missing and its
         `.part` is there, that is read instead, with a warning; metadata then hold a table `recovered`.
     machine : Machine, optional
-        A loaded machine, for files that do not say which machine they come from.
+        A loaded machine, for files that do not name their machine.
     names : dict, optional
         For `.mat`: variable of the file -> channel.
 
     Raises
     ------
     RecordingError
-        One line: what is wrong, where, what would be right.
+        The file cannot be read; one line says what is wrong, where, and what would be right.
     """
     path = Path(path)
     part = part_path(path)
@@ -78,12 +78,12 @@ def _read(path: Path, machine: Machine | None, names: dict[str, str] | None) -> 
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write a recording as `.mf4` or `.csv` (with its `.toml`); the file is whole or not there.
+    """Write a recording as `.mf4` or `.csv` (with its `.toml`); an incomplete file is never left.
 
     Raises
     ------
     RecordingError
-        Another suffix, or the file cannot be written.
+        The suffix is another one, or the file cannot be written.
     """
     path = Path(path)
     check_writable(path)

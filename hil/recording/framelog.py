@@ -1,4 +1,4 @@
-"""The frame log: every CAN frame as a line of `candump -l`, so that can-utils, vendors' tools and `read_recording` read it."""
+"""The frame log: every CAN frame as a line of `candump -l`, which can-utils, vendors' tools and `read_recording` can read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.errors import RecordingError
 
 
 def candump_line(time_s: float, channel: str, can_id: int, data: bytes) -> str:
-    """One line: `(0.003906) vcan0 181#3902`. Identifiers of 11 bits have three digits, of 29 bits eight."""
+    """Return one line: `(0.003906) vcan0 181#3902`. Identifiers of 11 bits have three digits, of 29 bits eight."""
     identifier = f"{can_id:03X}" if can_id <= 0x7FF else f"{can_id:08X}"
     return f"({time_s:.6f}) {channel} {identifier}#{data.hex().upper()}\n"
 
@@ -23,7 +23,7 @@ class FrameLog:
     ----------
     path : str or Path
     channel : str
-        What the log calls the bus.
+        Name of the bus in the log.
     """
 
     def __init__(self, path: str | Path, channel: str) -> None:
@@ -39,7 +39,7 @@ class FrameLog:
         self._file.write(candump_line(time_s, self._channel, can_id, data))
 
     def close(self) -> None:
-        """Write what is buffered and bring it to the disk."""
+        """Flush the buffer to the disk."""
         if self._file.closed:
             return
         try:
@@ -50,7 +50,9 @@ class FrameLog:
             raise RecordingError(f"{self._path}: cannot be written: {problem.strerror}") from None
 
     def __enter__(self) -> Self:
+        """Return this object."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        """Close on the way out."""
         self.close()

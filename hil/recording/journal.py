@@ -1,8 +1,8 @@
-"""The crash-safe row file: what a recording is while it is being made.
+"""The journal: the crash-safe file of a recording while it is being made.
 
-`NAME.mf4.part` holds a header (channels and metadata) and blocks of rows, each block with its own length and checksum, in the order they
-were recorded. A block is handed to the operating system in one write, so a process that is killed loses at most the block it was gathering;
-a torn block at the end is recognised and left out.
+`NAME.mf4.part` holds a header (channels and metadata) and blocks of rows in the order of recording, each block with its own length and
+checksum. A block is handed to the operating system in one write, so a process that is killed loses at most the block it was gathering; an
+incomplete block at the end is recognised and left out.
 
     file    = MAGIC, header length u32, crc32 of header u32, header (TOML), block*
     block   = BLOCK, rows u32, crc32 u32, rows x channels float64
@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -40,14 +40,14 @@ ChannelTable = Sequence[tuple[str, str]]
 
 
 def part_path(path: Path) -> Path:
-    """The journal of a recording that will be `path`."""
+    """Return the path of the journal of a recording `path`."""
     return path.with_name(path.name + ".part")
 
 
 class Journal:
     """A journal open for appending.
 
-    Use `Journal.create` for a new one and `Journal.resume` to go on with one that was left behind.
+    Use `Journal.create` for a new one and `Journal.resume` to continue one that was left behind.
     """
 
     def __init__(self, path: Path, handle: int, width: int, rows: int, size: int) -> None:
@@ -66,10 +66,10 @@ class Journal:
         Raises
         ------
         RecordingError
-            The file is there already (it holds rows nobody has read yet), or cannot be written.
+            The file exists (it holds rows that have not been read), or cannot be written.
         """
         names = [name for name, _ in channels]
-        Recording({name: Channel(unit, np.empty(0)) for name, unit in channels}, metadata)  # complains now, not when it is read back
+        Recording({name: Channel(unit, np.empty(0)) for name, unit in channels}, metadata)  # raises errors here, not when it is read back
         if len(set(names)) != len(names):
             raise RecordingError(f"{path}: a channel name stands twice in {', '.join(names)}")
         header = metadata_text({**metadata, "journal_channels": [list(channel) for channel in channels]}).encode()
@@ -84,7 +84,7 @@ class Journal:
 
     @classmethod
     def resume(cls, path: Path) -> Journal:
-        """Go on after the last complete block; a torn one is cut off."""
+        """Continue after the last complete block; an incomplete one is cut off."""
         content = _read(path)
         channels, _, start = _parse_header(path, content)
         rows, size = 0, start
@@ -95,12 +95,12 @@ class Journal:
         return journal
 
     def append(self, rows: np.ndarray) -> None:
-        """Hand (n, width) rows to the operating system: after this call they survive the death of the process.
+        """Hand rows (n, width) to the operating system: after this call they survive the end of the process.
 
         Raises
         ------
         RecordingError
-            Disk full or failing; the rows before are still readable, none of these is half written, and the call may be repeated.
+            The disk is full or failing; earlier rows are still readable, none of these is half written, and the call may be repeated.
         """
         if not len(rows):
             return
@@ -110,7 +110,7 @@ class Journal:
         self.rows += count
 
     def sync(self) -> None:
-        """Bring everything to the disk itself: after this call it survives a power cut."""
+        """Flush everything to the disk: after this call it survives a power cut."""
         try:
             os.fsync(self._handle)
         except OSError as problem:
@@ -123,9 +123,11 @@ class Journal:
             self._handle = -1
 
     def __enter__(self) -> Self:
+        """Return this object."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        """Close on the way out."""
         self.close()
 
     def _write(self, content: bytes) -> None:
@@ -144,24 +146,24 @@ class Journal:
 
 
 def recover(part: Path) -> Recording:
-    """Everything complete in a journal.
+    """Read all complete rows of a journal as a recording.
 
     Returns
     -------
     Recording
-        Its metadata say under `recovered` how many rows there are and how many bytes after them could not be read.
+        Its metadata give under `recovered` the number of rows and of bytes after them that could not be read.
 
     Raises
     ------
     RecordingError
-        No journal, a damaged header, or not one complete row.
+        The file is no journal, its header is damaged, or it holds no complete row.
     """
     recording, unread = read_journal(part)
     return recording.with_metadata(recovered={"rows": recording.rows, "unread_bytes": unread})
 
 
 def read_journal(part: Path) -> tuple[Recording, int]:
-    """The complete rows of a journal, and the number of bytes after them."""
+    """Read the complete rows of a journal, and the number of bytes after them."""
     content = _read(part)
     channels, metadata, start = _parse_header(part, content)
     blocks, end = [], start
@@ -179,7 +181,7 @@ def read_journal(part: Path) -> tuple[Recording, int]:
 
 
 def _open_new(path: Path) -> int:
-    """Create the file; one that was left behind without a row makes way."""
+    """Create the file; one that was left behind without a row is replaced."""
     new = os.O_RDWR | os.O_CREAT | os.O_EXCL
     try:
         return _open(path, new)
@@ -205,7 +207,7 @@ def _open(path: Path, flags: int) -> int:
 
 
 def _lock(handle: int, path: Path) -> None:
-    """One writer at a time, where the system has such locks (not on Windows); the lock goes with the process that holds it."""
+    """Lock the file for one writer, where the system has such locks (not on Windows); the lock ends with its process."""
     if fcntl is None:
         return
     try:
@@ -225,7 +227,7 @@ def _read(path: Path) -> bytes:
 
 
 def _parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], dict[str, Any], int]:
-    """Channels, metadata and the offset of the first block."""
+    """Return channels, metadata and the offset of the first block."""
     start = len(MAGIC) + _LENGTHS.size
     if content[: len(MAGIC)] != MAGIC or len(content) < start:
         raise RecordingError(f"{path}: no journal of a recording")
@@ -238,8 +240,8 @@ def _parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], di
     return channels, metadata, start + length
 
 
-def _blocks(content: bytes, start: int, width: int) -> Any:
-    """(rows, values, end) of every block up to the first that is torn or damaged."""
+def _blocks(content: bytes, start: int, width: int) -> Iterator[tuple[int, memoryview, int]]:
+    """Yield (rows, values, end) of every block up to the first that is incomplete or damaged."""
     view = memoryview(content)
     while start + _BLOCK_HEADER.size <= len(content):
         magic, count, checksum = _BLOCK_HEADER.unpack_from(content, start)

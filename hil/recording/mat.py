@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hil.machine.model import Machine
 
 EMPS_NAMES = {"t": "time", "qg": "reference", "qm": "position", "vir": "command", "pulses_N": "excitation"}
-"""Variables of the Electro-Mechanical Positioning System benchmark (Janot, Gautier, Brunot 2019) and what they are here."""
+"""Variables of the Electro-Mechanical Positioning System benchmark (Janot, Gautier, Brunot 2019) and their channels."""
 
 FIXED_UNITS = {
     "time": "s",
@@ -29,7 +29,7 @@ FIXED_UNITS = {
     "work_time": "s",
     "exposure_id": "",
 }
-"""Of channels that no axis has."""
+"""Units of channels that belong to no axis."""
 
 _POSITIONS = ("reference", "position", "link_position")
 
@@ -43,12 +43,13 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, str] | Non
     machine : Machine
         Gives axes and units.
     names : mapping, optional
-        Variable of the file -> channel. Without it variables that bear a channel's name are taken, or those of the EMPS benchmark.
+        Variable of the file -> channel. Without it, variables with a channel's name are taken, or those of the EMPS benchmark.
 
     Raises
     ------
     RecordingError
-        No MATLAB file of that version, no machine, a variable that is not there or not a vector of numbers, vectors of different length.
+        The file is no MATLAB file of this version, there is no machine, a variable is missing or no vector of numbers, or vectors differ
+        in length.
     """
     if machine is None:
         raise RecordingError(f"{path}: a .mat says neither machine nor units; name the machine with --machine")
@@ -92,7 +93,7 @@ def _vector(value: np.ndarray | None, name: str, path: Path) -> np.ndarray:
 
 
 def _unit(channel: str, machine: Machine, path: Path) -> str:
-    """The unit a channel of this machine is kept in."""
+    """Return the unit of a channel of this machine."""
     if channel in FIXED_UNITS:
         return FIXED_UNITS[channel]
     axis = machine.axis_of_channel(channel)

@@ -1,13 +1,13 @@
-"""MDF 4 recordings (`.mf4`): ordinary signals with units that asammdf and vendors' tools open, metadata as an attached TOML text.
+"""MDF 4 recordings (`.mf4`): ordinary signals with units that asammdf and vendors' tools can open, metadata as an attached TOML text.
 
 A missing sample has its invalidation bit set (and is NaN or 0 below it, for tools that ignore the bit). Counters and bit fields are
 integers.
 
-MDF has no checksum, and asammdf answers a damaged file with anything from a wrong number to an attempt to allocate a petabyte. So a file of
-ours ends with 16 bytes that no block refers to and other readers pass over: `isocrc32`, the CRC-32 of everything before as u32, and the
-number of those bytes as u32 modulo 2^32, little endian. Whoever edits the file drops them, and then nothing is checked.
+MDF has no checksum, and asammdf reacts to a damaged file with anything from a wrong number to an attempt to allocate a petabyte. So a file
+written here ends with 16 bytes that no block refers to and other readers ignore: `isocrc32`, the CRC-32 of everything before as u32, and
+the number of those bytes as u32 modulo 2^32, little endian. A tool that edits the file drops them, and then nothing is checked.
 
-The same recording is the same file, byte for byte: times of day come from metadata `started` only.
+The same recording gives the same file, byte for byte: times of day come only from metadata `started`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ import sys
 import tempfile
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
 import numpy as np
 from asammdf import MDF, Signal
+from asammdf.blocks.v4_blocks import HeaderBlock
 from asammdf.blocks.v4_constants import CompressionAlgorithm
 
 from hil.errors import RecordingError
@@ -41,7 +42,7 @@ ATTACHMENT = "recording.toml"
 """Name of the attached metadata."""
 
 MDF_VERSION = "4.10"
-"""The oldest version with invalidation bits and compression: most tools open it."""
+"""The oldest version with invalidation bits and compression, which most tools can open."""
 
 _HISTORY = """<FHcomment>
 <TX>recorded</TX>
@@ -52,8 +53,14 @@ _HISTORY = """<FHcomment>
 _SEAL = struct.Struct("<8sII")
 _SEAL_MARK = b"isocrc32"
 _IN_MEMORY = re.compile(r"""['"]?<_io\.BytesIO[^>]*>['"]?""")
-"""What asammdf calls a file that was read already."""
+"""Name that asammdf gives to a file in memory."""
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
+
+
+class _Group(Protocol):
+    """A channel group of a file."""
+
+    channels: Sequence[object]
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
@@ -63,24 +70,24 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     signals = [_signal(name, channel, recording.time) for name, channel in recording.channels.items() if name != "time"]
     try:
         content = _mdf_bytes(recording, signals, _started(recording, path))
-    except OSError as problem:  # asammdf keeps what it is given in a temporary file
+    except OSError as problem:  # asammdf keeps its data in a temporary file
         raise RecordingError(f"{path}: cannot be written: {problem.strerror} (temporary file in {tempfile.gettempdir()})") from None
     write_atomically({path: _sealed(content)})
 
 
 def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
-    """Read a recording of ours, or any MDF 4 file whose signals share one time base.
+    """Read a recording of this project, or any MDF 4 file whose signals share one time base.
 
     Parameters
     ----------
     path : Path
     machine : MachineFile, optional
-        Stands in for the metadata where nothing is attached.
+        Replaces the metadata where none are attached.
 
     Raises
     ------
     RecordingError
-        No MDF file, damaged, several time bases, no metadata and no machine.
+        The file is no MDF file or damaged, has several time bases, or there are neither metadata nor a machine.
     """
     try:
         content = path.read_bytes()
@@ -98,7 +105,7 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
         except Exception as problem:
             reason = _IN_MEMORY.sub("it", str(problem).strip().partition("\n")[0]) or type(problem).__name__
         if reason:
-            gc.collect()  # asammdf's half-built objects complain on their way out: let them do it now
+            gc.collect()  # asammdf's half-built objects raise in their destructors: collect them here
     if reason:
         raise RecordingError(f"{path}: no MDF 4 file, or damaged: {reason}")
     try:
@@ -116,7 +123,7 @@ def _signal(name: str, channel: Channel, time: np.ndarray) -> Signal:
 
 
 def _started(recording: Recording, path: Path) -> datetime:
-    """When the recording began; the epoch where it does not say, as in virtual time."""
+    """Return when the recording began; the epoch where it does not say, as in virtual time."""
     text = recording.metadata.get("started")
     if text is None:
         return datetime.fromtimestamp(0, UTC)
@@ -129,12 +136,13 @@ def _started(recording: Recording, path: Path) -> datetime:
     return started
 
 
-def _date(mdf: Any, started: datetime) -> None:
-    """Give header and history that time; asammdf would take the time of writing."""
-    mdf.header.start_time = started
+def _date(mdf: MDF, started: datetime) -> None:
+    """Set this time in header and history, where asammdf would put the time of writing."""
+    header = cast(HeaderBlock, mdf.header)
+    header.start_time = started
     for entry in mdf.file_history:
-        entry.abs_time, entry.time_flags = mdf.header.abs_time, mdf.header.time_flags
-        entry.tz_offset, entry.daylight_save_time = mdf.header.tz_offset, mdf.header.daylight_save_time
+        entry.abs_time, entry.time_flags = header.abs_time, header.time_flags
+        entry.tz_offset, entry.daylight_save_time = header.tz_offset, header.daylight_save_time
         entry.comment = _HISTORY
 
 
@@ -149,7 +157,7 @@ def _mdf_bytes(recording: Recording, signals: list[Signal], started: datetime) -
     return content.getvalue()
 
 
-def _metadata(mdf: Any, path: Path, machine: MachineFile | None) -> dict[str, Any]:
+def _metadata(mdf: MDF, path: Path, machine: MachineFile | None) -> dict[str, Any]:
     for attachment in mdf.attachments:
         if attachment.file_name == ATTACHMENT:
             return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}")
@@ -158,7 +166,7 @@ def _metadata(mdf: Any, path: Path, machine: MachineFile | None) -> dict[str, An
     return {"machine": machine_table(machine)}
 
 
-def _channels(mdf: Any, path: Path) -> dict[str, Channel]:
+def _channels(mdf: MDF, path: Path) -> dict[str, Channel]:
     channels: dict[str, Channel] = {}
     time: np.ndarray | None = None
     for signal in _signals(mdf):
@@ -179,11 +187,11 @@ def _channels(mdf: Any, path: Path) -> dict[str, Channel]:
     return channels
 
 
-def _signals(mdf: Any) -> Iterator[Signal]:
-    """Every numeric channel that is no time base, with its invalidation bits; one pass over the file."""
+def _signals(mdf: MDF) -> Iterator[Signal]:
+    """Yield every numeric channel that is no time base, with its invalidation bits, in one pass over the file."""
     wanted = [
         (None, number, index)
-        for number, group in enumerate(mdf.groups)
+        for number, group in enumerate(cast(Sequence[_Group], mdf.groups))
         for index in range(len(group.channels))
         if index != mdf.masters_db.get(number)
     ]
@@ -208,7 +216,7 @@ def _check_seal(content: bytes, path: Path) -> None:
 
 @contextlib.contextmanager
 def _hushed() -> Iterator[None]:
-    """Keep what asammdf prints, logs and raises in destructors over an unreadable file from the user: our one line says it."""
+    """Suppress what asammdf prints, logs and raises in destructors for an unreadable file; one error of this module replaces it."""
     logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
     was_disabled = logger.disabled
     logger.disabled = True

@@ -1,4 +1,4 @@
-"""What a recording says about itself: machine, experiment, initial states, software. Tables that TOML can hold."""
+"""Metadata of a recording: machine, experiment, initial states, software, as tables that TOML can hold."""
 
 from __future__ import annotations
 
@@ -11,31 +11,38 @@ from hil.files.toml_text import plain, toml_text
 from hil.version import software_version
 
 RECORDING_FORMAT = 1
-"""Key `recording_format`: marks a TOML text as a recording's metadata, so that a machine file of the same name is not taken for it."""
+"""Key `recording_format`: marks a TOML text as a recording's metadata, so that a machine file of the same name is not mistaken for it."""
 
 
 class MachineFile(Protocol):
-    """What a recording keeps of a machine."""
+    """The properties of a machine that a recording keeps."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the machine."""
+
     @property
-    def text(self) -> str: ...
+    def text(self) -> str:
+        """Text of the machine file."""
+
     @property
-    def hash(self) -> str: ...
+    def hash(self) -> str:
+        """SHA-256 of the text."""
+
     @property
-    def axes(self) -> tuple[str, ...]: ...
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
 
 
 def machine_table(machine: MachineFile) -> dict[str, Any]:
-    """The metadata's table `machine`."""
+    """Return the metadata's table `machine`."""
     return {"name": machine.name, "hash": machine.hash, "axes": list(machine.axes), "text": machine.text}
 
 
 def recording_metadata(
-    machine: MachineFile, experiment: Mapping[str, Any] | None = None, initial: Mapping[str, Any] | None = None, **tables: Any
+    machine: MachineFile, experiment: Mapping[str, Any] | None = None, initial: Mapping[str, Any] | None = None, **tables: object
 ) -> dict[str, Any]:
-    """Metadata of a new recording.
+    """Return the metadata of a new recording.
 
     Parameters
     ----------
@@ -53,12 +60,12 @@ def recording_metadata(
 
 
 def metadata_text(metadata: Mapping[str, Any]) -> str:
-    """TOML text of a recording's metadata, marked as such."""
+    """Return the TOML text of a recording's metadata, marked as such."""
     return toml_text({"recording_format": RECORDING_FORMAT, **{key: value for key, value in metadata.items() if key != "recording_format"}})
 
 
 def parse_metadata(text: str, where: str) -> dict[str, Any]:
-    """Metadata from its TOML text; `where` names the file in the error."""
+    """Read metadata from TOML text; `where` names the file in the error."""
     try:
         metadata = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as problem:

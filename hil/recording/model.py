@@ -1,4 +1,4 @@
-"""A recording: one row per SYNC, named channels with units, and what is known about how it was made."""
+"""A recording: one row per SYNC, named channels with units, and metadata on how it was made."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from hil.files.toml_text import plain
 from hil.recording.channels import check_name, unit_and_factor
 
 UNEQUAL_STEP = 0.01
-"""Largest deviation of a time step from the mean, as a share of it, that still counts as equal sampling: clocks of real recorders jitter by
-some 1e-4 of a period, a lost row is a deviation of 1."""
+"""Largest deviation of a time step from the mean, as a share of it, that counts as equal sampling: clocks of real recorders jitter by about
+1e-4 of a period, a lost row is a deviation of 1."""
 
 CAN_FRAMES = "can_frames"
-"""Metadata `kind` of a table of raw CAN frames: several may bear the same time."""
+"""Metadata `kind` of a table of raw CAN frames, of which several may have the same time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Values of one signal.
+    """The values of one signal.
 
     Parameters
     ----------
@@ -39,14 +39,16 @@ class Channel:
     values: np.ndarray
 
     def __post_init__(self) -> None:
+        """Make the values read-only float64."""
         values = np.array(self.values, dtype=np.float64)
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
 
     @property
     def missing(self) -> np.ndarray:
-        """(N,) bool: where no sample arrived."""
-        return np.isnan(self.values)
+        """Rows (N,) bool in which no sample arrived."""
+        missing: np.ndarray = np.isnan(self.values)
+        return missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,18 +61,19 @@ class Recording:
         In file order; `time` is one of them, complete and increasing.
     metadata : mapping
         Tables of plain values (what TOML can hold): `machine` (name, hash, text, axes), `experiment`, `initial`, `software`; see
-        docs/formats.md.
+        docs/generated/file-formats.md.
 
     Raises
     ------
     RecordingError
-        No time, a hole in it, channels of different length, a unit the channel cannot have.
+        Time is missing or has a hole, channels differ in length, or a channel has a wrong unit.
     """
 
     channels: Mapping[str, Channel]
     metadata: Mapping[str, Any]
 
     def __post_init__(self) -> None:
+        """Convert to SI units and plain metadata, and check time and lengths."""
         try:
             object.__setattr__(self, "metadata", plain(self.metadata))
         except TypeError as problem:
@@ -85,14 +88,15 @@ class Recording:
         _check_time(self.time, may_repeat=self.metadata.get("kind") == CAN_FRAMES)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Values (N,) of a channel."""
+        """Return the values (N,) of a channel."""
         return self.channel(name).values
 
     def __contains__(self, name: str) -> bool:
+        """Return whether there is a channel of this name."""
         return name in self.channels
 
     def channel(self, name: str) -> Channel:
-        """A channel by name; RecordingError names the closest where there is none."""
+        """Return a channel by name; RecordingError names the closest where there is none."""
         try:
             return self.channels[name]
         except KeyError:
@@ -101,16 +105,17 @@ class Recording:
             raise RecordingError(f"the recording has no channel {name}; {hint}") from None
 
     def matrix(self, names: Iterable[str]) -> np.ndarray:
-        """(N, len(names)) values of several channels side by side."""
+        """Return the values (N, len(names)) of several channels side by side."""
         return np.column_stack([self[name] for name in names])
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return int(self.channels["time"].values.size)
 
     @property
     def time(self) -> np.ndarray:
-        """(N,) s."""
+        """Time (N,) [s]."""
         return self.channels["time"].values
 
     @cached_property
@@ -120,7 +125,7 @@ class Recording:
         Raises
         ------
         RecordingError
-            Fewer than two rows, or rows that are not equally spaced (a lost row): the message names the first.
+            There are fewer than two rows, or rows are not equally spaced (a lost row); the message names the first.
         """
         if self.rows < 2:
             raise RecordingError(f"{self.rows} rows have no sample rate; two or more do")
@@ -138,14 +143,15 @@ class Recording:
 
     @cached_property
     def ticks(self) -> np.ndarray:
-        """(N,) tick of each row, from 0: the row number, but for runs of the bench, whose time counts ticks and leaves skipped ones out."""
+        """Tick (N,) of each row, from 0: the row number, except for runs of the bench, whose time leaves out skipped ticks."""
         if self.rows < 2 or "bench" not in self.metadata:
             return np.arange(self.rows)
-        return np.rint((self.time - self.time[0]) / np.median(np.diff(self.time))).astype(np.int64)
+        ticks: np.ndarray = np.rint((self.time - self.time[0]) / np.median(np.diff(self.time))).astype(np.int64)
+        return ticks
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis names: the machine's where it is known, else those of the position or command channels."""
+        """Axis names: the machine's where it is known, otherwise those of the position or command channels."""
         known = self.metadata.get("machine", {}).get("axes")
         if known:
             return tuple(known)
@@ -162,22 +168,22 @@ class Recording:
 
     @property
     def machine_text(self) -> str:
-        """The machine file; "" where it is not known."""
+        """Text of the machine file; "" where it is not known."""
         return str(self.metadata.get("machine", {}).get("text", ""))
 
     @property
     def experiment(self) -> dict[str, Any]:
-        """The experiment's metadata; empty for a recording that comes from elsewhere."""
+        """Metadata of the experiment; empty for a recording from another source."""
         return dict(self.metadata.get("experiment", {}))
 
     @property
     def period_slices(self) -> tuple[slice, ...]:
-        """Rows of each whole period after the settling ones; a period in which ticks were skipped is none.
+        """Rows of each complete period after the settling ones; a period in which ticks were skipped is not complete.
 
         Raises
         ------
         RecordingError
-            Not a periodic experiment, or no whole period after settling.
+            The experiment is not periodic, or there is no complete period after settling.
         """
         samples = self.experiment.get("period_samples", 0)
         settle = self.experiment.get("settle_periods", 0)
@@ -191,23 +197,23 @@ class Recording:
         return whole
 
     def periods(self) -> tuple[Recording, ...]:
-        """The recording split into its periods after settling, time running on."""
+        """Return the recording split into its periods after settling; time continues from one to the next."""
         return tuple(self.part(rows) for rows in self.period_slices)
 
     def in_periods(self, name: str) -> np.ndarray:
-        """(P, period_samples) values of one channel, a row per period after settling."""
+        """Return the values (P, period_samples) of one channel, a row per period after settling."""
         return np.stack([self[name][rows] for rows in self.period_slices])
 
     def part(self, rows: slice | np.ndarray) -> Recording:
-        """The same recording over some of its rows: a slice, or (N,) whether each is taken."""
+        """Return the recording over some of its rows: a slice, or a mask (N,) bool."""
         return Recording({name: Channel(channel.unit, channel.values[rows]) for name, channel in self.channels.items()}, self.metadata)
 
-    def with_metadata(self, **tables: Any) -> Recording:
-        """The same rows with metadata tables added or replaced."""
+    def with_metadata(self, **tables: object) -> Recording:
+        """Return the same rows with metadata tables added or replaced."""
         return Recording(self.channels, {**self.metadata, **tables})
 
     def repeats(self, other: Recording) -> bool:
-        """Whether both are the same experiment on the same machine: reference, excitation, start pose and machine hash are equal."""
+        """Return whether both are the same experiment on the same machine: equal reference, excitation, start pose and machine hash."""
         if not self.machine_hash or self.machine_hash != other.machine_hash or self.rows != other.rows:
             return False
         if self.experiment.get("start_pose") != other.experiment.get("start_pose"):

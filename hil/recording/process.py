@@ -1,4 +1,4 @@
-"""The loop's side of the recorder process: a copy and a counter per row."""
+"""The loop's side of the recorder process, which costs the loop one copy and one counter per row."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from hil.recording.recorder import finish_from_ring
 from hil.recording.ring import CONSUMED, LOST, PRODUCED, RECORDER, Ring
 
 CAPACITY_ROWS = 32768
-"""Rows the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. So long may the disk be full or the recorder be away."""
+"""Rows that the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. For this long the disk may be full or the recorder missing."""
 
 CLOSE_TIMEOUT_S = 120.0
-"""Longest a recorder may take to finish: an hour's rows at 256 Hz take less."""
+"""Longest time for a recorder to finish; the rows of an hour at 256 Hz take less."""
 
 
 class RecorderProcess:
-    """Records in a process of its own: for runs on the wall clock.
+    """Records in a separate process, for runs on the wall clock.
 
-    A context manager. `put` copies a row into shared memory and neither allocates, waits nor calls the system. The recorder brings the
-    rows to disk every 50 ms. If the recorder is killed, another takes over where its journal ends, without the loop's doing; if the loop's
+    A context manager. `put` copies a row into shared memory and does not allocate, wait or call the system. The recorder writes the rows to
+    disk every 50 ms. If the recorder is killed, another takes over at the end of its journal, without action by the loop; if the loop's
     process is killed, the recorder finishes the recording; if all are, the journal has all but the last tenth of a second, and
     `read_recording` reads it.
 
@@ -43,12 +43,12 @@ class RecorderProcess:
     channels : sequence of (name, unit)
         Columns of a row; `time` is one of them.
     metadata : mapping
-        What is known beforehand (`hil.recording.recording_metadata`).
+        Metadata known beforehand (`hil.recording.recording_metadata`).
 
     Raises
     ------
     RecordingError
-        The file cannot be written, an unfinished recording is there, or the recorder does not start.
+        The file cannot be written, an unfinished recording exists, or the recorder does not start.
     """
 
     def __init__(self, path: str | Path, channels: ChannelTable, metadata: Mapping[str, Any], capacity_rows: int = CAPACITY_ROWS) -> None:
@@ -66,17 +66,17 @@ class RecorderProcess:
 
     @property
     def rows(self) -> int:
-        """Rows put so far."""
+        """Number of rows put."""
         return self._produced
 
     @property
     def rows_kept(self) -> int:
-        """Rows that are in the journal: they outlive every process."""
+        """Number of rows in the journal, which outlive every process."""
         return self._counters[CONSUMED]
 
     @property
     def rows_lost(self) -> int:
-        """Rows that found the ring full."""
+        """Number of rows lost because the ring was full."""
         return self._counters[LOST]
 
     @property
@@ -115,15 +115,17 @@ class RecorderProcess:
             answer = self._end_recorder((json.dumps(tables) + "\n").encode())
             if answer.startswith("done "):
                 return int(answer.removeprefix("done "))
-            return finish_from_ring(self.ring, self.path, tables)  # the recorder was killed, or could not do it: this says why
+            return finish_from_ring(self.ring, self.path, tables)  # the recorder was killed or failed; this raises the reason
         finally:
             self._counters = self._rows = None  # type: ignore[assignment]
             self.ring.close()
 
     def __enter__(self) -> Self:
+        """Return this object."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        """Close on the way out."""
         self.close({"ended": {"error": str(value)}} if value is not None else None)
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -134,7 +136,7 @@ class RecorderProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             pass_fds=ring.inherited,
-            start_new_session=True,  # a Ctrl-C at the terminal is the loop's to answer
+            start_new_session=True,  # a Ctrl-C at the terminal is for the loop
         )
 
     def _await_ready(self) -> None:
@@ -147,7 +149,7 @@ class RecorderProcess:
             raise RecordingError(answer.removeprefix("error ") or f"{self.path}: the recorder process did not start")
 
     def _end_recorder(self, words: bytes) -> str:
-        """Tell the recorder its last words and wait for its own; "" if it was killed."""
+        """Send the recorder the last metadata and wait for its answer; "" if it was killed."""
         recorder = self._recorder
         try:
             output, _ = recorder.communicate(words, timeout=CLOSE_TIMEOUT_S)

@@ -1,11 +1,11 @@
-"""The recorder: a process of its own that takes rows out of the ring and keeps them, whatever becomes of the loop.
+"""The recorder: a separate process that takes rows out of the ring and keeps them even if the loop dies.
 
 `python -m hil.recording.recorder RING WIDTH CAPACITY PATH`, started by `RecorderProcess` with the journal already there. Standard input is
-the lead the loop holds it by: on closing the recording the loop writes its last metadata there; if it ends without a word, the loop has
-died, and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
+its lead, held by the loop: on closing the recording the loop writes its last metadata there; if it ends without them, the loop has died,
+and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
 
-Where processes can be forked, the one that was started only waits: it forks the one that records, and another where that is killed. So a
-recorder is replaced within a millisecond or two, and not by the loop, whose process would have to be copied in the middle of a tick.
+Where processes can be forked, the started process only waits: it forks the one that records, and another if that is killed. So a recorder
+is replaced within a millisecond or two, and not by the loop, whose process would have to be copied in the middle of a tick.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from hil.recording.ring import CONSUMED, LOST, RECORDER, Ring
 from hil.recording.sink import finish
 
 DRAIN_PERIOD_S = 0.05
-"""How often rows go from the ring to the disk: a twentieth of the second that may be lost, and rare enough to leave the processor alone."""
+"""Interval at which rows go from the ring to the disk: a twentieth of the second that may be lost, and long enough to cost little time."""
 
 SYNC_PERIOD_S = 1.0
-"""How often the disk is told to keep what it was given: a power cut costs a second, too."""
+"""Interval at which the disk is flushed, so that a power cut costs a second at most."""
 
 RETRY_PERIOD_S = 1.0
-"""How long a full disk is left alone before the next try; meanwhile rows wait in the ring."""
+"""Pause before the next try on a full disk; meanwhile rows wait in the ring."""
 
 BLOCK_ROWS = 1024
-"""Most rows taken in one piece: 40 channels are then a third of a megabyte."""
+"""Most rows taken at once: 40 channels then make a third of a megabyte."""
 
 
 DYING_S = 1.0
-"""A process that dies lets go of its files a moment before it has ended."""
+"""Time to wait for the end of a dying process, which closes its files a moment before."""
 
 MOST_RESTARTS = 5
-"""A recorder that dies more often is not killed by accident; rows then wait in the ring, and the loop's process writes them at the end."""
+"""Most replacements of a recorder; if more die, rows wait in the ring, and the loop's process writes them at the end."""
 
 
 class Drain:
-    """Moves rows from a ring to a journal. The journal's length is the truth: a recorder that takes over goes on behind it."""
+    """Moves rows from a ring to a journal. A recorder that takes over continues at the journal's end."""
 
     def __init__(self, ring: Ring, journal: Journal) -> None:
         self._ring = ring
         self._journal = journal
 
     def run(self) -> None:
-        """Bring everything that is in the ring into the journal; RecordingError leaves the rest where it is."""
+        """Move everything in the ring into the journal; after a RecordingError the rest stays in the ring."""
         while True:
             rows = self._ring.take(self._journal.rows, BLOCK_ROWS)
             self._journal.append(rows)
@@ -64,7 +64,7 @@ class Drain:
 
 
 def finish_from_ring(ring: Ring, path: Path, tables: dict[str, Any]) -> int:
-    """Bring the ring's last rows into the journal and turn it into the recording; returns the number of rows."""
+    """Move the ring's last rows into the journal and turn it into the recording; return the number of rows."""
     part = part_path(path)
     with Journal.resume(part) as journal:
         Drain(ring, journal).run()
@@ -73,7 +73,7 @@ def finish_from_ring(ring: Ring, path: Path, tables: dict[str, Any]) -> int:
 
 
 class _Lead:
-    """Reads standard input to its end in a thread of its own."""
+    """Reads standard input to its end in a separate thread."""
 
     def __init__(self, loop: _LoopProcess) -> None:
         self.ended = threading.Event()
@@ -87,13 +87,20 @@ class _Lead:
         self.ended.set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether the loop has closed the recording or died. A fork of the loop may hold the lead, so its process is watched as well."""
+        """Return whether the loop has closed the recording or died.
+
+        A fork of the loop may hold the lead, so its process is watched as well.
+        """
         return self.ended.wait(timeout_s) or self._loop.gone()
 
     def last_metadata(self) -> dict[str, Any] | None:
-        """What the loop said on closing; a table of ours where it died; None where it said it to a recorder that was killed since."""
+        """Return the loop's metadata on closing, or a table of this process where the loop died.
+
+        None where the loop gave them to a recorder that was killed afterwards.
+        """
         if self.words.endswith(b"\n"):
-            return json.loads(self.words)
+            said: dict[str, Any] | None = json.loads(self.words)
+            return said
         return {"ended": {"error": "the loop's process ended without closing the recording"}} if self._loop.gone(DYING_S) else None
 
 
@@ -108,7 +115,7 @@ class _LoopProcess:
                 self._handle = os.pidfd_open(self._pid)
 
     def gone(self, timeout_s: float = 0.0) -> bool:
-        """Whether it has ended, or does within that time; where nobody can tell, the lead's end has to (Windows, where nothing forks)."""
+        """Return whether it has ended, or ends within this time; on Windows, where nothing forks, the lead's end decides."""
         if self._handle >= 0:
             return bool(select.select([self._handle], [], [], timeout_s)[0])
         if os.name != "posix":
@@ -137,12 +144,12 @@ def main(arguments: list[str]) -> None:
         if child == 0:
             os._exit(_record_to_the_end(ring, Path(name), loop))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        if status >= 0:  # it was not killed; one that gave up would do so again
+        if status >= 0:  # it was not killed; a recorder that gave up would do so again
             raise SystemExit(status)
 
 
 def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess) -> int:
-    """Exit status: 0 where the recording was written, 1 where it could not be, or is left to the loop."""
+    """Record and return the exit status: 0 for a written recording, 1 where it failed or is left to the loop."""
     ring.counters[RECORDER] = os.getpid()
     try:
         lead = _Lead(loop)
@@ -153,7 +160,7 @@ def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess) -> int:
         if tables is None:
             return 1
         _say(f"done {finish_from_ring(ring, path, tables)}")
-    except Exception as problem:  # nothing but one line must reach the person at the bench
+    except Exception as problem:  # the operator gets one line only
         _say(f"error {problem if isinstance(problem, RecordingError) else f'{path}: the recorder failed: {problem!r}'}")
         return 1
     return 0
@@ -179,7 +186,7 @@ def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
 
 
 def be_modest() -> None:
-    """Leave the end of the run to the loop, and the processor too: we may have inherited its priority and its core."""
+    """Ignore signals that end the run, and give up priority and core that may be inherited from the loop."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

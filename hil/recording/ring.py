@@ -1,7 +1,7 @@
-"""A ring of rows in memory that two processes share: the loop writes, the recorder reads, nobody locks and nobody waits.
+"""A ring of rows in memory that two processes share: the loop writes, the recorder reads, without locks and waits.
 
-The memory has no name: the recorder inherits it, so it goes when the last of both goes, however they end. (On Windows, where it cannot be
-inherited, it has one, and goes likewise.) Counters only grow and each has one writer. A row is written before `produced` says so;
+The memory has no name: the recorder inherits it, so it is freed when both have ended, however they end. (On Windows, where it cannot be
+inherited, it has a name, and is freed likewise.) Counters only grow and each has one writer. A row is written before `produced` counts it;
 `consumed` moves only once the row is in the journal, so that a recorder that dies leaves its successor everything.
 """
 
@@ -20,11 +20,11 @@ _COUNTER_STRIDE = 8  # counters of different writers are a cache line of 64 byte
 _HEADER_BYTES = 512
 
 PRODUCED = 0 * _COUNTER_STRIDE
-"""Rows written by the loop."""
+"""Counter of rows written by the loop."""
 CONSUMED = 1 * _COUNTER_STRIDE
-"""Rows the recorder has brought into the journal."""
+"""Counter of rows that the recorder has moved into the journal."""
 LOST = 2 * _COUNTER_STRIDE
-"""Rows the loop could not write because the ring was full."""
+"""Counter of rows that the loop could not write because the ring was full."""
 RECORDER = 3 * _COUNTER_STRIDE
 """Process id of the recorder."""
 
@@ -35,9 +35,9 @@ class Ring:
     Parameters
     ----------
     width, capacity : int
-        Columns, and rows it holds.
+        Number of columns and of rows.
     key : str, optional
-        As `key` of the ring to attach to, in a process that inherited its memory; None makes a new one.
+        The `key` of the ring to attach to, in a process that inherited its memory; None makes a new one.
     """
 
     def __init__(self, width: int, capacity: int, key: str | None = None) -> None:
@@ -48,21 +48,21 @@ class Ring:
         self.counters = memoryview(self._memory)[:_HEADER_BYTES].cast("q")
         self.rows = np.frombuffer(self._memory, dtype=np.float64, offset=_HEADER_BYTES).reshape(capacity, width)
         if key is None:
-            self.rows[:] = 0.0  # touches every page now, so that the loop meets no page fault later
+            self.rows[:] = 0.0  # touches every page, so that the loop has no page faults later
 
     @property
     def inherited(self) -> tuple[int, ...]:
-        """File descriptors a child process must be given."""
+        """File descriptors that a child process must inherit."""
         return () if self._handle < 0 else (self._handle,)
 
     def take(self, first: int, limit: int) -> np.ndarray:
-        """Copy rows `first`, `first + 1`, ... (at most `limit`, at most what is there, at most to the end of the memory)."""
+        """Copy rows `first`, `first + 1`, ... (at most `limit`, at most those available, at most to the end of the memory)."""
         slot = first % self.capacity
         count = min(self.counters[PRODUCED] - first, limit, self.capacity - slot)
         return self.rows[slot : slot + max(count, 0)].copy()
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self.counters.release()
         del self.rows
         with contextlib.suppress(BufferError):
@@ -73,7 +73,7 @@ class Ring:
 
 
 def _map(size: int, key: str | None) -> tuple[str, mmap.mmap, int]:
-    """Key, mapped memory and file descriptor (-1 where there is none)."""
+    """Return key, mapped memory and file descriptor (-1 where there is none)."""
     if sys.platform == "win32":
         key = key or f"isocenter-ring-{os.getpid()}-{secrets.token_hex(8)}"
         return key, mmap.mmap(-1, size, tagname=key), -1

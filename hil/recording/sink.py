@@ -1,4 +1,4 @@
-"""Where the rows of a run go while it lasts: a journal on the disk, turned into the wanted file at the end."""
+"""The sink of a run's rows: a journal on the disk, turned into the recording at the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLUSH_TIME_S = 0.5
 """Rows are handed to the operating system at least this often in recorded time: a killed process loses less than the promised second."""
 
 FLUSH_ROWS = 512
-"""And at least every so many rows, so that memory stays small at any sample rate."""
+"""Rows are handed over at least after this many, so that memory stays small at any sample rate."""
 
 
 def finish(part: Path, path: Path, tables: Mapping[str, Any]) -> int:
@@ -26,7 +26,7 @@ def finish(part: Path, path: Path, tables: Mapping[str, Any]) -> int:
     Returns
     -------
     int
-        Number of rows. Where that is 0 no file is written: there is no recording without rows.
+        Number of rows; for 0 no file is written, because a recording has rows.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def finish(part: Path, path: Path, tables: Mapping[str, Any]) -> int:
 
 
 class JournalSink:
-    """Records in the process that calls it: for lockstep runs and whatever need not keep to real time.
+    """Records in the calling process, for lockstep runs and other uses without real time.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ class JournalSink:
     channels : sequence of (name, unit)
         Columns of a row; `time` is one of them.
     metadata : mapping
-        What is known beforehand (`hil.recording.recording_metadata`).
+        Metadata known beforehand (`hil.recording.recording_metadata`).
 
     Raises
     ------
     RecordingError
-        The file cannot be written, or an unfinished recording is there.
+        The file cannot be written, or an unfinished recording exists.
     """
 
     def __init__(self, path: str | Path, channels: ChannelTable, metadata: Mapping[str, Any]) -> None:
@@ -75,7 +75,7 @@ class JournalSink:
 
     @property
     def rows(self) -> int:
-        """Rows put so far."""
+        """Number of rows put."""
         return self._journal.rows + self._used
 
     def put(self, row: np.ndarray) -> None:
@@ -89,7 +89,7 @@ class JournalSink:
             self._flush()
 
     def close(self, metadata: Mapping[str, Any] | None = None) -> int:
-        """Write the recording, with further metadata tables, and remove the journal; returns the number of rows (0: no file)."""
+        """Write the recording, with further metadata tables, and remove the journal; return the number of rows (0: no file)."""
         if self._closed:
             return self._journal.rows
         self._closed = True
@@ -100,9 +100,11 @@ class JournalSink:
         return finish(self._journal.path, self.path, metadata or {})
 
     def __enter__(self) -> Self:
+        """Return this object."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        """Close on the way out."""
         self.close({"ended": {"error": str(value)}} if value is not None else None)
 
     def _flush(self) -> None:

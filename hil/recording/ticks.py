@@ -1,4 +1,4 @@
-"""A run's ticks that are not in its recording: the loop skipped them, or their rows found no room. Time tells which."""
+"""Ticks of a run that are missing in its recording, because the loop skipped them or their rows were lost; time shows which."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from hil.recording.model import Channel, Recording
 
 PLANNED = ("reference_", "excitation_", "feedforward_", "damping_")
-"""What drives a simulation. Damping was not planned, but is an input of it as well."""
+"""Channels that drive a simulation. Damping was not planned, but is an input of the simulation as well."""
 
 
 def gap_words(recording: Recording) -> str:
-    """What is missing, in one line; '' where nothing is."""
+    """Return one line on the missing ticks; '' where none is missing."""
     steps = np.diff(recording.ticks)
     gaps = np.flatnonzero(steps > 1)
     if not gaps.size:
@@ -23,10 +23,10 @@ def gap_words(recording: Recording) -> str:
 
 
 def on_every_tick(recording: Recording) -> Recording:
-    """A row for every tick: the plan's channels filled, everything measured missing.
+    """Return a recording with a row for every tick: planned channels are filled in, measured ones are missing.
 
-    The excitation is that of the same tick in another period, where there is one; reference, feedforward and damping are smooth, and
-    interpolated.
+    The excitation is that of the same tick in another period, where there is one; reference, feedforward and damping are smooth and
+    are interpolated.
     """
     ticks = recording.ticks
     rows = int(ticks[-1]) + 1
@@ -46,7 +46,7 @@ def on_every_tick(recording: Recording) -> Recording:
 
 
 def planned(recording: Recording, name: str, ticks: np.ndarray, values: np.ndarray, rows: int) -> np.ndarray:
-    """(rows,) a planned channel on every tick, from its (N,) values at some; what was no number stays none."""
+    """Return a planned channel (rows,) on every tick from its values (N,) at some; NaN stays NaN."""
     every, whole = np.arange(rows), np.full(rows, np.nan)
     whole[ticks] = values
     missing = np.isnan(whole)
@@ -60,7 +60,7 @@ def planned(recording: Recording, name: str, ticks: np.ndarray, values: np.ndarr
 
 
 def _elsewhere(values: np.ndarray, missing: np.ndarray, period: int) -> np.ndarray:
-    """(period,) the first value there is at each tick of the period; NaN where it is missing in all."""
+    """Return the first available value (period,) at each tick of the period; NaN where it is missing in all periods."""
     found = np.full(period, np.nan)
     for start in range(0, len(values), period):
         part = values[start : start + period]

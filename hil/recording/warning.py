@@ -1,5 +1,5 @@
-"""What a reader of recordings has to say without refusing."""
+"""The warning of readers of recordings."""
 
 
 class RecordingWarning(UserWarning):
-    """A recording that can be used, but not quite as it stands: it was cut short, or its time stamps were not believed."""
+    """A recording that can be used with a restriction: it was cut short, or its time stamps were replaced."""

@@ -1,1 +1,1 @@
-"""Shapers for a machine: what to design for, which design to take, what it promises, and the shaped plan."""
+"""Shapers for a machine: design goals, designs, their predicted performance, and shaped plans."""

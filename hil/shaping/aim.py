@@ -1,4 +1,4 @@
-"""What a reference will be like: which frequencies must come through unchanged, and how long it lasts."""
+"""Properties of the reference to shape: the frequencies that must pass unchanged, and its duration."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from controllers.errors import DesignError
 
 @dataclass(frozen=True)
 class Aim:
-    """Made by `sweep` or `periodic`.
+    """The design goal of a shaper; made by `sweep` or `periodic`.
 
     Attributes
     ----------
     kind : "sweep" or "periodic"
     forcing_rad_s : tuple of float
-        Tracked without error, 0 (the mean) always among them.
+        Frequencies tracked without error, 0 (the mean) always among them.
     without_slope_rad_s : tuple of float
-        Those of them where dH/ds is zero too; 0 for a ramp without lag.
+        Those of them where dH/ds is zero, too; 0 for a ramp without lag.
     longest_transient_s : float
-        What the scan has time for.
+        Longest transient for which the scan has time.
     """
 
     kind: str
@@ -32,19 +32,19 @@ class Aim:
 
 
 def sweep(longest_transient_s: float = 0.6) -> Aim:
-    """A move or a sweep: a mean and a ramp come through, H(0) = 1 and dH/ds(0) = 0."""
+    """Return the goal for a move or a sweep: a mean and a ramp pass, H(0) = 1 and dH/ds(0) = 0."""
     if not longest_transient_s > 0.0:
         raise DesignError(f"a transient of {longest_transient_s:g} s: must be positive")
     return Aim("sweep", (0.0,), (0.0,), longest_transient_s)
 
 
 def periodic(period_s: float, harmonics: Sequence[int] = (1, 3, 5), longest_transient_s: float | None = None) -> Aim:
-    """A periodic scan about a mean: these harmonics of 1/period come through; the transient may take one period unless given.
+    """Return the goal for a periodic scan about a mean: these harmonics of 1/period pass; the transient may take one period unless given.
 
     Raises
     ------
     DesignError
-        Harmonics that are no different whole numbers from 1 on.
+        The harmonics are not different whole numbers from 1 on.
     """
     if not (np.isfinite(period_s) and period_s > 0.0):
         raise DesignError(f"a period of {period_s:g} s: must be positive")

@@ -1,4 +1,4 @@
-"""A shaper's subject from what was identified: a model with the loop closed around it, or a frequency response, closed and fitted."""
+"""Subjects of a shaper from identified data: a model with the loop closed around it, or a frequency response, closed and fitted."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     import control
 
 WORST_FIT = 0.1
-"""Relative rms error of the fit beyond which its poles are not believed."""
+"""Largest relative rms error of the fit with which its poles are used."""
 
 
 def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output: str = "link") -> tuple[Subject, float]:
-    """Subject at the FRF's pose, and the relative rms error of the fit.
+    """Return the subject at the FRF's pose, and the relative rms error of the fit.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output
     Raises
     ------
     DesignError
-        A command or position is not in the response, another sample rate, or no rational function fits.
+        A command or position is not in the response, the sample rate differs, or no rational function fits.
     """
     if abs(frf.sample_rate_Hz / machine.sample_rate_Hz - 1.0) > 1e-6:
         raise DesignError(f"the frequency response is of {frf.sample_rate_Hz:g} Hz; {machine.name} runs at {machine.sample_rate_Hz:g} Hz")
@@ -56,7 +56,7 @@ def subject_from_frf(machine: Machine, frf: FrequencyResponse, axis: str, output
 
 
 def subject_from_model(machine: Machine, plant: control.StateSpace, axis: str, output: str = "link") -> Subject:
-    """Subject from an identified plant model at one pose (`ModalFrfModel.state_space`), the loop closed around it.
+    """Return the subject from an identified plant model at one pose (`ModalFrfModel.state_space`), the loop closed around it.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def subject_from_model(machine: Machine, plant: control.StateSpace, axis: str, o
 
 
 def _measured(axis: str, output: str) -> str:
-    """Channel that shall track."""
+    """Return the channel that shall track."""
     tracked = {"link": f"link_position_{axis}", "motor": f"position_{axis}"}.get(output)
     if tracked is None:
         raise DesignError(f"output {output!r}: what is identified has link or motor")
@@ -76,13 +76,13 @@ def _measured(axis: str, output: str) -> str:
 
 
 def _subject(systems: Sequence[Dynamics]) -> Subject:
-    """The first path tracks; the accelerations after it say what rings."""
+    """Return the subject whose first path tracks; the accelerations after it show which modes ring."""
     path = unit_gain(systems[0])
     return subject(path, [_displacement(system) for system in systems[1:]] or [path])
 
 
 def _closed(machine: Machine, frf: FrequencyResponse, axis: str) -> np.ndarray:
-    """(L, n_y) from the reference of an axis to every output: G (I + C_y G_p)^-1 C_r e."""
+    """Return the response (L, n_y) from the reference of an axis to every output: G (I + C_y G_p)^-1 C_r e."""
     rate, lines = machine.sample_rate_Hz, frf.frequencies_Hz
     inputs = [frf.input_names.index(f"command_{name}") for name in machine.axes]
     positions = [frf.output_names.index(f"position_{name}") for name in machine.axes]
@@ -97,7 +97,7 @@ def _closed(machine: Machine, frf: FrequencyResponse, axis: str) -> np.ndarray:
 
 
 def _displacement(acceleration: Dynamics) -> Dynamics:
-    """The same modes weighted as displacements: each residue over its pole squared, so that ringing compares with paths of positions."""
+    """Return the same modes weighted as displacements: each residue over its pole squared, comparable to paths of positions."""
     values, right = np.linalg.eig(acceleration.a)
     s = np.log(np.where(values == 0.0, 1.0, values).astype(complex)) / (acceleration.sample_period_s or 1.0)
     share = np.where(np.abs(values) > FORGOTTEN, 1.0 / np.where(values == 0.0, 1.0, s) ** 2, 0.0)

@@ -1,4 +1,4 @@
-"""Shaped plans: the raw reference goes through the shaper as it would in the loop, and the result is held against every limit."""
+"""Shaped plans: the raw reference goes through the shaper as in the loop, and the result is checked against every limit."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hil.shaping.shaper_file import ShaperFile
 from virtual_bus.physics import Physics
 
 GENTLER = 0.85
-"""Step by which acceleration and jerk of the raw reference are lowered until the shaped one keeps the limits."""
+"""Factor by which acceleration and jerk of the raw reference are lowered until the shaped one keeps the limits."""
 
 GENTLEST = 0.1
-"""Below this share of the limits the search ends: the shaper asks for ten times what the raw reference does."""
+"""Share of the limits at which the search ends: the shaper then demands ten times as much as the raw reference."""
 
 
 class BeyondLimitsError(ExperimentError):
@@ -27,12 +27,12 @@ class BeyondLimitsError(ExperimentError):
 
 
 def shape_plan(plan: Plan, shaper: ShaperFile, machine: Machine) -> Plan:
-    """The plan with its raw reference shaped, from a standstill at its start pose, and as many rows longer as the transient takes.
+    """Return the plan with its raw reference shaped, from a standstill at its start pose, and longer by the transient.
 
     Raises
     ------
     ExperimentError
-        Another sample rate, an axis the machine has not, H(0) other than 1, a transient that is too long for the scan.
+        The sample rate differs, the machine lacks an axis, H(0) is not 1, or the transient is too long for the scan.
     BeyondLimitsError
         The shaped reference would exceed a limit of range, speed, acceleration or jerk.
     """
@@ -72,7 +72,7 @@ def shape_plan(plan: Plan, shaper: ShaperFile, machine: Machine) -> Plan:
 
 
 def shaped(running: ReferenceShaper, raw: np.ndarray, start_pose: np.ndarray) -> tuple[np.ndarray, int]:
-    """A raw reference (N, n_axes) through a shaper, sample by sample as in the loop; the first row held at a limit, or -1."""
+    """Shape a raw reference (N, n_axes) sample by sample as in the loop; also return the first row held at a limit, or -1."""
     running.start(start_pose)
     reference, held = np.empty_like(raw), -1
     for k in range(len(raw)):
@@ -89,12 +89,12 @@ class Shaped:
     shaper: ShaperFile
 
     def plans(self, machine: Machine) -> list[Plan]:
-        """Shaped plans; acceleration and jerk of the raw reference are lowered as far as the limits of the shaped one ask for.
+        """Make shaped plans; acceleration and jerk of the raw reference are lowered until the shaped one keeps the limits.
 
         Raises
         ------
         ExperimentError
-            As `shape_plan`; the limits cannot be kept.
+            As `shape_plan`, or the limits cannot be kept.
         """
         share = 1.0
         while True:
@@ -119,7 +119,7 @@ def _noted(plan: Plan, share: float) -> Plan:
 
 
 def _periods(plan: Plan, rows: int) -> dict[str, int]:
-    """A scan that repeats settles in its first period; one that does not is one period with its transient."""
+    """Return the periods of a shaped plan: a repeated scan settles in its first period; another is one period with its transient."""
     periods = int(plan.metadata["periods"])
     if periods == 1:
         return {"period_samples": rows}

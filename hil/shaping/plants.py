@@ -1,4 +1,4 @@
-"""From reference to what moves: a machine's closed loop at one pose, as one path a shaper is designed for."""
+"""A machine's closed loop at one pose, from reference to motion, as the path for which a shaper is designed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 OUTPUTS = ("link", "detector", "motor")
 
 STEP = 1e-5
-"""Joint displacement [rad or m] for the detector's Jacobian by central differences: its error is of the order of 1e-10."""
+"""Joint displacement [rad or m] for the detector's Jacobian by central differences, whose error is about 1e-10."""
 
 
 def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "link", physics: Physics | None = None) -> Dynamics:
-    """From the reference of an axis to a position, linear about rest at a pose, sampled with the loop's timing (docs/notation.md).
+    """Return the path from an axis's reference to a position, linear about rest at a pose, with the loop's sampling.
 
-    Scaled to DC gain 1: what gravity bends the machine by at another pose is the calibration's, not the shaper's.
+    Timing: docs/explanation/notation.md. The path is scaled to DC gain 1: calibration, not the shaper, corrects the deflection by gravity
+    at another pose.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "li
     Raises
     ------
     DesignError
-        No controller, no detector, or a detector that this axis does not move.
+        The machine has no controller or no detector, or this axis does not move the detector.
     """
     if not machine.controllers:
         raise DesignError(f"{machine.name} has no controller, so no closed loop whose reference could be shaped")
@@ -66,19 +67,19 @@ def closed_loop(machine: Machine, pose: np.ndarray, axis: str, output: str = "li
 
 
 def unit_gain(path: Dynamics) -> Dynamics:
-    """The same path with a DC gain of 1."""
+    """Return the same path with a DC gain of 1."""
     return path.scaled(1.0 / complex(path.response(0.0)).real)
 
 
 def detector_paths(machine: Machine, pose: np.ndarray, axis: str, physics: Physics) -> tuple[Dynamics, ...]:
-    """From the reference of an axis to the x, y and z displacement of the detector's centre [m]; of the link where there is no detector."""
+    """Return paths from an axis's reference to the x, y, z displacement of the detector's centre [m]; without a detector, of the link."""
     if machine.geometry is None or machine.geometry.detector_body not in machine.plant.watched_bodies:
         return (closed_loop(machine, pose, axis, "motor", physics),)
     return tuple(_of_joints(machine, physics, pose, machine.axis_index(axis), _detector_jacobian(machine, physics, pose)))
 
 
 def loops_around(machine: Machine, plant: control.StateSpace, axis: str, outputs: Sequence[str]) -> list[Dynamics]:
-    """Closed loops from one axis's reference to named outputs of a continuous plant model, an identified one for instance.
+    """Return closed loops from one axis's reference to named outputs of a continuous plant model, for instance an identified one.
 
     Parameters
     ----------
@@ -102,18 +103,18 @@ def loops_around(machine: Machine, plant: control.StateSpace, axis: str, outputs
 
 
 def _of_joints(machine: Machine, physics: Physics, pose: np.ndarray, axis: int, joints: np.ndarray) -> list[Dynamics]:
-    """Closed loops from one axis's reference to combinations of joint positions, rows (k, joints)."""
+    """Return closed loops from one axis's reference to combinations of joint positions, rows (k, joints)."""
     n, axes = physics.plant.joints, len(machine.axes)
     plant = physics.linearise(pose)
     measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
     held = np.zeros((axes, axes))
-    # the IMU's low passes hang behind the motion
+    # the IMU's low passes do not act on the motion
     rows = np.hstack([joints, np.zeros((len(joints), n + axes))])
     return _loops(machine, plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n], np.hstack([measured, held]), axis, rows)
 
 
 def _loops(machine: Machine, a: np.ndarray, b: np.ndarray, measured: np.ndarray, axis: int, rows: np.ndarray) -> list[Dynamics]:
-    """Plant states, the command that the drives hold for a sample, then the states of C_y and of C_r where that is another filter.
+    """Close the loops over plant states, the drives' held command, then the states of C_y and of a separate C_r.
 
     `measured` (axes, n + axes) and `rows` (k, n + axes) are positions and outputs over plant states and held commands.
     """
@@ -146,7 +147,7 @@ def _loops(machine: Machine, a: np.ndarray, b: np.ndarray, measured: np.ndarray,
 
 
 def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> np.ndarray:
-    """(3, joints) displacement of the detector's centre per joint, by central differences."""
+    """Return the displacement (3, joints) of the detector's centre per joint, by central differences."""
     geometry = machine.geometry
     if geometry is None or geometry.detector_body not in machine.plant.watched_bodies:
         raise DesignError(f"{machine.name} has no [geometry] with a detector; take output link or motor")
@@ -156,7 +157,8 @@ def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> 
 
     def centre(q: np.ndarray) -> np.ndarray:
         found = physics.plant.body_poses(physics.model, q)[body]
-        return found[:3] + found[3:].reshape(3, 3) @ geometry.detector_center_m
+        place: np.ndarray = found[:3] + found[3:].reshape(3, 3) @ geometry.detector_center_m
+        return place
 
     shifts = STEP * np.eye(len(rest))
     return np.array([(centre(rest + shift) - centre(rest - shift)) / (2.0 * STEP) for shift in shifts]).T

@@ -1,4 +1,4 @@
-"""Subjects of a machine at one pose, and the poses a schedule is designed at."""
+"""Subjects of a machine at one pose, and the poses for which a schedule is designed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ SCHEDULE_POINTS = 7
 
 
 def subject_at(machine: Machine, pose: np.ndarray, axis: str, output: str = "link", physics: Physics | None = None) -> Subject:
-    """Closed loop of a machine at a pose (n_axes,) as a shaper is designed for it."""
+    """Return the closed loop of a machine at a pose (n_axes,), as the subject of a shaper."""
     physics = physics or Physics(machine.plant, noise=False)
     return subject(closed_loop(machine, pose, axis, output, physics), detector_paths(machine, pose, axis, physics))
 
 
 def scheduled_poses(machine: Machine, pose: np.ndarray, axis: str) -> np.ndarray:
-    """(n, n_axes) poses over the whole range of an axis, the others as in `pose`.
+    """Return poses (n, n_axes) over the whole range of an axis, the others as in `pose`.
 
     Raises
     ------

@@ -11,23 +11,23 @@ from controllers.errors import DesignError
 from controllers.shapers.dynamics import Dynamics
 
 ROUNDS = 10
-"""Relocations of the poles at most; from well spread starts they have settled by then."""
+"""Most relocations of the poles; from well-spread starts they have then settled."""
 
 SETTLED = 1e-6
-"""Largest move of a pole in the z plane after which another round changes nothing."""
+"""Largest move of a pole in the z plane that counts as settled."""
 
 ORDERS = range(10, 31, 4)
 
 WORSE = 2
-"""Orders in a row that raise the criterion before the search ends."""
+"""Consecutive orders that raise the criterion before the search ends."""
 
 FLOOR = 0.01
-"""Responses count relative to their own size, but not below this share of their largest: a fit should not chase antiresonances' noise."""
+"""Responses are weighted relative to their size, at least this share of the largest: a fit should not follow noise in antiresonances."""
 
 
 @dataclass(frozen=True)
 class RationalFit:
-    """Systems with common poles, and how far they are from the data.
+    """Systems with common poles, and their error.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class RationalFit:
 
 
 def fit(responses: np.ndarray, frequencies_Hz: np.ndarray, sample_rate_Hz: float) -> RationalFit:
-    """Fit with the order of least Bayesian information criterion.
+    """Fit with the order that has the least Bayesian information criterion.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ def _fit_order(
 
 
 def _halves(poles: np.ndarray) -> np.ndarray:
-    """Upper halves of pairs, then the real ones."""
+    """Return the upper halves of pole pairs, then the real poles."""
     real = np.abs(poles.imag) < 1e-12
     return np.concatenate([poles[~real & (poles.imag > 0.0)], poles[real].real])
 
 
 def _blocks(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Real state matrix (n, n) and input (n,) with these poles."""
+    """Return the real state matrix (n, n) and input (n,) with these poles."""
     blocks, entering = [], []
     for pole in halves:
         if abs(pole.imag) > 0.0:
@@ -130,7 +130,7 @@ def _blocks(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _basis(halves: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(L, n) responses of the states of `_blocks` to the input, written out: no linear system per line."""
+    """Return responses (L, n) of the states of `_blocks` to the input in closed form, without a linear system per line."""
     columns: list[np.ndarray] = []
     for pole in halves:
         if abs(pole.imag) > 0.0:

@@ -1,4 +1,4 @@
-"""Exact responses of a shaped path to sinusoids that begin at t = 0 from rest: what a shaper does, without an integrator's error."""
+"""Exact responses of a shaped path to sinusoids that begin at t = 0 from rest, without an integrator's error."""
 
 from __future__ import annotations
 
@@ -14,44 +14,45 @@ from controllers.shapers.dynamics import Dynamics
 
 @dataclass(frozen=True)
 class Sinusoids:
-    """sum amplitude sin(frequency t + phase) from t = 0 on, and 0 before."""
+    """The sum of amplitude sin(frequency t + phase) from t = 0 on, and 0 before."""
 
     amplitudes: np.ndarray
     frequencies_rad_s: np.ndarray
     phases_rad: np.ndarray
 
     def at(self, times_s: np.ndarray) -> np.ndarray:
-        """Values (N,) at these times."""
+        """Return the values (N,) at these times."""
         angles = np.outer(times_s, self.frequencies_rad_s) + self.phases_rad
         return np.where(times_s >= 0.0, np.sin(angles) @ self.amplitudes, 0.0)
 
 
 def sinusoids(amplitudes: Sequence[float], frequencies_rad_s: Sequence[float], phases_rad: Sequence[float] | None = None) -> Sinusoids:
-    """A reference as (7.21)."""
+    """Make a reference as in (7.21)."""
     phases = np.zeros(len(amplitudes)) if phases_rad is None else np.asarray(phases_rad, dtype=float)
     return Sinusoids(np.asarray(amplitudes, dtype=float), np.asarray(frequencies_rad_s, dtype=float), phases)
 
 
 def shaped_response(dynamics: Dynamics, shaper: DelayFilter, reference: Sinusoids, times_s: np.ndarray) -> np.ndarray:
-    """Output (N,) of a continuous plant behind a shaper, from rest.
+    """Return the output (N,) of a continuous plant behind a shaper, from rest.
 
-    Every tap brings the plant's own response to the reference, later and scaled: x(t) = (iw I - A)^-1 (exp(iwt) I - exp(At)) B for each
+    Every tap adds the plant's own response to the reference, delayed and scaled: x(t) = (iw I - A)^-1 (exp(iwt) I - exp(At)) B for each
     sinusoid, in the coordinates of the plant's modes.
 
     Raises
     ------
     DesignError
-        A sampled plant, or one with repeated poles.
+        The plant is sampled, or has repeated poles.
     """
     plain = _response(dynamics, reference, times_s, shaper.delays_s, shaper.gains if shaper.tail is None else _without_last(shaper.gains))
     if shaper.tail is None:
         return plain
     last = _response(dynamics.after(shaper.tail), reference, times_s, shaper.delays_s[-1:], shaper.gains[-1:])
-    return plain + last
+    whole: np.ndarray = plain + last
+    return whole
 
 
 def shaped_reference(shaper: DelayFilter, reference: Sinusoids, times_s: np.ndarray) -> np.ndarray:
-    """Input (N,) of the plant."""
+    """Return the input (N,) of the plant."""
     straight = Dynamics(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0)
     return shaped_response(straight, shaper, reference, times_s)
 

@@ -1,4 +1,4 @@
-"""Every shaper that could serve, designed at the sample rate for one axis at one or several poses, judged, the recommended one first."""
+"""Design of all candidate shapers at the sample rate for one axis at one or several poses, judged, the recommended one first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.shaping.aim import Aim
 from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
 
 FAST = 0.125
-"""Modes above this share of the sample rate are fast: a tap every sample or two would be needed for them. They are left out and listed."""
+"""Modes above this share of the sample rate are fast: they would need a tap at every sample or two. They are left out and listed."""
 
 SEEN = 1e-3
 """A mode belongs to the axis if it contributes at least this share of the ringing acceleration at one of the poses."""
@@ -30,7 +30,7 @@ NOTCH_DAMPING = 0.7
 HARMONIC = ("hTDF", "hTDF robust", "hTDF quiet")
 
 QUIET_BAND_Hz = (4.0, 20.0)
-"""Where the C-arm's structure rings: 8 Hz and 14 Hz, and what moves between them."""
+"""Band in which the C-arm's structure rings: 8 Hz and 14 Hz, and the modes that move between them."""
 
 
 @dataclass(frozen=True)
@@ -43,23 +43,24 @@ class Design:
 
     @property
     def name(self) -> str:
+        """Name of the shaper."""
         return self.verdict.name
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Designs, the recommended one first, and those there are none of: name and why."""
+    """Designs, the recommended one first, and the designs that failed: name and reason."""
 
     designs: tuple[Design, ...]
     refused: dict[str, str]
 
     def named(self, name: str) -> Design:
-        """One of them.
+        """Return the design of this name.
 
         Raises
         ------
         DesignError
-            There is none of that name; says which there are, or why not.
+            There is no such design; the message names the existing ones, or the reason.
         """
         for design in self.designs:
             if design.name == name:
@@ -69,7 +70,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class MapRow:
-    """One delay of a map as Fig. 7.12: gains, their sum, the transient and the worst vibration at 10 percent."""
+    """One delay of a map as in Fig. 7.12: gains, their sum, the transient and the worst vibration at 10 percent."""
 
     delay_s: float
     filters: tuple[DelayFilter, ...]
@@ -80,7 +81,7 @@ class MapRow:
 
 
 def subject(tracked: Dynamics, rung: Sequence[Dynamics]) -> Subject:
-    """The path that shall track, and its lightly damped modes weighted by what they do to `rung` (paths with the same poles)."""
+    """Return the path that shall track, and its lightly damped modes weighted by their effect on `rung` (paths with the same poles)."""
     tracked.check_stable()
     weights: dict[complex, float] = {}
     for path in rung:
@@ -93,12 +94,12 @@ def subject(tracked: Dynamics, rung: Sequence[Dynamics]) -> Subject:
 
 
 def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[tuple[complex, ...]]:
-    """Lightly damped poles of every subject that are not fast and that the axis rings, the same ones (by order of frequency) everywhere.
+    """Return the lightly damped poles of every subject that are not fast and that the axis excites, the same ones by order of frequency.
 
     Raises
     ------
     DesignError
-        Another number of slow modes at one pose than at the others.
+        The number of slow modes differs between poses.
     """
     slow = [[mode for mode in each.ringing if mode.frequency_rad_s < 2.0 * np.pi * FAST * sample_rate_Hz] for each in subjects]
     if len({len(modes) for modes in slow}) > 1:
@@ -118,7 +119,7 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
 def delay_map(
     conditions: Sequence[Sequence[Condition]], subjects: Sequence[Subject], sample_period_s: float, longest_s: float
 ) -> list[MapRow]:
-    """Harmonic filters for every delay T of whole samples whose transient fits, as Fig. 7.12; delays without a solution are left out."""
+    """Return harmonic filters for every delay T of whole samples whose transient fits, as in Fig. 7.12; unsolvable delays are left out."""
     taps = tap_count(conditions[0])
     rows = []
     for samples in range(1, int(longest_s / sample_period_s / max(taps - 1, 1)) + 1):
@@ -136,8 +137,9 @@ def delay_map(
 
 
 def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
-    """Of the delays with gains within the limit the one with the least transient (as a share of the time there is) plus vibration at 10
-    percent; where gains are too large everywhere, the one with the smallest.
+    """Choose a delay: the least transient (as a share of the available time) plus vibration at 10 percent, with gains within the limit.
+
+    Where gains are too large everywhere, the delay with the smallest gains is chosen.
 
     Raises
     ------
@@ -155,12 +157,12 @@ def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
 def design_all(
     subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz
 ) -> Candidates:
-    """Point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with something against them last.
+    """Design point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with objections last.
 
     Raises
     ------
     DesignError
-        An unstable plant, no ringing mode, a forcing frequency on a pole, or no harmonic filter that fits the time there is.
+        The plant is unstable, no mode rings, a forcing frequency lies on a pole, or no harmonic filter fits the available time.
     """
     period_s = 1.0 / sample_rate_Hz
     check_band(quiet_band_Hz, period_s)
@@ -198,7 +200,7 @@ def design_all(
 
 
 def shaper_of(design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = "") -> AxisShaper:
-    """A design as the loop runs it."""
+    """Return a design in the form in which the loop runs it."""
     return axis_shaper(axis, design.filters, sample_rate_Hz, positions, schedule_axis, design.verdict.static_gain)
 
 
@@ -214,7 +216,10 @@ def _common(
     period_s: float,
     every_mode: bool = False,
 ) -> tuple[DelayFilter, ...]:
-    """A point-to-point shaper of the mode that rings most (or of all), on samples, for the middle pose: its delays cannot be scheduled."""
+    """Design a point-to-point shaper on samples for the mode that rings most (or for all) at the middle pose.
+
+    It serves all poses, because its delays cannot be scheduled.
+    """
     middle = len(subjects) // 2
     weight = {mode.pole: mode.step_share * mode.frequency_rad_s**2 for mode in subjects[middle].ringing}
     poles = list(cancelled[middle])
@@ -227,7 +232,7 @@ def _common(
 
 
 def _notch(poles: Sequence[complex], period_s: float) -> DelayFilter:
-    """Zeros at the poles, as many well damped poles at their frequencies, DC gain 1."""
+    """Return a filter with zeros at the poles, as many well-damped poles at their frequencies, and DC gain 1."""
     wide = [complex(-NOTCH_DAMPING * abs(p), np.sqrt(1.0 - NOTCH_DAMPING**2) * abs(p)) for p in poles]
     in_z = [np.exp(np.array([*roots, *np.conj(roots)]) * period_s) for roots in (list(poles), wide)]
     system = Dynamics.from_polynomials(np.real(np.poly(in_z[0])), np.real(np.poly(in_z[1])), period_s)
@@ -239,5 +244,6 @@ def _named(shaper: DelayFilter, name: str) -> DelayFilter:
 
 
 def _whole(seconds: float, sample_rate_Hz: float) -> float:
-    """One sample less than there is time for: the shaped scan must be at rest before it is over."""
-    return (np.ceil(seconds * sample_rate_Hz - 1e-9) - 1.0) / sample_rate_Hz
+    """Return the available time less one sample, because the shaped scan must be at rest before it is over."""
+    whole: float = (np.ceil(seconds * sample_rate_Hz - 1e-9) - 1.0) / sample_rate_Hz
+    return whole

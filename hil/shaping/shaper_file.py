@@ -1,4 +1,4 @@
-"""SHAPER files: NumPy .npz archives, laid out in docs/formats.md."""
+"""SHAPER files: NumPy .npz archives, with the layout of docs/generated/file-formats.md."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _ARRAYS = ("delays", "gains", "positions", "tail", "static_gain", "name", "sched
 
 @dataclass(frozen=True)
 class ShaperFile:
-    """Shapers of one machine.
+    """The shapers of one machine.
 
     Attributes
     ----------
     shapers : one per shaped axis.
-    sample_rate_Hz : what the delays are counted in.
-    notes : what they were designed for and the verdicts, plain values that JSON can hold.
+    sample_rate_Hz : the rate of the samples in which delays are counted.
+    notes : design goals and verdicts, plain values that JSON can hold.
     """
 
     shapers: tuple[AxisShaper, ...]
@@ -35,7 +35,7 @@ class ShaperFile:
 
     @property
     def transient_samples(self) -> int:
-        """The longest of all axes."""
+        """Longest transient of all axes."""
         return max(shaper.transient_samples for shaper in self.shapers)
 
 
@@ -58,7 +58,7 @@ def read_shaper(path: str | Path) -> ShaperFile:
     Raises
     ------
     UnusableInputError
-        The file is missing, no .npz archive, lacks an array, or what it holds is no shaper.
+        The file is missing or no .npz archive, lacks an array, or holds no valid shaper.
     """
     arrays = read_arrays(path, "a SHAPER file")
     axes = [str(axis) for axis in np.atleast_1d(arrays.get("axes", np.array([], dtype=np.str_)))]

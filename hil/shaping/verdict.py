@@ -1,4 +1,4 @@
-"""What a shaper promises, on one line: residual vibration, transient, gains, sensitivity to 10 percent, what was left out."""
+"""Predicted performance of a shaper in one line: residual vibration, transient, gains, sensitivity to 10 percent, omitted poles."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from controllers.shapers.harmonic import UNIT_GAIN
 from hil.shaping.aim import Aim
 
 VARIATION = np.linspace(-0.1, 0.1, 21)
-"""Relative changes of poles and forcing frequencies over which the worst case is looked for: the thesis's 10 percent."""
+"""Relative changes of poles and forcing frequencies for the worst case: the thesis's 10 percent."""
 
 GAIN_LIMIT = 3.0
-"""Sum of |A_k| beyond which a shaper is not recommended: the raw reference would have to keep within a third of the limits."""
+"""Largest sum of |A_k| of a recommended shaper; with more, the raw reference would have to stay within a third of the limits."""
 
 LAG_s = 1e-3
-"""Ramp lag that still counts as none: a quarter of a sample at 256 Hz."""
+"""Ramp lag that counts as zero: a quarter of a sample at 256 Hz."""
 
 LISTED = 1e-4
-"""Poles left out are listed from this share of a step on."""
+"""Smallest share of a step from which omitted poles are listed."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A pole that is not cancelled, and what is left of a unit step in it when the transient is over."""
+    """A pole that is not cancelled, and its residual of a unit step when the transient is over."""
 
     frequency_Hz: float
     damping: float
@@ -36,8 +36,10 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Numbers of one design, the worst over the poses it was judged at. Vibration and tracking error are shares: 1 is as much as without a
-    shaper, or as the reference itself."""
+    """Numbers of one design, the worst over the poses at which it was judged.
+
+    Vibration and tracking error are shares: 1 is as much as without a shaper, or as the reference itself.
+    """
 
     name: str
     vibration: float
@@ -54,12 +56,12 @@ class Verdict:
 
     @property
     def cost(self) -> float:
-        """What the recommendation goes by: worst-case vibration plus the tracking error, both as shares."""
+        """Return the criterion of the recommendation: worst-case vibration plus the tracking error, both as shares."""
         return self.vibration_at_10 + self.tracking
 
     @property
     def line(self) -> str:
-        """For a person."""
+        """Return the verdict as a line of text."""
         parts = [
             f"vibration {_percent(self.vibration)} ({_percent(self.vibration_at_10)} at ±10 %)",
             f"transient {self.transient_s:.3f} s",
@@ -73,14 +75,14 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Subject:
-    """One pose a shaper is judged at: the path that shall track, and the modes that shall not ring with their weights."""
+    """One pose for judging a shaper: the path that shall track, and the modes that shall not ring, with their weights."""
 
     dynamics: Dynamics
     ringing: tuple[Mode, ...]
 
 
 def judge(shapers: Sequence[DelayFilter], subjects: Sequence[Subject], aim: Aim, cancelled: Sequence[Sequence[complex]]) -> Verdict:
-    """Verdict of a shaper, one filter per subject (or the same filter for all)."""
+    """Return the verdict of a shaper, one filter per subject (or the same filter for all)."""
     pairs = list(zip(shapers, subjects, strict=True))
     vibration = max(vibration_left(shaper, subject.ringing) for shaper, subject in pairs)
     at_10 = max(vibration_left(shaper, subject.ringing, share) for shaper, subject in pairs for share in VARIATION)
@@ -115,7 +117,7 @@ def judge(shapers: Sequence[DelayFilter], subjects: Sequence[Subject], aim: Aim,
 
 
 def vibration_left(shaper: DelayFilter, modes: Sequence[Mode], share: float = 0.0) -> float:
-    """Amplitude of all modes when the transient is over, over their amplitude without a shaper, poles moved by a share of their frequency.
+    """Return the amplitude of all modes after the transient over that without a shaper, poles moved by a share of their frequency.
 
     |sum A_k exp(p (L T - d_k))| for each mode, weighted with the acceleration its mode contributes to the response to a step.
     """
@@ -128,13 +130,13 @@ def vibration_left(shaper: DelayFilter, modes: Sequence[Mode], share: float = 0.
 
 
 def tracking_error(shaper: DelayFilter, dynamics: Dynamics, aim: Aim, share: float = 0.0) -> float:
-    """Largest |H - 1| over the forcing frequencies, moved by a share."""
+    """Return the largest |H - 1| over the forcing frequencies, moved by a share."""
     s = 1j * np.array(aim.forcing_rad_s) * (1.0 + share)
     return float(np.abs(dynamics.response(s) * shaper.response(s) - 1.0).max())
 
 
 def left_out(shaper: DelayFilter, dynamics: Dynamics, cancelled: Sequence[complex]) -> tuple[LeftOut, ...]:
-    """Poles that are not cancelled, largest residual first."""
+    """Return the poles that are not cancelled, largest residual first."""
     found = []
     for mode in dynamics.modes:
         if any(abs(mode.pole - pole) < 1e-6 * abs(pole) for pole in cancelled):
@@ -146,7 +148,7 @@ def left_out(shaper: DelayFilter, dynamics: Dynamics, cancelled: Sequence[comple
 
 
 def _lag(shaper: DelayFilter, dynamics: Dynamics) -> float:
-    """-d(PG)/ds at 0: how late a ramp comes out."""
+    """Return -d(PG)/ds at 0, the lag of a ramp."""
     return -complex(dynamics.slope(0.0) * shaper.response(0.0) + dynamics.response(0.0) * shaper.slope(0.0)).real
 
 

@@ -1,4 +1,4 @@
-"""Simulating recordings on the plant of the machine file, and holding both against each other."""
+"""Simulation of recordings on the plant of the machine file, and comparison of both."""
 
 from hil.simulation.compare import ChannelComparison, Comparison, compare
 from hil.simulation.inputs import Inputs

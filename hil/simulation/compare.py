@@ -1,4 +1,4 @@
-"""A recording against its simulation, channel by channel."""
+"""Comparison of a recording with its simulation, channel by channel."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hil.errors import RecordingError
 from hil.recording import Recording
 
 STANDSTILL = 1e-12
-"""A channel that varies by less than this share of its largest value does not move: what is left is rounding."""
+"""A channel that varies by less than this share of its largest value counts as constant: the rest is rounding."""
 
 INPUTS = ("time", "reference_", "excitation_", "feedforward_", "damping_")
 LARGEST_LAG = 5
-"""Rows either way in which the lag is looked for: an off-by-one in somebody's timing shows, a wrong model's phase does not run away."""
+"""Rows on either side within which a lag is searched: enough for an error of one row in timing, too few for the phase of a wrong model."""
 
 LAG_GAIN = 0.02
 """A lag is reported when it lowers the rms difference by more than this share."""
@@ -24,33 +24,34 @@ LAG_GAIN = 0.02
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """One channel of both. rms, largest and noise are in `unit`."""
+    """Comparison of one channel. rms, largest and noise are in `unit`."""
 
     name: str
     unit: str
     rms: float  # of simulation minus recording
     largest: float  # |simulation - recording|
     nrmse: float  # rms over the rms of the recording about its mean; NaN for a recording that does not move
-    lag_rows: int  # how much later than the simulation the recording is, where that explains the difference better; 0 otherwise
+    lag_rows: int  # delay of the recording behind the simulation, where it explains the difference better; 0 otherwise
     rows: int  # rows compared: both have a value
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between a recording and a simulation."""
+    """The differences between a recording and a simulation."""
 
     channels: tuple[ChannelComparison, ...]
     only_recorded: tuple[str, ...]
     only_simulated: tuple[str, ...]
 
     def __getitem__(self, name: str) -> ChannelComparison:
+        """Return the comparison of a channel."""
         for channel in self.channels:
             if channel.name == name:
                 return channel
         raise KeyError(name)
 
     def document(self) -> dict[str, Any]:
-        """Plain values for JSON; a NRMSE that does not exist is None."""
+        """Return plain values for JSON; an NRMSE that does not exist is None."""
         channels: dict[str, Mapping[str, Any]] = {}
         for channel in self.channels:
             table = asdict(channel)
@@ -59,7 +60,7 @@ class Comparison:
         return {"channels": channels, "only_recorded": list(self.only_recorded), "only_simulated": list(self.only_simulated)}
 
     def table(self) -> str:
-        """The comparison as lines of text."""
+        """Return the comparison as lines of text."""
         width = max(len(channel.name) for channel in self.channels)
         lines = [f"{'channel':<{width}}  {'rms':>10}  {'largest':>10}  {'unit':<6}  {'NRMSE':>8}  lag"]
         for channel in self.channels:
@@ -74,7 +75,7 @@ class Comparison:
 
 
 def compare(recording: Recording, simulation: Recording) -> Comparison:
-    """Hold a recording against its simulation, row by row.
+    """Compare a recording with its simulation, row by row.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ def compare(recording: Recording, simulation: Recording) -> Comparison:
     Raises
     ------
     RecordingError
-        Different number of rows, different times or units, or no channel in common.
+        Numbers of rows, times or units differ, or no channel is common to both.
     """
     if recording.rows != simulation.rows:
         raise RecordingError(f"{recording.rows} rows recorded, {simulation.rows} simulated; compare a simulation of this recording")
@@ -104,8 +105,9 @@ def compare(recording: Recording, simulation: Recording) -> Comparison:
 
 
 def _rows_of_both(name: str, recording: Recording, simulation: Recording) -> np.ndarray:
-    """(N,) where both have a value."""
-    return np.isfinite(recording[name]) & np.isfinite(simulation[name])
+    """Return the rows (N,) bool in which both have a value."""
+    both: np.ndarray = np.isfinite(recording[name]) & np.isfinite(simulation[name])
+    return both
 
 
 def _compare_channel(name: str, recording: Recording, simulation: Recording) -> ChannelComparison:
@@ -130,7 +132,7 @@ def _compare_channel(name: str, recording: Recording, simulation: Recording) -> 
 
 
 def _lag(y: np.ndarray, s: np.ndarray) -> int:
-    """Shift of the simulation, in rows, that comes nearest to the recording; 0 unless it is clearly better than none."""
+    """Return the shift of the simulation, in rows, that best matches the recording; 0 unless it is clearly better than no shift."""
     if len(y) <= 4 * LARGEST_LAG:
         return 0
     middle = slice(LARGEST_LAG, len(y) - LARGEST_LAG)

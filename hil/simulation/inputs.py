@@ -1,4 +1,4 @@
-"""What a simulation is driven by."""
+"""The inputs of a simulation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a simulation is driven by; arrays (N, n_axes) in axis order.
+    """The inputs of a simulation; arrays (N, n_axes) in axis order.
 
     Attributes
     ----------
@@ -22,13 +22,13 @@ class Inputs:
     feedforward : array
         In the drives' units.
     command : array or None
-        Given instead of a reference to a machine without controllers.
+        Used instead of a reference for a machine without controllers.
     start_pose : (n_axes,) array
-        The pose that was asked for at row 0.
+        The requested pose at row 0.
     deviation : (n_axes,) array or None
-        How far from it the axes stood, in elastic equilibrium [rad or m]; None: not at all.
+        Deviation of the axes from it, in elastic equilibrium [rad or m]; None: zero.
     start_speed : (n_axes,) array or None
-        Of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
+        Speeds of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
     controller_states : mapping or None
         As `Feedback.states`; None: integrators at the holding effort.
     """
@@ -44,10 +44,10 @@ class Inputs:
 
     @property
     def standing_pose(self) -> np.ndarray:
-        """(n_axes,) where the axes stood at row 0."""
+        """Positions (n_axes,) of the axes at row 0."""
         return self.start_pose if self.deviation is None else self.start_pose + self.deviation
 
     @property
     def settled(self) -> Inputs:
-        """With controllers that hold whatever machine is simulated, where it stands at row 0: recorded states hold the recorded one."""
+        """Return the inputs without recorded controller states, so that the controllers hold any simulated machine at row 0."""
         return self if self.start_speed is not None else replace(self, controller_states=None)

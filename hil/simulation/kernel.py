@@ -1,7 +1,7 @@
-"""Plant and feedback fused into one compiled kernel: a whole recording in one call. Timing: docs/notation.md.
+"""Plant and feedback fused into one compiled kernel: a whole recording in one call. Timing: docs/explanation/notation.md.
 
-At row k the drives apply the target they hold (command k-1), sensors latch, the controller makes command k of that row, and the plant
-moves on to k+1 under what the drives apply. Noise is off, quantisation is on.
+At row k the drives apply the target they hold (command k-1), sensors latch, the controller makes command k of this row, and the plant
+advances to k+1 under the effort of the drives. Noise is off, quantisation is on.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Loop(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """One recording, N rows of n axes: what goes in and what comes out."""
+    """Inputs and outputs of one recording, N rows of n axes."""
 
     reference: np.ndarray  # (N, n)
     excitation: np.ndarray  # (N, n)
@@ -43,7 +43,7 @@ class Rows(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What the kernel writes at every row before it reads it, and zeros that nothing writes, for they live on: see `new_scratch`."""
+    """Arrays that the kernel writes at every row before it reads them, and zeros that are never written: see `new_scratch`."""
 
     effort: np.ndarray  # (n,) targets on the drives' lattice
     currents: np.ndarray  # (n,) that flow
@@ -54,7 +54,7 @@ class Scratch(NamedTuple):
 
 
 def new_scratch(axes: int, imus: int) -> Scratch:
-    """Memory for one run at a time."""
+    """Return memory for one run at a time."""
     return Scratch(np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes + 6 * imus))
 
 
@@ -119,6 +119,6 @@ def run(closed, state, target, target_resolution, model, work, sensors, memory, 
 
 
 def closed_loop_kernel(plant: CompiledPlant) -> ModuleType:
-    """The compiled kernel of a plant, from disk where it is there: its `run` takes the named tuples of this module."""
+    """Return the compiled kernel of a plant, from disk if cached; its `run` takes the named tuples of this module."""
     controller_sources = "\n".join(inspect.getsource(module) for module in (controllers.feedback, controllers.sections))
     return plant.fuse("closed_loop", KERNEL.replace("SENSORS", compiled_sensors().__name__), controller_sources + sensor_sources())

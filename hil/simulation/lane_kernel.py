@@ -1,6 +1,6 @@
-"""The fused kernel of `kernel.py` for LANES machines of one plant at a time: the same rows in, every machine's own rows out.
+"""The fused kernel of `kernel.py` for LANES machines of one plant at a time, with common inputs and separate outputs.
 
-Where a lane stops being finite it stays so, its commands in closed loop too, and the others go on.
+A lane that is not finite stays so, with its commands in closed loop, and the others continue.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DEPENDENCIES = (lanes, side_by_side)  # compiled into every lane kernel besides 
 
 
 class Given(NamedTuple):
-    """What drives every lane alike, N rows of n axes, and the controllers they have."""
+    """Inputs of all lanes, N rows of n axes, and their controllers."""
 
     reference: np.ndarray  # (N, n)
     excitation: np.ndarray  # (N, n)
@@ -35,7 +35,7 @@ class Given(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """Lanes whose machines have something of their own, each kind in ascending order, and the joints where it takes their responses."""
+    """Lanes whose machines have parts of their own, each kind in ascending order, and the joints where these need responses."""
 
     terms: np.ndarray
     memories: np.ndarray
@@ -46,7 +46,7 @@ class Acting(NamedTuple):
 
 
 def loop_record(axes: int, imus: int, sections: int) -> LaneRecord:
-    """What lanes have of controllers, sensors and targets."""
+    """Return the record of controllers, sensors and targets of the lanes."""
     shapes: dict[str, tuple[int, ...]] = {"state": (max(sections, 1), 2), "imu": (max(6 * imus, 1),)}
     names = ("target", "effort", "current", "position", "link_position", "speed", "measured_effort", "command")
     return LaneRecord(shapes | {name: (axes,) for name in names})
@@ -187,7 +187,7 @@ def run(
 
 
 def lane_kernel(plant: CompiledPlant, sections: int) -> ModuleType:
-    """The compiled kernel of LANES machines with so many controller sections, from disk where it is there."""
+    """Return the compiled kernel of LANES machines with this number of controller sections, from disk if cached."""
     own = KERNEL.replace("EFFECTS", compiled_effects().__name__).replace("SIZES", f"{plant.joints}, {len(plant.settings.drives)}")
     own = own.replace("CONSTANTS", str(plant.constant_count)).replace("SECTIONS", str(sections))
     sources = "\n".join(inspect.getsource(module) for module in (*DEPENDENCIES, sys.modules[__name__]))

@@ -1,4 +1,4 @@
-"""LANES runs of one machine at a time, each with plant parameters and effects of its own: arrays of the lane kernel and back."""
+"""LANES simulations of one machine at a time, each with its own plant parameters and effects, through the lane kernel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from virtual_bus.sensors.measure import SensorModel, compiled_sensors, new_readi
 
 
 class Taken(NamedTuple):
-    """What comes out of one lane, N rows of n axes."""
+    """Outputs of one lane, N rows of n axes."""
 
     command: np.ndarray  # (N, n)
     effort: np.ndarray  # (N, n)
@@ -32,17 +32,17 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True)
 class Prepared:
-    """A run that is about to begin."""
+    """A prepared run."""
 
     model: np.ndarray
     state: np.ndarray
-    target: np.ndarray  # (n,) what the drives hold before row 0
+    target: np.ndarray  # (n,) targets of the drives before row 0
     loop: Loop
     sensors: SensorModel
 
 
 def can_be_side_by_side(prepared: Prepared, imus: int) -> bool:
-    """Whether the lane kernel takes this machine: every channel of its IMUs has a low pass."""
+    """Return whether the lane kernel takes this machine: every channel of its IMUs must have a low pass."""
     return bool(prepared.model["is_filtered"][0][: 6 * imus].all())
 
 
@@ -62,7 +62,7 @@ class SideBySide:
         self._scratch = (np.zeros((LANES, axes)), np.zeros(axes), np.zeros(channels), np.zeros(axes), np.zeros(axes + channels))
 
     def run(self, inputs: Inputs, runs: Sequence[Prepared]) -> list[Taken]:
-        """At most LANES runs of equal inner steps; lanes beyond them repeat the last, without its effects' part."""
+        """Run at most LANES simulations of equal inner steps; lanes beyond them repeat the last, without the part of its effects."""
         settings = self._plant.settings
         filled = [*runs, *[runs[-1]] * (LANES - len(runs))]
         states = np.array([one.state for one in filled])
@@ -95,10 +95,11 @@ class SideBySide:
         return found
 
     def _are_finite(self, side: np.ndarray, states: np.ndarray) -> np.ndarray:
-        """(LANES,) whether machines are somewhere at the end."""
+        """Return whether the machines (LANES,) have finite states at the end."""
         names = ("position", "speed", "acceleration", "filtered", "filtered_slope")
         parts = [np.isfinite(self._side.field(side, name)).all(axis=0) for name in names]
-        return np.all([*parts, np.isfinite(states).all(axis=1)], axis=0)
+        finite: np.ndarray = np.all([*parts, np.isfinite(states).all(axis=1)], axis=0)
+        return finite
 
     def _given(self, inputs: Inputs, loop: Loop) -> Given:
         def filled(rows: np.ndarray | None) -> np.ndarray:
@@ -132,7 +133,7 @@ class SideBySide:
 
 
 def stacked_effects(effects: Sequence[SensorEffects]) -> SensorEffects:
-    """With a first axis of lanes; encoder errors that a lane has fewer of act on no channel."""
+    """Stack effects along a first axis of lanes; encoder errors of which a lane has fewer act on no channel."""
     most = max(len(one.encoder_channel) for one in effects)
     filled = []
     for one in effects:

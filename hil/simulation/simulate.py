@@ -1,12 +1,12 @@
-"""The simulation of a recording, noise off: from its reference and excitation and the machine file, nothing else."""
+"""Simulation of a recording without noise, from its reference and excitation and the machine file alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite, isnan
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hil.errors import RecordingError
 from hil.machine import AxisUnits, Machine
@@ -17,7 +17,7 @@ from hil.simulation.simulator import Outputs, Simulator
 from virtual_bus.settings import EffectSetting
 
 RATE_TOLERANCE = 1e-3
-"""A recorder's clock may run this much, relatively, off the machine file's rate; more is another rate."""
+"""Largest relative deviation of a recorder's clock from the machine file's rate; more is another rate."""
 
 IMU_UNITS = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "rad/s", "gyro_y": "rad/s", "gyro_z": "rad/s"}
 
@@ -49,7 +49,7 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     Raises
     ------
     RecordingError
-        No reference (or command), a hole in it, or another sample rate than the machine's.
+        The reference (or command) is missing or has a hole, or the sample rate is not the machine's.
     BadAnswerError
         The simulation diverged.
     """
@@ -61,7 +61,7 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
 
 
 def inputs_of(machine: Machine, recording: Recording) -> Inputs:
-    """What drives a simulation, taken from a recording of this machine; RecordingError where it cannot."""
+    """Return the inputs of a simulation from a recording of this machine; RecordingError where they are incomplete."""
     rate = recording.sample_rate_Hz
     if abs(rate / machine.sample_rate_Hz - 1.0) > RATE_TOLERANCE:
         raise RecordingError(f"the recording has {rate:g} rows a second; {machine.name} runs at {machine.sample_rate_Hz:g} Hz")
@@ -70,7 +70,7 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     reference = _complete(machine, recording, "reference") if closed else None
     command = None if closed else _complete(machine, recording, "command")
     excitation = _complete(machine, recording, "excitation", np.zeros(shape))
-    if closed:  # what damping added to the command: as recorded, the observer is not simulated
+    if closed:  # the command of damping as recorded: the observer is not simulated
         excitation = excitation + _complete(machine, recording, "damping", np.zeros(shape))
     feedforward = _feedforward(machine, recording, shape)
     initial = recording.metadata.get("initial", {})
@@ -83,13 +83,13 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     if not isinstance(standing, dict):
         raise RecordingError(f"metadata initial.standing is {standing!r}; a table with `deviation` would be right")
     deviation = _per_axis(machine, standing.get("deviation"), "initial.standing.deviation", is_a_reading=True)
-    if deviation is not None:  # a reading that was missing tells nothing
+    if deviation is not None:  # a missing reading counts as no deviation
         deviation = np.nan_to_num(deviation)
     return Inputs(reference, excitation, feedforward, command, pose, states, speed, deviation)
 
 
 def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs: Outputs) -> Recording:
-    """Outputs as channels beside the recording's time and inputs."""
+    """Return outputs as channels beside the recording's time and inputs."""
     channels: dict[str, Channel] = {"time": recording.channel("time")}
 
     def add(group: str, values: np.ndarray, unit_of: Callable[[AxisUnits], str]) -> None:
@@ -127,7 +127,7 @@ def _effort_unit(units: AxisUnits) -> str:
 
 
 def _in_words(machine: Machine) -> list[str]:
-    """Physics added to the machine file, a line each: the file's hash does not tell them."""
+    """Return the physics added to the machine file, a line each, because the file's hash does not include them."""
     return [
         f"{effect.name} at {effect.at}: " + ", ".join(f"{name} = {value!r}" for name, value in effect.parameters.items())
         for effect in machine.plant.effects
@@ -137,7 +137,7 @@ def _in_words(machine: Machine) -> list[str]:
 def _complete(
     machine: Machine, recording: Recording, group: str, default: np.ndarray | None = None, *, of: Sequence[bool] | None = None
 ) -> np.ndarray:
-    """(N, n_axes) values without a hole; of an axis that is not recorded the default, where there is one. `of`: of some axes alone."""
+    """Return values (N, n_axes) without a hole; the default, if any, for an axis that is not recorded. `of` selects axes."""
     names = [f"{group}_{axis}" for axis in machine.axes]
     columns = []
     for i, (name, units) in enumerate(zip(names, machine.units, strict=True)):
@@ -158,8 +158,8 @@ def _complete(
     return np.column_stack(columns)
 
 
-def _check_states(machine: Machine, states: Any) -> None:
-    """RecordingError where metadata's controller states are none of this machine's axes."""
+def _check_states(machine: Machine, states: Mapping[str, Mapping[str, ArrayLike]]) -> None:
+    """Raise RecordingError where the metadata's controller states do not fit this machine's axes."""
     for axis in machine.axes:
         try:
             for values in states[axis].values():
@@ -175,7 +175,8 @@ def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | 
     if pose is not None:
         return pose
     if reference is not None:
-        return reference[0].copy()
+        first: np.ndarray = reference[0].copy()
+        return first
     pose = np.zeros(len(machine.axes))
     for i, axis in enumerate(machine.axes):
         if (name := position_channel(recording, axis)) is not None:
@@ -185,13 +186,13 @@ def _start_pose(machine: Machine, recording: Recording, reference: np.ndarray | 
 
 
 def position_channel(recording: Recording, axis: str) -> str | None:
-    """Where an axis' measured position is read: motor encoder, else link encoder; None where neither has a reading."""
+    """Return the channel of an axis' measured position: motor encoder, else link encoder; None where neither has a reading."""
     names = (f"position_{axis}", f"link_position_{axis}")
     return next((name for name in names if name in recording and np.isfinite(recording[name]).any()), None)
 
 
 def _per_axis(machine: Machine, values: Sequence[float] | None, key: str, *, is_a_reading: bool = False) -> np.ndarray | None:
-    """(n_axes,) metadata; None where there are none. A reading may be missing."""
+    """Return metadata (n_axes,); None where there are none. A reading may be missing."""
     if values is None:
         return None
     numbers = isinstance(values, list | tuple) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
@@ -203,12 +204,12 @@ def _per_axis(machine: Machine, values: Sequence[float] | None, key: str, *, is_
 
 
 def axes_with_feedforward(machine: Machine) -> set[str]:
-    """Of whose controllers the machine file says that they add one: a recording's own drives its simulation there."""
+    """Return the axes whose controllers add feedforward by the machine file; their simulation uses the recorded one."""
     return {controller.axis for controller in machine.controllers if controller.gravity_feedforward}
 
 
 def _feedforward(machine: Machine, recording: Recording, shape: tuple[int, int]) -> np.ndarray:
-    """As recorded: a function of the reference, computed before the run."""
+    """Return the feedforward as recorded: a function of the reference, computed before the run."""
     values = np.zeros(shape)
     adds = [axis in axes_with_feedforward(machine) for axis in machine.axes]
     if any(adds):

@@ -1,4 +1,4 @@
-"""One machine, compiled once, run over as many inputs and parameter values as wanted."""
+"""Simulator of one machine, compiled once and run over any number of inputs and parameter values."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from virtual_bus.settings import EffectSetting
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a simulation answers, N rows."""
+    """Outputs of a simulation, N rows."""
 
     command: np.ndarray  # (N, n_axes)
     effort: np.ndarray  # (N, n_axes) as the drives measure it; NaN where they do not
@@ -97,10 +97,10 @@ class Simulator:
     def run_all(
         self, inputs: Inputs, trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]]
     ) -> list[Outputs | BenchError | EmulatorError | ControlError]:
-        """The same for several machines: values and effects of each, and what `run` would return or raise.
+        """Run several machines with their values and effects; return what `run` would return or raise for each.
 
-        Several of them are worked at a time, side by side in the processor's vectors (see virtual_bus/plant/lanes.py): the answers of one
-        machine differ by rounding from those of `run`, and not with what is asked beside it.
+        Several machines run at a time in the processor's vectors (see virtual_bus/plant/lanes.py). The results of a machine differ by
+        rounding from those of `run`, and do not depend on the other machines.
         """
         found: list[Any] = []
         for values, effects in trials:
@@ -122,7 +122,7 @@ class Simulator:
     def run_or_error(
         self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
     ) -> Outputs | BenchError | EmulatorError | ControlError:
-        """What `run` returns or raises."""
+        """Return what `run` returns or raises."""
         try:
             return self.run(inputs, values, effects)
         except (BenchError, EmulatorError, ControlError) as error:
@@ -187,10 +187,10 @@ class Simulator:
     def _started(
         self, inputs: Inputs, holding: np.ndarray, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
     ) -> tuple[Loop, np.ndarray]:
-        """The loop and what the drives hold at row 0.
+        """Return the loop and the targets that the drives hold at row 0.
 
-        Where the machine file's own load could be held but an effect's cannot, because the loop has no integrator, row 0 is as without the
-        effects and the machine sags from there.
+        Where the load of the machine file can be held but that of an effect cannot, because the loop has no integrator, row 0 is as without
+        the effects and the machine sags from there.
         """
         try:
             return self._closed_loop(inputs, holding), holding
@@ -215,7 +215,7 @@ class Simulator:
 
     @cached_property
     def _feedback(self) -> Feedback:
-        """One for all runs, loaded anew for each; what a run advances it has copies of."""
+        """Feedback for all runs, reloaded for each; a run advances copies of its states."""
         return Feedback(self.machine.controllers)
 
 
